@@ -1,0 +1,62 @@
+# Each command works from a clean clone and makes its own virtual environment in .venv.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+NATIVE := build/native
+SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/*) \
+  $(shell find src -name '*.py' -o -name '*.cpp' -o -name '*.pyi')
+CXX_FILES := $(wildcard core/*.hpp core/*.cpp src/invariode/*.cpp tests/native/*.hpp tests/native/*.cpp benchmarks/*.cpp)
+# Warnings are errors where nobody but us is bothered by them.
+INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI),-C cmake.define.INVARIODE_WERROR=ON)
+CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
+  -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
+
+.PHONY: paper test native sanitize lint format stubs bench clean
+
+paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
+	$(BIN)/invariode paper --output paper-report.html
+
+test: $(VENV)/.installed-test native  ## every test: the core's own, then Python's
+	$(BIN)/python -m pytest -q
+
+native: $(VENV)/.installed-test
+	$(CMAKE) -S . -B $(NATIVE)
+	$(BIN)/cmake --build $(NATIVE)
+	$(BIN)/ctest --test-dir $(NATIVE) --output-on-failure
+
+sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan
+	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=address,undefined
+	$(BIN)/cmake --build $(NATIVE)-sanitize
+	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
+
+lint: $(VENV)/.installed-lint native  ## style, types, static analysis, drift of the generated stub
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
+	$(BIN)/clang-tidy -quiet -p $(NATIVE) core/*.cpp
+	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi && diff _core.pyi ../src/invariode/_core.pyi
+
+format: $(VENV)/.installed-lint
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+	$(BIN)/clang-format -i $(CXX_FILES)
+
+stubs: $(VENV)/.installed-lint  ## regenerate src/invariode/_core.pyi
+	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o ../src/invariode/_core.pyi
+
+bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
+	$(BIN)/python benchmarks/overhead.py --write
+
+clean:
+	rm -rf build $(VENV) paper-report.html
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+# .installed-a-b: the package as it is now, with the extras a and b.
+comma := ,
+$(VENV)/.installed-%: $(VENV)/bin/python $(SOURCES)
+	$(INSTALL) ".[$(subst -,$(comma),$*)]"
+	@touch $@

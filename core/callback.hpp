@@ -1,0 +1,34 @@
+#pragma once
+// The one C type through which the core knows user functions.
+
+#include <cstdint>
+
+namespace invariode {
+
+/// What a user function reports. `stop` ends the run at once: whoever owns the context keeps the reason (an exception,
+/// an interrupt). 'Cannot be evaluated here' is not a status: such a function writes NaN, and the attempt that asked
+/// fails.
+enum class [[nodiscard]] Status { ok, stop };
+
+/// A user function `out = function(t, y)`: a pointer, its context, and how often it was called.
+class Callback {
+ public:
+  using Function = Status(void* context, double t, const double* y, double* out) noexcept;
+
+  Callback() = default;
+  Callback(Function* function, void* context) : function_(function), context_(context) {}
+
+  Status operator()(double t, const double* y, double* out) noexcept {
+    ++calls_;
+    return function_(context_, t, y, out);
+  }
+  explicit operator bool() const noexcept { return function_ != nullptr; }
+  [[nodiscard]] std::int64_t calls() const noexcept { return calls_; }
+
+ private:
+  Function* function_ = nullptr;
+  void* context_ = nullptr;
+  std::int64_t calls_ = 0;
+};
+
+}  // namespace invariode

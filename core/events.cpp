@@ -1,0 +1,183 @@
+#include "events.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+constexpr double location_ulps = 2;  // width of the final bracket, in ulp of t
+constexpr double tie_ulps = 4;       // two roots this close are one instant
+
+int sign_of(double v) { return (v > 0) - (v < 0); }
+
+/// Shrinks [a, b], on which e changes sign, to `width` by Chandrupatla's method (Adv. Eng. Software 28 (1997) 145):
+/// inverse quadratic interpolation where the three latest points are in a shape that makes it converge, else bisection.
+/// e(t, value) returns false to give up. The end with the smaller |e| is the root.
+template <class E>
+bool find_root(E&& e, double a, double ea, double b, double eb, double width, double& root) {
+  double c = a, ec = ea;
+  double fraction = 0.5;
+  for (;;) {
+    const double x = a + fraction * (b - a);
+    double ex = 0;
+    if (!e(x, ex)) return false;
+    if (sign_of(ex) == sign_of(ea)) {
+      c = a, ec = ea;
+    } else {
+      c = b, ec = eb;
+      b = a, eb = ea;
+    }
+    a = x, ea = ex;
+    root = std::abs(ea) < std::abs(eb) ? a : b;
+    const double least = 0.5 * width / std::abs(b - a);
+    if (least > 0.5 || ea == 0 || eb == 0 || x == b || x == c) return true;
+    const double xi = (a - b) / (c - b), phi = (ea - eb) / (ec - eb);
+    fraction = 0.5;
+    if (phi * phi < xi && (1 - phi) * (1 - phi) < 1 - xi)
+      fraction = ea / (eb - ea) * ec / (eb - ec) + (c - a) / (b - a) * ea / (ec - ea) * eb / (ec - eb);
+    fraction = std::isnan(fraction) ? 0.5 : std::clamp(fraction, least, 1 - least);
+  }
+}
+
+}  // namespace
+
+Events::Events(std::vector<EventFunction> functions, std::size_t n, int interior_points)
+    : functions_(std::move(functions)),
+      n_(n),
+      intervals_(static_cast<std::size_t>(interior_points) + 1),
+      times_(intervals_ + 1),
+      values_(intervals_ + 1),
+      last_(functions_.size()),
+      sign_(functions_.size()),
+      times_seen_(functions_.size()),
+      y_(n) {
+  if (empty()) return;
+  for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
+  brackets_.reserve(intervals_);
+  occurrences_.reserve(functions_.size() * intervals_);
+}
+
+Events::Result Events::evaluate(std::size_t event, double t, const double* y, double& value) {
+  if (functions_[event].function(t, y, &value) == Status::stop) return Result::stop;
+  if (!std::isnan(value)) return Result::ok;
+  undefined_ = {event, t};
+  return Result::undefined;
+}
+
+Events::Result Events::start(double t, const double* y) {
+  for (std::size_t e = 0; e < count(); ++e) {
+    if (const Result result = evaluate(e, t, y, last_[e]); result != Result::ok) return result;
+    sign_[e] = sign_of(last_[e]);
+  }
+  return Result::ok;
+}
+
+Events::Result Events::search(double t0, double t1, const double* y1, StepInterpolant& interpolant) {
+  step_ = {t0, t1, y1, &interpolant};
+  occurrences_.clear();
+  terminal_ = false;
+  points_known_[0] = points_known_[1] = false;
+  const auto parts = static_cast<double>(intervals_);
+  for (std::size_t j = 0; j < intervals_; ++j) times_[j] = t0 + (t1 - t0) * (static_cast<double>(j) / parts);
+  times_[intervals_] = t1;
+
+  for (std::size_t e = 0; e < count(); ++e) {
+    if (const Result result = scan(e, false); result != Result::ok) return result;
+    if (!brackets_.empty() && interpolant.projects())  // decide on the values that will be returned
+      if (const Result result = scan(e, true); result != Result::ok) return result;
+    for (const Bracket& bracket : brackets_) {
+      const int direction = sign_of(values_[bracket.b] == 0 ? -values_[bracket.a] : values_[bracket.b]);
+      if (functions_[e].direction != 0 && sign_of(functions_[e].direction) != direction) continue;
+      double root = times_[bracket.b];
+      if (const Result result = locate(e, bracket, root); result != Result::ok) return result;
+      occurrences_.push_back({e, root});
+    }
+    last_[e] = values_[intervals_];
+    sign_[e] = sign_after_;
+  }
+  if (!occurrences_.empty()) settle();
+  return Result::ok;
+}
+
+/// y at the interior points of the scan, once for all events.
+Events::Result Events::points(bool projected) {
+  if (std::exchange(points_known_[projected], true)) return Result::ok;
+  for (std::size_t j = 1; j < intervals_; ++j) {
+    double* y = points_[projected].data() + (j - 1) * n_;
+    const Status status =
+        projected ? step_.interpolant->value(times_[j], y) : step_.interpolant->corrected(times_[j], y);
+    if (status == Status::stop) return Result::stop;
+  }
+  return Result::ok;
+}
+
+/// Values of the event along the step, and the brackets that they show.
+Events::Result Events::scan(std::size_t event, bool projected) {
+  if (const Result result = points(projected); result != Result::ok) return result;
+  values_[0] = last_[event];
+  for (std::size_t j = 1; j <= intervals_; ++j) {
+    const double* y = j < intervals_ ? points_[projected].data() + (j - 1) * n_ : step_.y1;
+    if (const Result result = evaluate(event, times_[j], y, values_[j]); result != Result::ok) return result;
+  }
+  find_brackets(event);
+  return Result::ok;
+}
+
+void Events::find_brackets(std::size_t event) {
+  brackets_.clear();
+  int sign = sign_[event];
+  std::size_t a = 0;     // where the event was last not zero
+  std::size_t zero = 0;  // first exact zero since, if any
+  for (std::size_t j = 1; j <= intervals_; ++j) {
+    const int s = sign_of(values_[j]);
+    if (s == 0 && sign != 0 && zero == 0) zero = j;
+    if (s == 0 && j < intervals_) continue;  // crossing or tangency: the next nonzero value tells
+    if (sign != 0 && s != sign) brackets_.push_back({a, zero != 0 ? zero : j});
+    sign = s;
+    a = j;
+    zero = 0;
+  }
+  sign_after_ = sign;
+}
+
+Events::Result Events::locate(std::size_t event, const Bracket& bracket, double& root) {
+  if (values_[bracket.b] == 0) return Result::ok;  // the scan hit it
+  Result result = Result::ok;
+  const auto e = [&](double t, double& value) {
+    if (step_.interpolant->value(t, y_.data()) == Status::stop)
+      result = Result::stop;
+    else
+      result = evaluate(event, t, y_.data(), value);
+    return result == Result::ok;
+  };
+  const double width = location_ulps * std::max(ulp(step_.t0), ulp(step_.t1));
+  find_root(e, times_[bracket.a], values_[bracket.a], times_[bracket.b], values_[bracket.b], width, root);
+  return result;
+}
+
+/// Puts the occurrences into the order of integration and lets the first terminal one, with its ties, end them.
+void Events::settle() {
+  const double forward = step_.t1 > step_.t0 ? 1 : -1;
+  std::sort(occurrences_.begin(), occurrences_.end(), [forward](const Occurrence& a, const Occurrence& b) {
+    return a.t == b.t ? a.event < b.event : forward * a.t < forward * b.t;
+  });
+  std::size_t kept = 0;
+  double end = 0;
+  for (; kept < occurrences_.size(); ++kept) {
+    Occurrence& occurrence = occurrences_[kept];
+    if (terminal_) {
+      if (std::abs(occurrence.t - end) > tie_ulps * ulp(end)) break;
+      occurrence.t = end;
+    }
+    const EventFunction& function = functions_[occurrence.event];
+    if (++times_seen_[occurrence.event] == function.terminal && !terminal_) {
+      terminal_ = true;
+      end = occurrence.t;
+    }
+  }
+  occurrences_.resize(kept);
+}
+
+}  // namespace invariode

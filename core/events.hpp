@@ -1,0 +1,86 @@
+#pragma once
+// Location of events: zeros of functions of (t, y) along the solution (ALGORITHMS §7).
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "callback.hpp"
+#include "interpolant.hpp"
+
+namespace invariode {
+
+struct EventFunction {
+  Callback function;          ///< e(t, y) -> (1,)
+  std::int64_t terminal = 0;  ///< ends the run at this occurrence; 0: never
+  int direction = 0;          ///< > 0: rising in the direction of integration, < 0: falling, 0: both
+};
+
+/// An event that happened.
+struct Occurrence {
+  std::size_t event;
+  double t;
+};
+
+/// Watches the events from step to step. A sign change between successive points of a step (its ends and `degree`
+/// interior ones) brackets a root; tangencies without a sign change are not events. An event that is exactly zero
+/// sleeps until it has left zero, so that a zero at the start is not reported, and one at a step's end only once.
+class Events {
+ public:
+  enum class [[nodiscard]] Result { ok, stop, undefined };
+
+  Events(std::vector<EventFunction> functions, std::size_t n, int interior_points);
+
+  [[nodiscard]] bool empty() const { return functions_.empty(); }
+  [[nodiscard]] std::size_t count() const { return functions_.size(); }
+
+  /// Takes the signs at the start of the integration.
+  Result start(double t, const double* y);
+
+  /// Finds the roots in the accepted step from t0 to (t1, y1), in the order of integration, and counts them. The first
+  /// one that is terminal ends the list, together with those that tie with it.
+  Result search(double t0, double t1, const double* y1, StepInterpolant& interpolant);
+
+  /// Of the last search.
+  [[nodiscard]] const std::vector<Occurrence>& occurrences() const { return occurrences_; }
+  [[nodiscard]] bool terminal() const { return terminal_; }
+  /// Of a result `undefined`: the event that is NaN, and where.
+  [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
+
+ private:
+  struct Step {
+    double t0, t1;
+    const double* y1;
+    StepInterpolant* interpolant;
+  };
+  struct Bracket {
+    std::size_t a, b;  // indices into the scan; equal where the event is exactly zero there
+  };
+
+  Result evaluate(std::size_t event, double t, const double* y, double& value);
+  Result points(bool projected);
+  Result scan(std::size_t event, bool projected);
+  void find_brackets(std::size_t event);
+  Result locate(std::size_t event, const Bracket& bracket, double& root);
+  void settle();
+
+  std::vector<EventFunction> functions_;
+  std::size_t n_;
+  std::size_t intervals_;
+  Step step_{};
+  std::vector<double> times_;      // of the scan: intervals + 1, both ends included
+  std::vector<double> points_[2];  // y at the interior times: corrected, projected
+  bool points_known_[2] = {false, false};
+  std::vector<double> values_;     // of one event along the scan
+  std::vector<Bracket> brackets_;  // of one event in the step
+  std::vector<double> last_;       // value of each event at the end of the last step
+  std::vector<int> sign_;          // of each event where it was last not zero; 0: asleep
+  int sign_after_ = 0;             // what it becomes with the step
+  std::vector<std::int64_t> times_seen_;
+  std::vector<double> y_;
+  std::vector<Occurrence> occurrences_;
+  bool terminal_ = false;
+  Occurrence undefined_{};
+};
+
+}  // namespace invariode

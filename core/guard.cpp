@@ -1,0 +1,221 @@
+#include "guard.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace invariode {
+namespace {
+
+// Thresholds of ALGORITHMS §6, from 460 designed and 1260 random runs.
+constexpr double suspicious_angle = 1e-6;              // ρ, with a Jacobian that is exact
+constexpr double suspicious_angle_differences = 1e-4;  // ρ, with one by differences
+constexpr double suspicious_drift = 0.01;              // D, in units of rtol
+
+// The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
+// much.
+constexpr double jacobian_tolerance = 1e-4;
+const double cbrt_eps = std::cbrt(eps);
+
+/// Direction of the test: no component is 0 and no two are equal, so that errors do not cancel by symmetry.
+double direction(std::size_t j) {
+  constexpr double golden = 0.6180339887498949;
+  const double fraction = std::fmod(golden * static_cast<double>(j + 1), 1.0);
+  return (j % 2 == 0 ? 1 : -1) * (0.5 + fraction);
+}
+
+double weighted_norm(const double* v, const double* w, std::size_t n) {
+  double sum = 0;
+  for (std::size_t i = 0; i < n; ++i) sum += (v[i] / w[i]) * (v[i] / w[i]);
+  return std::sqrt(sum);
+}
+
+double dot(const double* a, const double* b, std::size_t n) {
+  double sum = 0;
+  for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+Finding stopped() { return {.kind = Finding::Kind::stop}; }
+
+}  // namespace
+
+Guard::Guard(Invariants& invariants, const Weights& weights, const Callback& f)
+    : invariants_(invariants),
+      weights_(weights),
+      f_(f),
+      projector_(invariants, weights, 1),
+      point_(invariants.n()),
+      slope_(invariants.n()),
+      gt_(invariants.m()),
+      plus_(invariants.m()),
+      minus_(invariants.m()),
+      differences_(invariants.m() * invariants.n()) {}
+
+Finding Guard::start_value(double t, double* y) {
+  const Outcome outcome = projector_.linearize_at(t, y);
+  if (outcome == Outcome::stop) return stopped();
+  if (outcome == Outcome::not_finite) return undefined(t);
+  bool off = false;
+  Finding worst;
+  for (std::size_t i = 0; i < invariants_.m(); ++i) {
+    const double r = projector_.residual()[i];
+    if (std::abs(r) <= invariants_.roundoff(i, y, projector_.jacobian())) continue;
+    off = true;
+    const double distance = std::abs(r) / projector_.row_norm(i) / weights_.rtol();
+    if (!(distance <= 1) && !(distance <= worst.distance))
+      worst = {
+          .kind = Finding::Kind::off_value, .invariant = static_cast<int>(i), .t = t, .size = r, .distance = distance};
+  }
+  if (worst.kind != Finding::Kind::none || !off) return worst;
+  projected_start_ = true;
+  return projector_.impose(t, y).outcome == Outcome::stop ? stopped() : Finding{};
+}
+
+Finding Guard::undefined(double t) const {
+  const std::size_t n = invariants_.n();
+  std::size_t i = 0;
+  while (i + 1 < invariants_.m() && std::isfinite(projector_.residual()[i]) &&
+         all_finite(projector_.jacobian() + i * n, n))
+    ++i;
+  return {.kind = Finding::Kind::undefined, .invariant = static_cast<int>(i), .t = t};
+}
+
+Finding Guard::start_jacobian(double t, const double* y) {
+  const std::size_t n = invariants_.n(), m = invariants_.m();
+  const Outcome outcome = projector_.linearize_at(t, y);
+  if (outcome == Outcome::stop) return stopped();
+  const double* J = projector_.jacobian();
+  const double* w = projector_.weights();
+  for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] + cbrt_eps * w[j] * direction(j);
+  if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return stopped();
+  for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] - cbrt_eps * w[j] * direction(j);
+  if (invariants_.residual(t, point_.data(), minus_.data()) == Status::stop) return stopped();
+  for (std::size_t i = 0; i < m; ++i) {
+    if (invariants_.by_differences(i)) continue;
+    double expected = 0, terms = 0;
+    for (std::size_t j = 0; j < n; ++j) {
+      const double term = J[i * n + j] * w[j] * direction(j);
+      expected += term;
+      terms += std::abs(term);
+    }
+    const double quotient = (plus_[i] - minus_[i]) / (2 * cbrt_eps);
+    const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
+    if (std::abs(quotient - expected) > jacobian_tolerance * std::max(terms, std::abs(quotient)) + noise)
+      return worst_entry(t, y);
+  }
+  return {};
+}
+
+/// The directional test failed somewhere: which entry is farthest off, in units of its row's terms?
+Finding Guard::worst_entry(double t, const double* y) {
+  const std::size_t n = invariants_.n(), m = invariants_.m();
+  if (invariants_.difference_jacobian(t, y, differences_.data(), true) == Status::stop) return stopped();
+  const double* J = projector_.jacobian();
+  const double* w = projector_.weights();
+  Finding worst;
+  double largest = 0;
+  for (std::size_t i = 0; i < m; ++i) {
+    double terms = 0;
+    for (std::size_t j = 0; j < n; ++j)
+      terms = std::max({terms, std::abs(J[i * n + j] * w[j]), std::abs(differences_[i * n + j] * w[j])});
+    const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
+    for (std::size_t j = 0; j < n; ++j) {
+      const double given = J[i * n + j], quotient = differences_[i * n + j];
+      const double off = std::abs(given - quotient) * w[j];
+      if (!(off > jacobian_tolerance * terms + noise) || off / terms <= largest) continue;
+      largest = off / terms;
+      worst = {.kind = Finding::Kind::wrong_jacobian,
+               .invariant = static_cast<int>(i),
+               .component = static_cast<int>(j),
+               .t = t,
+               .size = given,
+               .distance = quotient};
+    }
+  }
+  return worst;
+}
+
+/// Whether g changes with t alone, seen at a point near y0 (at y0 itself where g is not defined nearby). A wrong 'no'
+/// only costs a suspicion: `confirm` always takes g_t.
+Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
+  const auto look = [&] {
+    if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return Outcome::stop;
+    if (invariants_.residual(t + h, point_.data(), minus_.data()) == Status::stop) return Outcome::stop;
+    if (!all_finite(plus_.data(), plus_.size()) || !all_finite(minus_.data(), minus_.size()))
+      return Outcome::not_finite;
+    time_dependent_ = plus_ != minus_;
+    return Outcome::ok;
+  };
+  for (std::size_t j = 0; j < point_.size(); ++j) point_[j] = y[j] + cbrt_eps * weights_.at(j, y[j]) * direction(j);
+  Outcome outcome = look();
+  if (outcome == Outcome::not_finite) {
+    std::copy(y, y + point_.size(), point_.begin());
+    outcome = look();
+  }
+  return outcome;
+}
+
+Finding Guard::start_rate(double t, const double* y, const double* f, double h) {
+  if (detect_time_dependence(t, y, h) == Outcome::stop) return stopped();
+  switch (projector_.linearize_at(t, y)) {
+    case Outcome::stop: return stopped();
+    case Outcome::not_finite: return {};
+    case Outcome::ok: break;
+  }
+  return rate(projector_, t, f, h, 0);
+}
+
+Finding Guard::rate(const Projector& projector, double t, const double* f, double h, std::int64_t steps) {
+  if (steps < quiet_until_) return {};
+  const std::size_t n = invariants_.n();
+  std::fill(gt_.begin(), gt_.end(), 0);
+  const double* y = projector.point();
+  if (time_dependent_ && invariants_.time_derivative(t, h, y, projector.jacobian(), gt_.data()) == Status::stop)
+    return stopped();
+  if (suspect(projector, t, f, h, time_dependent_).kind == Finding::Kind::none) return {};
+  std::copy(y, y + n, point_.begin());
+  const Finding confirmed = confirm(t, point_.data(), h);
+  if (confirmed.kind == Finding::Kind::none) quiet_until_ = std::max<std::int64_t>(2 * steps, 1);
+  return confirmed;
+}
+
+Finding Guard::confirm(double t, const double* y, double h) {
+  if (y != point_.data()) std::copy(y, y + point_.size(), point_.begin());
+  const Projector::Imposed imposed = projector_.impose(t, point_.data());
+  if (imposed.outcome == Outcome::stop) return stopped();
+  if (!imposed.converged) return {};
+  const Outcome outcome = projector_.linearize_at(t, point_.data());
+  if (outcome == Outcome::stop) return stopped();
+  if (outcome == Outcome::not_finite) return {};
+  if (f_(t, point_.data(), slope_.data()) == Status::stop) return stopped();
+  if (!all_finite(slope_.data(), slope_.size())) return {};
+  if (invariants_.time_derivative(t, h, point_.data(), projector_.jacobian(), gt_.data()) == Status::stop)
+    return stopped();
+  const bool depends_on_t = std::any_of(gt_.begin(), gt_.end(), [](double g) { return g != 0; });
+  time_dependent_ |= depends_on_t;
+  return suspect(projector_, t, slope_.data(), h, depends_on_t);
+}
+
+/// The invariant with the largest angle ρ_i = |g_t + J_i f| / (|g_t| + ‖J_i W‖ ‖W⁻¹ f‖) among those whose drift
+/// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too.
+Finding Guard::suspect(const Projector& at, double t, const double* f, double h, bool differences_in_t) const {
+  const std::size_t n = invariants_.n();
+  const double speed = weighted_norm(f, at.weights(), n);
+  Finding worst;
+  for (std::size_t i = 0; i < invariants_.m(); ++i) {
+    const bool differences = differences_in_t || invariants_.by_differences(i);
+    const double limit = differences ? suspicious_angle_differences : suspicious_angle;
+    const double rate = gt_[i] + dot(at.jacobian() + i * n, f, n);
+    const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm(i) * speed);
+    const bool drifts = std::abs(h * rate) > suspicious_drift * weights_.rtol() * at.row_norm(i);
+    if (angle > limit && drifts && angle > worst.distance)
+      worst = {.kind = Finding::Kind::not_conserved,
+               .invariant = static_cast<int>(i),
+               .t = t,
+               .size = rate,
+               .distance = angle};
+  }
+  return worst;
+}
+
+}  // namespace invariode

@@ -1,0 +1,65 @@
+#pragma once
+// Finds invariants that are none, without ever accusing a right one (ALGORITHMS §6, 'Guard'; beyond the paper).
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "invariants.hpp"
+#include "projection.hpp"
+
+namespace invariode {
+
+/// What speaks against the invariants.
+struct Finding {
+  enum class Kind { none, stop, undefined, off_value, wrong_jacobian, not_conserved };
+  Kind kind = Kind::none;
+  int invariant = -1;
+  int component = -1;  ///< wrong_jacobian: the column
+  double t = 0;
+  double size = 0;      ///< off_value: residual; wrong_jacobian: the entry given; not_conserved: d/dt of the invariant
+  double distance = 0;  ///< off_value: in units of rtol; wrong_jacobian: the difference quotient; not_conserved: ρ
+};
+
+/// The tests, in the order in which the loop asks for them: `start_value`, `start_jacobian`, `start_rate`; then after
+/// each accepted step `rate`, and `confirm` where corrections stay too large. A suspicion is confirmed on the manifold
+/// before it convicts.
+class Guard {
+ public:
+  /// `f` is copied: the evaluations that the tests cost are counted apart from the method's.
+  Guard(Invariants& invariants, const Weights& weights, const Callback& f);
+
+  /// The residual at (t0, y0): not finite is `undefined`, farther off a demanded value than rtol is `off_value`;
+  /// closer, y0 is projected in place.
+  Finding start_value(double t, double* y);
+  /// The users' Jacobians at (t0, y0) against a directional difference; where that fails, entry by entry.
+  Finding start_jacobian(double t, const double* y);
+  /// The rate of change of the invariants at (t0, y0), where the slope is f and the first step h.
+  Finding start_rate(double t, const double* y, const double* f, double h);
+
+  /// The same after accepted step number `steps`, with the linearization that `projector` has at hand.
+  Finding rate(const Projector& projector, double t, const double* f, double h, std::int64_t steps);
+  /// Projects (t, y) to roundoff, evaluates f there and tests again. `none` also where that cannot be done.
+  Finding confirm(double t, const double* y, double h);
+
+  [[nodiscard]] bool projected_start() const { return projected_start_; }
+  /// Evaluations of f so far.
+  [[nodiscard]] std::int64_t calls() const { return f_.calls(); }
+
+ private:
+  Outcome detect_time_dependence(double t, const double* y, double h);
+  Finding suspect(const Projector& at, double t, const double* f, double h, bool differences_in_t) const;
+  Finding worst_entry(double t, const double* y);
+  [[nodiscard]] Finding undefined(double t) const;
+
+  Invariants& invariants_;
+  const Weights& weights_;
+  Callback f_;
+  Projector projector_;  // of its own: the run's linearization stays as it is
+  std::vector<double> point_, slope_, gt_, plus_, minus_, differences_;
+  bool time_dependent_ = false;
+  bool projected_start_ = false;
+  std::int64_t quiet_until_ = 0;
+};
+
+}  // namespace invariode

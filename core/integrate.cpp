@@ -1,0 +1,308 @@
+#include "integrate.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+constexpr double hmin_ulps = 16;            // hmin = 16 ulp(t) (ALGORITHMS §2)
+constexpr double stretch = 1.1;             // a step that comes this close to tf lands on it
+constexpr double largest_correction = 100;  // in units of rtol; right invariants stay below (ALGORITHMS §6, Guard 3)
+constexpr double expected_decrease = 3;     // of the correction by two halvings of h
+
+}  // namespace
+
+Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const Callback& f, Invariants* invariants,
+                         std::vector<EventFunction> events, Callback callback, Settings settings)
+    : step_(std::move(step)),
+      weights_(weights),
+      invariants_(invariants),
+      settings_(std::move(settings)),
+      callback_(callback),
+      n_(weights.size()),
+      forward_(settings_.tf >= settings_.t0 ? 1 : -1),
+      events_(std::move(events), n_, step_->degree()),
+      interpolant_(*step_, settings_.interpolation, invariants,
+                   invariants ? &between_.emplace(*invariants, weights, 1) : nullptr),
+      y0_(n_),
+      y1_(n_),
+      point_(n_),
+      between_point_(n_) {
+  occurrences.resize(events_.count());
+  if (invariants_) {
+    projector_.emplace(*invariants_, weights_, settings_.iterations);
+    guard_.emplace(*invariants_, weights_, f);
+  }
+  if (settings_.dense)
+    dense.emplace(n_, invariants_ ? invariants_->m() : 0, settings_.interpolation, step_->interpolate());
+}
+
+State Integration::end(State state) { return state_ = state; }
+
+State Integration::refuse(const Finding& finding) {
+  if (finding.kind == Finding::Kind::stop) return end(State::interrupted);
+  report_.finding = finding;
+  return end(state_ == State::created ? State::invariant_refused : State::invariant_convicted);
+}
+
+State Integration::start(const double* y0) {
+  t0_ = report_.t = settings_.t0;
+  std::copy(y0, y0 + n_, y0_.begin());
+  if (inspect_start(y0_.data()) != State::created) return state_;
+  if (dense) dense->start(t0_, y0_.data());
+  if (emit(t0_, y0_.data()) != State::created) return state_;
+  if (start_method(y0_.data()) != State::created) return state_;
+  switch (events_.start(t0_, y0_.data())) {
+    case Events::Result::stop: return end(State::interrupted);
+    case Events::Result::undefined: report_.event = events_.undefined().event; return end(State::event_undefined);
+    case Events::Result::ok: break;
+  }
+  if (t0_ != settings_.tf && n_ > 0) return state_ = State::running;
+  if (settings_.save_all && !settings_.output_at_times) points.add(settings_.tf, y0_.data(), n_);
+  return end(State::reached_end);  // nothing to integrate
+}
+
+/// The invariants at y0, which may be projected.
+State Integration::inspect_start(double* y0) {
+  if (!guard_) return state_;
+  Finding finding = guard_->start_value(t0_, y0);
+  if (finding.kind == Finding::Kind::none && settings_.check) finding = guard_->start_jacobian(t0_, y0);
+  return finding.kind == Finding::Kind::none ? state_ : refuse(finding);
+}
+
+/// Starts the method at (t0, y0), and asks whether the invariants are conserved there.
+State Integration::start_method(const double* y0) {
+  switch (step_->start(t0_, y0, {settings_.tf, settings_.hmax, hmin_ulps * ulp(t0_)})) {
+    case Outcome::stop: return end(State::interrupted);
+    case Outcome::not_finite: report_.component = step_->undefined_component(); return end(State::start_undefined);
+    case Outcome::ok: break;
+  }
+  if (settings_.first_step > 0) step_->set_h(settings_.first_step);
+  if (!guard_ || !settings_.check || t0_ == settings_.tf) return state_;
+  const Finding finding = guard_->start_rate(t0_, y0, step_->slope(), forward_ * step_->h());
+  return finding.kind == Finding::Kind::none ? state_ : refuse(finding);
+}
+
+State Integration::run() {
+  while (advance() == State::running) {
+  }
+  return state_;
+}
+
+State Integration::advance() {
+  if (state_ != State::running) return state_;
+  begin_step();
+  for (;;) {
+    if (!std::isfinite(t1_)) {
+      explain_failure(Cause::not_finite);
+      return end(State::step_failed);
+    }
+    switch (attempt()) {
+      case Verdict::ended: return state_;
+      case Verdict::accepted: return finish_step();
+      case Verdict::rejected: break;
+    }
+  }
+}
+
+/// |h| ≤ hmax but never below hmin, and a step that comes close to tf is stretched or cut to land on it exactly.
+void Integration::begin_step() {
+  t0_ = step_->t();
+  std::copy(step_->y(), step_->y() + n_, y0_.begin());
+  hmin_ = hmin_ulps * ulp(t0_);
+  constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
+  const double size = std::max(hmin_, std::min({settings_.hmax, huge, step_->h()}));
+  landing_ = stretch * size >= std::abs(settings_.tf - t0_);
+  h_ = landing_ ? settings_.tf - t0_ : forward_ * size;
+  t1_ = landing_ ? settings_.tf : t0_ + h_;
+  correction_ = 0;
+  oversized_count_ = 0;
+}
+
+Integration::Verdict Integration::attempt() {
+  const Step::Attempt proposal = step_->attempt(h_, t1_);
+  if (proposal.outcome == Outcome::stop) {
+    end(State::interrupted);
+    return Verdict::ended;
+  }
+  error_ = proposal.error;
+  if (proposal.outcome == Outcome::not_finite || !std::isfinite(error_)) return reject(Cause::not_finite);
+  if (!(error_ <= weights_.rtol())) return reject(Cause::error);
+
+  const double* y1 = proposal.y;
+  if (projector_) {
+    if (const Verdict verdict = project(proposal.y); verdict != Verdict::accepted) return verdict;
+    y1 = y1_.data();
+  }
+  switch (step_->accept(y1)) {
+    case Outcome::stop: end(State::interrupted); return Verdict::ended;
+    case Outcome::not_finite: return reject(Cause::not_finite);
+    case Outcome::ok: break;
+  }
+  return Verdict::accepted;
+}
+
+/// y₁ from the candidate y*. A correction that is too large fails the attempt.
+Integration::Verdict Integration::project(const double* candidate) {
+  std::copy(candidate, candidate + n_, y1_.begin());
+  ++counts_.projections;
+  const Outcome outcome = projector_->project(t1_, y0_.data(), y1_.data());
+  if (outcome == Outcome::stop) {
+    end(State::interrupted);
+    return Verdict::ended;
+  }
+  correction_ = outcome == Outcome::ok ? projector_->correction() : std::numeric_limits<double>::infinity();
+  if (!(correction_ > largest_correction * weights_.rtol())) return Verdict::accepted;
+  if (outcome == Outcome::ok) {
+    double roundoff = 0;
+    for (std::size_t i = 0; i < invariants_->m(); ++i)
+      if (projector_->row_norm(i) > 0)
+        roundoff = std::max(
+            roundoff, invariants_->roundoff(i, projector_->point(), projector_->jacobian()) / projector_->row_norm(i));
+    if (correction_ <= roundoff) return Verdict::accepted;
+  }
+  return oversized(candidate);
+}
+
+/// A correction of a right invariant falls fast with h. Where two halvings in a row do not bring it down, the invariant
+/// is looked at.
+Integration::Verdict Integration::oversized(const double* candidate) {
+  const double before = oversized_[0];
+  oversized_[0] = oversized_[1];
+  oversized_[1] = correction_;
+  if (++oversized_count_ >= 3 && settings_.check && !(correction_ < before / expected_decrease)) {
+    Finding finding = guard_->confirm(t1_, candidate, h_);
+    if (finding.kind != Finding::Kind::none) {
+      refuse(finding);
+      return Verdict::ended;
+    }
+  }
+  return reject(Cause::projection);
+}
+
+Integration::Verdict Integration::reject(Cause cause) {
+  ++counts_.failed;
+  if (!step_->reject(cause, hmin_)) {
+    explain_failure(cause);
+    end(State::step_failed);
+    return Verdict::ended;
+  }
+  landing_ = landing_ && step_->h() >= std::abs(h_);
+  h_ = landing_ ? h_ : forward_ * step_->h();
+  t1_ = landing_ ? settings_.tf : t0_ + h_;
+  return Verdict::rejected;
+}
+
+void Integration::explain_failure(Cause cause) {
+  report_.t = t0_;
+  report_.h = h_;
+  report_.cause = cause;
+  if (cause == Cause::not_finite) report_.component = step_->undefined_component();
+  if (cause != Cause::error) return;
+  for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
+    if (weights_.pure_relative(i) && y0_[i] == 0) {
+      report_.pure_relative = true;
+      report_.component = static_cast<int>(i);
+    }
+}
+
+/// After the commitment: is the invariant one, what happened in the step, what is to be kept?
+State Integration::finish_step() {
+  ++counts_.steps;
+  if (guard_ && settings_.check) {
+    const Finding finding = guard_->rate(*projector_, t1_, step_->slope(), h_, counts_.steps);
+    if (finding.kind != Finding::Kind::none) return refuse(finding);
+  }
+  interpolant_.begin(t0_, y0_.data(), projector_ ? projector_->weights() : nullptr);
+  double t = t1_;
+  const double* y = step_->y();
+  bool terminal = false;
+  if (!events_.empty()) {
+    if (locate_events() != State::running) return state_;
+    terminal = events_.terminal();
+    if (terminal && events_.occurrences().back().t != t1_) {
+      t = events_.occurrences().back().t;
+      y = point_.data();
+    }
+  }
+  if (settings_.save_all) {
+    steps.t.push_back(t);
+    steps.h.push_back(t - t0_);
+    steps.order.push_back(step_->order());
+    steps.error.push_back(error_ / weights_.rtol());
+    steps.correction.push_back(correction_ / weights_.rtol());
+  }
+  if (dense) {
+    const Segment segment = interpolant_.segment();
+    if (!segment.data) return end(State::interrupted);
+    dense->add(segment, t, y);
+  }
+  if (emit(t, y) != State::running) return state_;
+  bool stop = false;
+  if (callback_) {
+    double flag = 0;
+    if (callback_(t, y, &flag) == Status::stop) return end(State::interrupted);
+    stop = flag != 0;
+  }
+  if (terminal) return end(State::terminal_event);
+  if (stop) return end(State::stopped_by_callback);
+  if (landing_) return end(State::reached_end);
+  return state_;
+}
+
+/// Finds the events of the step and keeps them with their states; the last one's is left in `point_`.
+State Integration::locate_events() {
+  switch (events_.search(t0_, t1_, step_->y(), interpolant_)) {
+    case Events::Result::stop: return end(State::interrupted);
+    case Events::Result::undefined:
+      report_.event = events_.undefined().event;
+      report_.t = events_.undefined().t;
+      return end(State::event_undefined);
+    case Events::Result::ok: break;
+  }
+  for (const Occurrence& occurrence : events_.occurrences()) {
+    if (occurrence.t == t1_)
+      std::copy(step_->y(), step_->y() + n_, point_.begin());
+    else if (interpolant_.value(occurrence.t, point_.data()) == Status::stop)
+      return end(State::interrupted);
+    occurrences[occurrence.event].add(occurrence.t, point_.data(), n_);
+  }
+  return state_;
+}
+
+/// Puts out what the step from t0_ to (t, y), or the start, contributes.
+State Integration::emit(double t, const double* y) {
+  if (!settings_.save_all) {
+    points.clear();
+    points.add(t, y, n_);
+    return state_;
+  }
+  const auto inside = [&](double at) {
+    if (interpolant_.value(at, between_point_.data()) == Status::stop) return end(State::interrupted);
+    points.add(at, between_point_.data(), n_);
+    return state_;
+  };
+  if (settings_.output_at_times) {
+    for (; next_time_ < settings_.times.size(); ++next_time_) {
+      const double at = settings_.times[next_time_];
+      if (forward_ * at > forward_ * t) break;
+      if (at == t)
+        points.add(at, y, n_);
+      else if (inside(at) != State::running)
+        return state_;
+    }
+    return state_;
+  }
+  for (int j = 1; j < settings_.refine && t != t0_; ++j) {
+    const double at = t0_ + (t1_ - t0_) * (static_cast<double>(j) / settings_.refine);
+    if (forward_ * at >= forward_ * t) break;
+    if (inside(at) != State::running) return state_;
+  }
+  points.add(t, y, n_);
+  return state_;
+}
+
+}  // namespace invariode

@@ -1,0 +1,103 @@
+#include "interpolant.hpp"
+
+#include <algorithm>
+
+namespace invariode {
+namespace {
+
+constexpr int interpolation_iterations = 3;  // of the projection between steps (ALGORITHMS §6)
+
+}  // namespace
+
+void Interpolant::corrected(const Segment& segment, double t, double* y) const {
+  const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
+  const std::size_t raw_size = segment.size - overhead();
+  raw_(segment.data, raw_size, n_, theta, y);
+  if (mode_ == Interpolation::raw) return;
+  const double s = std::clamp(theta, 0.0, 1.0);
+  const double at0 = (1 - s) * (1 - s) * (1 + 2 * s), at1 = s * s * (3 - 2 * s);
+  const double* e0 = segment.data + raw_size;
+  const double* e1 = e0 + n_;
+  for (std::size_t i = 0; i < n_; ++i) y[i] += e0[i] * at0 + e1[i] * at1;
+}
+
+Status Interpolant::value(const Segment& segment, double t, double* y) {
+  corrected(segment, t, y);
+  const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
+  if (m_ == 0 || theta <= 0 || theta >= 1) return Status::ok;
+  const double* w = segment.data + segment.size - n_ - 2 * m_;
+  const double* r0 = w + n_;
+  const double* r1 = r0 + m_;
+  for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * r0[i] + theta * r1[i];
+  switch (projector_->onto(t, w, target_.data(), y, interpolation_iterations)) {
+    case Outcome::stop: return Status::stop;
+    case Outcome::not_finite: corrected(segment, t, y); break;  // g is not defined here
+    case Outcome::ok: break;
+  }
+  return Status::ok;
+}
+
+StepInterpolant::StepInterpolant(const Step& step, Interpolation mode, Invariants* invariants, Projector* projector)
+    : step_(step),
+      invariants_(invariants),
+      interpolant_(step.n(), invariants ? invariants->m() : 0, mode, step.interpolate(), projector),
+      data_(step.max_extension_size() + interpolant_.overhead()),
+      r_end_(interpolant_.m_) {}
+
+void StepInterpolant::begin(double t0, const double* y0, const double* w) {
+  made_ = false;
+  t0_ = t0;
+  t1_ = step_.t();
+  y0_ = y0;
+  w_ = w;
+}
+
+Status StepInterpolant::make() {
+  if (made_) return Status::ok;
+  const std::size_t n = interpolant_.n_, m = interpolant_.m_;
+  const std::size_t raw_size = step_.extension_size();
+  size_ = raw_size + interpolant_.overhead();
+  double* next = data_.data();
+  step_.extension(next);
+  if (interpolant_.mode_ != Interpolation::raw) {
+    double* e0 = next + raw_size;
+    double* e1 = e0 + n;
+    interpolant_.raw_(data_.data(), raw_size, n, 0, e0);
+    interpolant_.raw_(data_.data(), raw_size, n, 1, e1);
+    for (std::size_t i = 0; i < n; ++i) e0[i] = y0_[i] - e0[i];
+    for (std::size_t i = 0; i < n; ++i) e1[i] = step_.y()[i] - e1[i];
+    if (m > 0) {
+      double* r0 = std::copy(w_, w_ + n, e1 + n);
+      double* r1 = r0 + m;
+      if (residual_known_ && residual_t_ == t0_)
+        std::copy(r_end_.begin(), r_end_.end(), r0);
+      else if (invariants_->residual(t0_, y0_, r0) == Status::stop)
+        return Status::stop;
+      if (invariants_->residual(t1_, step_.y(), r1) == Status::stop) return Status::stop;
+      std::copy(r1, r1 + m, r_end_.begin());
+      residual_t_ = t1_;
+      residual_known_ = true;
+    }
+  }
+  made_ = true;
+  return Status::ok;
+}
+
+Segment StepInterpolant::segment() {
+  if (make() == Status::stop) return {t0_, t1_, nullptr, 0};
+  return {t0_, t1_, data_.data(), size_};
+}
+
+Status StepInterpolant::value(double t, double* y) {
+  const Segment s = segment();
+  return s.data ? interpolant_.value(s, t, y) : Status::stop;
+}
+
+Status StepInterpolant::corrected(double t, double* y) {
+  const Segment s = segment();
+  if (!s.data) return Status::stop;
+  interpolant_.corrected(s, t, y);
+  return Status::ok;
+}
+
+}  // namespace invariode

@@ -1,0 +1,94 @@
+#pragma once
+// The continuous solution over one accepted step: the method's raw extension, corrected so that it meets the stored
+// values at both ends, and projected so that it keeps the invariants (ALGORITHMS §6, 'End-corrected interpolants';
+// beyond the paper).
+
+#include <cstddef>
+#include <vector>
+
+#include "invariants.hpp"
+#include "projection.hpp"
+#include "step.hpp"
+
+namespace invariode {
+
+/// `raw`: the method's own extension P(θ), as in the paper and the suite. `corrected`: P(θ) + e₀ (1−θ)²(1+2θ) + e₁
+/// θ²(3−2θ) with e₀ = y − P(0), e₁ = y₁ − P(1). `projected`: that, projected with the step's W onto r = (1−θ) r₀ + θ
+/// r₁, where r₀ and r₁ are the residuals left at the ends; without invariants the same as `corrected`.
+enum class Interpolation { projected, corrected, raw };
+
+/// One accepted step as data: [raw extension | e₀ e₁ | W r₀ r₁], the later parts only where the mode reads them.
+struct Segment {
+  double t0;
+  double t1;
+  const double* data;
+  std::size_t size;
+};
+
+/// Evaluates segments. Without invariants `projector` is null.
+class Interpolant {
+ public:
+  Interpolant(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector)
+      : n_(n),
+        m_(mode == Interpolation::projected ? m : 0),
+        mode_(mode),
+        raw_(raw),
+        projector_(projector),
+        target_(m) {}
+
+  [[nodiscard]] Interpolation mode() const { return mode_; }
+  [[nodiscard]] bool projects() const { return m_ > 0; }
+  /// Doubles in a segment beyond its raw extension.
+  [[nodiscard]] std::size_t overhead() const {
+    return mode_ == Interpolation::raw ? 0 : 2 * n_ + (m_ > 0 ? n_ + 2 * m_ : 0);
+  }
+
+  /// The value at t in the mode. Outside the segment the corrections stay those of its end and nothing is projected.
+  Status value(const Segment& segment, double t, double* y);
+  /// The same without projection: cheap, and equal to `value` at both ends.
+  void corrected(const Segment& segment, double t, double* y) const;
+
+ private:
+  std::size_t n_, m_;
+  Interpolation mode_;
+  Interpolate raw_;
+  Projector* projector_;
+  std::vector<double> target_;
+
+  friend class StepInterpolant;
+};
+
+/// The interpolant of the step that the loop has just accepted. Its segment is made when it is first asked for: a step
+/// that nobody looks into costs nothing.
+class StepInterpolant {
+ public:
+  StepInterpolant(const Step& step, Interpolation mode, Invariants* invariants, Projector* projector);
+
+  /// A step from (t0, y0) to the step's present (t, y) was accepted. `w`: the weights it was projected with.
+  void begin(double t0, const double* y0, const double* w);
+
+  Status value(double t, double* y);
+  Status corrected(double t, double* y);
+  [[nodiscard]] Interpolation mode() const { return interpolant_.mode(); }
+  [[nodiscard]] bool projects() const { return interpolant_.projects(); }
+  /// The segment, made if it was not yet; data is null if a user function stopped the run meanwhile.
+  Segment segment();
+
+ private:
+  Status make();
+
+  const Step& step_;
+  Invariants* invariants_;
+  Interpolant interpolant_;
+  std::vector<double> data_;
+  std::size_t size_ = 0;
+  bool made_ = false;
+  double t0_ = 0, t1_ = 0;
+  const double* y0_ = nullptr;
+  const double* w_ = nullptr;
+  double residual_t_ = 0;  // r_end_ is the residual at this t, if known
+  bool residual_known_ = false;
+  std::vector<double> r_end_;
+};
+
+}  // namespace invariode

@@ -1,0 +1,110 @@
+#include "invariants.hpp"
+
+#include <cmath>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+const double cbrt_eps = std::cbrt(eps);    // optimal relative increment of a central difference
+constexpr double roundoff_units = 10;      // of ε: what an evaluation of g may be off (ALGORITHMS §6, impose)
+constexpr double smallest_scale = 1e-300;  // |y_i| and thr_i below this tell no scale
+
+}  // namespace
+
+Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::vector<double> value,
+                       const Weights& weights)
+    : n_(n),
+      blocks_(std::move(blocks)),
+      value_(std::move(value)),
+      weights_(weights),
+      point_(n),
+      plus_(value_.size()),
+      minus_(value_.size()) {
+  for (const InvariantBlock& block : blocks_) by_differences_.insert(by_differences_.end(), block.m, !block.jacobian);
+}
+
+std::int64_t Invariants::calls() const {
+  std::int64_t sum = 0;
+  for (const InvariantBlock& block : blocks_) sum += block.g.calls();
+  return sum;
+}
+
+std::int64_t Invariants::jacobian_calls() const {
+  std::int64_t sum = 0;
+  for (const InvariantBlock& block : blocks_) sum += block.jacobian.calls();
+  return sum;
+}
+
+Status Invariants::residual(double t, const double* y, double* r) {
+  double* out = r;
+  for (InvariantBlock& block : blocks_) {
+    if (block.g(t, y, out) == Status::stop) return Status::stop;
+    out += block.m;
+  }
+  for (std::size_t i = 0; i < m(); ++i) r[i] -= value_[i];
+  return Status::ok;
+}
+
+Status Invariants::jacobian(double t, const double* y, double* J) {
+  bool missing = false;
+  double* rows = J;
+  for (InvariantBlock& block : blocks_) {
+    if (!block.jacobian)
+      missing = true;
+    else if (block.jacobian(t, y, rows) == Status::stop)
+      return Status::stop;
+    rows += block.m * n_;
+  }
+  return missing ? difference_jacobian(t, y, J, false) : Status::ok;
+}
+
+double Invariants::increment(std::size_t j, const double* y) const {
+  double scale = weights_.at(j, y[j]);
+  if (scale < smallest_scale) {  // pure relative control at y_j = 0
+    for (std::size_t i = 0; i < n_; ++i) scale = std::max(scale, std::abs(y[i]));
+    if (scale < smallest_scale) scale = 1;
+  }
+  return cbrt_eps * scale;
+}
+
+Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows) {
+  std::copy(y, y + n_, point_.begin());
+  for (std::size_t j = 0; j < n_; ++j) {
+    const double delta = increment(j, y);
+    const double up = y[j] + delta, down = y[j] - delta;
+    std::size_t first = 0;
+    for (InvariantBlock& block : blocks_) {
+      if (all_rows || !block.jacobian) {
+        point_[j] = up;
+        if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+        point_[j] = down;
+        if (block.g(t, point_.data(), minus_.data()) == Status::stop) return Status::stop;
+        for (std::size_t i = 0; i < block.m; ++i) J[(first + i) * n_ + j] = (plus_[i] - minus_[i]) / (up - down);
+      }
+      first += block.m;
+    }
+    point_[j] = y[j];
+  }
+  return Status::ok;
+}
+
+Status Invariants::time_derivative(double t, double h, const double* y, const double* J, double* gt) {
+  const double delta = cbrt_eps * std::max(std::abs(t), std::abs(h));
+  const double later = t + delta, earlier = t - delta;
+  if (residual(later, y, plus_.data()) == Status::stop) return Status::stop;
+  if (residual(earlier, y, minus_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < m(); ++i) {
+    const double change = plus_[i] - minus_[i];
+    gt[i] = std::abs(change) <= 2 * roundoff(i, y, J) ? 0 : change / (later - earlier);
+  }
+  return Status::ok;
+}
+
+double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {
+  double size = std::abs(value_[i]);
+  for (std::size_t j = 0; j < n_; ++j) size += std::abs(J[i * n_ + j] * y[j]);
+  return roundoff_units * eps * size;
+}
+
+}  // namespace invariode

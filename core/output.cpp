@@ -1,0 +1,36 @@
+#include "output.hpp"
+
+#include <algorithm>
+
+namespace invariode {
+
+void DenseOutput::add(const Segment& segment, double t, const double* y) {
+  end_.push_back(segment.t1);
+  offset_.push_back(data_.size());
+  data_.insert(data_.end(), segment.data, segment.data + segment.size);
+  knots_.add(t, y, n_);
+}
+
+Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
+  Interpolant interpolant(n_, m_, mode_, raw_, projector);
+  const std::vector<double>& knots = knots_.t;
+  const double forward = knots.back() >= knots.front() ? 1 : -1;
+  for (std::size_t p = 0; p < count; ++p, out += n_) {
+    const double* y = knots_.y.data();
+    // The last knot at or before t; of two at the same t (a jump) the later.
+    const auto after = std::upper_bound(knots.begin(), knots.end(), t[p],
+                                        [forward](double a, double b) { return forward * a < forward * b; });
+    const std::size_t k = after == knots.begin() ? 0 : static_cast<std::size_t>(after - knots.begin()) - 1;
+    if (knots[k] == t[p] || end_.empty()) {
+      std::copy(y + k * n_, y + (k + 1) * n_, out);
+      continue;
+    }
+    const std::size_t s = std::min(k, end_.size() - 1);
+    const std::size_t stop = s + 1 < offset_.size() ? offset_[s + 1] : data_.size();
+    const Segment segment{knots[s], end_[s], data_.data() + offset_[s], stop - offset_[s]};
+    if (interpolant.value(segment, t[p], out) == Status::stop) return Status::stop;
+  }
+  return Status::ok;
+}
+
+}  // namespace invariode

@@ -1,0 +1,62 @@
+#pragma once
+// What a run keeps: points, the record of its steps, the continuous solution.
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "interpolant.hpp"
+
+namespace invariode {
+
+/// Points (t, y), one after the other.
+struct Trajectory {
+  std::vector<double> t;
+  std::vector<double> y;
+
+  void add(double at, const double* point, std::size_t n) {
+    t.push_back(at);
+    y.insert(y.end(), point, point + n);
+  }
+  void clear() {
+    t.clear();
+    y.clear();
+  }
+};
+
+/// The accepted steps: where each ended, its signed size, order, error and correction, both in units of rtol.
+struct StepRecord {
+  std::vector<double> t, h, error, correction;
+  std::vector<std::int32_t> order;
+};
+
+/// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
+class DenseOutput {
+ public:
+  DenseOutput(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw)
+      : n_(n), m_(m), mode_(mode), raw_(raw) {}
+
+  void start(double t, const double* y) { knots_.add(t, y, n_); }
+  /// Adds a step whose segment ends at segment.t1, used up to (t, y).
+  void add(const Segment& segment, double t, const double* y);
+
+  [[nodiscard]] std::size_t n() const { return n_; }
+  [[nodiscard]] std::size_t m() const { return m_; }
+  [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
+  [[nodiscard]] const std::vector<double>& knots() const { return knots_.t; }
+
+  /// y at `count` times into out (count, n): the stored value at a knot, else the segment's; before the first and after
+  /// the last knot their segments are extrapolated. Where the mode projects, `projector` does it.
+  Status evaluate(const double* t, std::size_t count, double* out, Projector* projector) const;
+
+ private:
+  std::size_t n_, m_;
+  Interpolation mode_;
+  Interpolate raw_;
+  Trajectory knots_;
+  std::vector<double> end_;          // t1 of each segment
+  std::vector<std::size_t> offset_;  // of its data
+  std::vector<double> data_;
+};
+
+}  // namespace invariode

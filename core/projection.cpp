@@ -1,0 +1,179 @@
+#include "projection.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace invariode {
+namespace {
+
+constexpr double least_pivot = 1e-10;  // below max(rtol, this) of the largest, a pivot's row depends on the others,
+constexpr double largest_pivot = 0.1;  // and never above this, however crude rtol is
+constexpr int impose_iterations = 50;
+constexpr int impose_patience = 2;    // iterations without a smaller residual: roundoff is reached
+constexpr double negligible = 1e-10;  // a correction of this weighted size leaves a residual of its square: roundoff
+
+double norm2(const double* v, std::size_t n) {
+  double sum = 0;
+  for (std::size_t i = 0; i < n; ++i) sum += v[i] * v[i];
+  constexpr double small = 1e-280, large = 1e280;  // outside, squares underflow or overflow
+  if (sum > small && sum < large) return std::sqrt(sum);
+  return Eigen::Map<const Eigen::VectorXd>(v, static_cast<Eigen::Index>(n)).stableNorm();
+}
+
+/// A factor of row i that settles ties between pivots in favour of the invariant that was given first. (A row and its
+/// residual may be multiplied by anything.)
+double preference(std::size_t i) { return 1 / (1 + 1e-6 * static_cast<double>(i)); }
+
+Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
+
+}  // namespace
+
+Projector::Projector(Invariants& invariants, const Weights& weights, int iterations)
+    : invariants_(invariants),
+      tolerances_(weights),
+      iterations_(iterations),
+      pivot_threshold_(std::clamp(weights.rtol(), least_pivot, largest_pivot)),
+      r_(invariants.m()),
+      J_(invariants.m() * invariants.n()),
+      norm_(invariants.m()),
+      w_(invariants.n()),
+      point_(invariants.n()),
+      delta_(invariants.n()),
+      original_(invariants.n()),
+      best_(invariants.n()),
+      scaled_(index(invariants.n()), index(invariants.m())),
+      qr_(index(invariants.n()), index(invariants.m())),
+      solution_(index(invariants.n())),
+      workspace_(1),
+      dropped_(invariants.m()) {}
+
+Outcome Projector::project(double t, const double* from, double* y) {
+  tolerances_.fill(from, y, w_.data());
+  std::copy(y, y + original_.size(), original_.begin());
+  for (int iteration = 0; iteration < iterations_; ++iteration) {
+    if (const Outcome outcome = linearize(t, y); outcome != Outcome::ok) return outcome;
+    solve(t);
+    for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+  }
+  MaxNorm moved;
+  for (std::size_t i = 0; i < w_.size(); ++i) moved.add((original_[i] - y[i]) / w_[i]);
+  correction_ = moved.value();
+  return std::isfinite(correction_) ? Outcome::ok : Outcome::not_finite;
+}
+
+Outcome Projector::onto(double t, const double* w, const double* target, double* y, int most) {
+  std::copy(w, w + w_.size(), w_.begin());
+  for (int iteration = 0; iteration < most; ++iteration) {
+    if (const Outcome outcome = linearize(t, y); outcome != Outcome::ok) return outcome;
+    for (std::size_t i = 0; i < r_.size(); ++i) r_[i] -= target[i];
+    solve(t);
+    MaxNorm moved;
+    for (std::size_t i = 0; i < w_.size(); ++i) {
+      y[i] -= delta_[i];
+      moved.add(delta_[i] / w_[i]);
+    }
+    if (moved.value() <= negligible) break;
+  }
+  return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
+}
+
+Outcome Projector::linearize_at(double t, const double* y) {
+  tolerances_.fill(y, w_.data());
+  return linearize(t, y);
+}
+
+Projector::Imposed Projector::impose(double t, double* y) {
+  tolerances_.fill(y, w_.data());
+  std::copy(y, y + w_.size(), original_.begin());
+  double least = std::numeric_limits<double>::infinity();
+  int iterations = 0;
+  for (int without_gain = 0; iterations < impose_iterations && without_gain < impose_patience; ++iterations) {
+    const Outcome outcome = linearize(t, y);
+    if (outcome == Outcome::stop) return {outcome, false, iterations};
+    if (outcome == Outcome::not_finite) break;
+    if (const double size = roundoff_units(y); size < least) {
+      least = size;
+      without_gain = 0;
+      std::copy(y, y + w_.size(), best_.begin());
+      if (size == 0) break;
+    } else {
+      ++without_gain;
+    }
+    solve(t);
+    for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+  }
+  const bool converged = least <= 1;
+  const std::vector<double>& result = converged ? best_ : original_;
+  std::copy(result.begin(), result.end(), y);
+  return {Outcome::ok, converged, iterations};
+}
+
+double Projector::roundoff_units(const double* y) const {
+  double size = 0;
+  for (std::size_t i = 0; i < r_.size(); ++i) {
+    const double unit = std::max(invariants_.roundoff(i, y, J_.data()), std::numeric_limits<double>::min());
+    size = std::max(size, std::abs(r_[i]) / unit);
+  }
+  return size;
+}
+
+Outcome Projector::linearize(double t, const double* y) {
+  const std::size_t n = w_.size(), m = r_.size();
+  std::copy(y, y + n, point_.begin());
+  if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
+  if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
+  if (!all_finite(r_.data(), m) || !all_finite(J_.data(), m * n)) return Outcome::not_finite;
+  for (std::size_t i = 0; i < m; ++i) {
+    double* row = &scaled_(0, index(i));
+    for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];
+    norm_[i] = norm2(row, n);
+    if (norm_[i] > 0)
+      for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
+  }
+  return Outcome::ok;
+}
+
+/// δ = W (J W)⁺ r of the last linearization. One row needs no factorisation.
+void Projector::solve(double t) {
+  const std::size_t n = w_.size();
+  if (r_.size() > 1) return solve_several(t);
+  if (norm_[0] == 0) {
+    drop(0, t);
+    std::fill(delta_.begin(), delta_.end(), 0);
+    return;
+  }
+  const double distance = r_[0] / norm_[0];
+  const double* row = scaled_.data();
+  for (std::size_t j = 0; j < n; ++j) delta_[j] = w_[j] * (row[j] * distance);
+}
+
+/// With (J W)ᵀ Π = Q R and rank k, the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁: the leading k pivots alone count.
+void Projector::solve_several(double t) {
+  const std::size_t m = r_.size();
+  qr_.compute(scaled_);
+  const auto& R = qr_.matrixQR();
+  const auto& pivots = qr_.colsPermutation().indices();
+  const double threshold = pivot_threshold_ * std::abs(R(0, 0));
+  const Eigen::Index most = std::min(R.rows(), R.cols());
+  Eigen::Index rank = 0;
+  while (rank < most && std::abs(R(rank, rank)) > threshold) ++rank;
+  for (auto k = static_cast<std::size_t>(rank); k < m; ++k) drop(static_cast<std::size_t>(pivots[index(k)]), t);
+
+  solution_.setZero();
+  for (Eigen::Index k = 0; k < rank; ++k) {
+    const auto i = static_cast<std::size_t>(pivots[k]);
+    double sum = preference(i) * r_[i] / norm_[i];
+    for (Eigen::Index l = 0; l < k; ++l) sum -= R(l, k) * solution_[l];
+    solution_[k] = sum / R(k, k);
+  }
+  qr_.householderQ().setLength(rank).applyThisOnTheLeft(solution_, workspace_);
+  for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] = w_[j] * solution_[index(j)];
+}
+
+void Projector::drop(std::size_t i, double t) {
+  if (std::none_of(dropped_.begin(), dropped_.end(), [](char d) { return d != 0; })) dropped_at_ = t;
+  dropped_[i] = 1;
+}
+
+}  // namespace invariode

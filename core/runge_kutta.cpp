@@ -1,0 +1,220 @@
+#include "runge_kutta.hpp"
+
+#include <array>
+#include <utility>
+#include <vector>
+
+namespace invariode {
+namespace {
+
+constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
+constexpr double largest_growth = 5;  // of h after a success
+
+/// Horner's rule for y(θ) = Σ_j c_j θ^j, the coefficients c_j (n,) one after the other.
+void horner(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+  const double* c = data + (size - n);
+  std::copy(c, c + n, out);
+  while (c != data) {
+    c -= n;
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
+  }
+}
+
+template <const auto& T>
+class RungeKutta final : public Step {
+  static constexpr std::size_t stages = T.stages;
+  static constexpr std::size_t last = stages - 1;
+
+ public:
+  RungeKutta(Callback& f, const Weights& weights, Fsal fsal)
+      : Step(f, weights), fsal_(fsal), values_((stages + 4) * weights.size()) {
+    double* next = values_.data();
+    const auto take = [&next, this] { return std::exchange(next, next + n()); };
+    for (double*& k : k_) k = take();
+    start_ = take();
+    stage_ = take();
+    candidate_ = take();
+    reevaluated_ = take();
+  }
+
+  Outcome start(double t, const double* y, const Span& span) override {
+    t_ = t;
+    std::copy(y, y + n(), y_.data());
+    accepted_ = failed_ = false;
+    evaluated_ = 1;
+    if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
+    if (!all_finite(k_[0], n())) return Outcome::not_finite;
+    MaxNorm norm;
+    for (std::size_t i = 0; i < n(); ++i) norm.add(k_[0][i] / weights_.at(i, y[i]));
+    h_ = first_step(norm.value() / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    return Outcome::ok;
+  }
+
+  Attempt attempt(double h, double t1) override {
+    if (accepted_) advance_memory();
+    t1_ = t1;
+    h_ = std::abs(h);
+    purified_ = t1 - t_;
+    error_ = std::numeric_limits<double>::quiet_NaN();
+    Outcome outcome = inner_stages(h, std::make_index_sequence<last - 1>{});
+    if (outcome == Outcome::ok) {
+      form_candidate();
+      outcome = evaluate(t1, candidate_, last);
+    }
+    if (outcome == Outcome::ok) error_ = error_norm();
+    return {outcome, error_, candidate_};
+  }
+
+  bool reject(Cause cause, double hmin) override {
+    if (h_ <= hmin) return false;
+    double factor = 0.5;
+    if (!failed_ && cause != Cause::projection) {
+      const double optimal = safety * std::pow(weights_.rtol() / error_, exponent);
+      factor = optimal > T.floor ? optimal : T.floor;  // also where optimal is NaN
+    }
+    h_ = std::max(hmin, h_ * factor);
+    failed_ = true;
+    return true;
+  }
+
+  Outcome accept(const double* y1) override {
+    projected_ = !std::equal(y1, y1 + n(), candidate_);
+    if (projected_ && fsal_ == Fsal::evaluate) {
+      if (f_(t1_, y1, reevaluated_) == Status::stop) return Outcome::stop;
+      if (!all_finite(reevaluated_, n())) return Outcome::not_finite;
+    }
+    std::copy(y_.begin(), y_.end(), start_);
+    std::copy(y1, y1 + n(), y_.begin());
+    t_ = t1_;
+    if (!failed_) {
+      const double tau = std::pow(error_ / weights_.rtol(), exponent) / safety;
+      h_ = tau > 1 / largest_growth ? h_ / tau : h_ * largest_growth;
+    }
+    failed_ = false;
+    accepted_ = true;
+    return Outcome::ok;
+  }
+
+  [[nodiscard]] Interpolate interpolate() const override { return horner; }
+  [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
+  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
+  [[nodiscard]] int degree() const override { return T.degree; }
+  void extension(double* data) const override {
+    data = std::copy(start_, start_ + n(), data);
+    coefficients(data, std::make_index_sequence<T.degree>{});
+  }
+
+  [[nodiscard]] int order() const override { return T.order; }
+  [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
+  [[nodiscard]] int undefined_component() const override {
+    for (std::size_t k = 0; k < evaluated_; ++k)
+      for (std::size_t i = 0; i < n(); ++i)
+        if (!std::isfinite(k_[k][i])) return static_cast<int>(i);
+    return -1;
+  }
+
+ private:
+  static constexpr double exponent = 1.0 / T.order;
+
+  static double first_step(double reciprocal, double t, const Span& span) {
+    double h = std::min(span.hmax, std::abs(span.tf - t));
+    if (h * reciprocal > 1) h = 1 / reciprocal;
+    if (std::isinf(h)) h = 1e-3 * std::max(1.0, std::abs(t));  // infinite interval and f0 = 0: no scale is known
+    return std::max(h, span.hmin);
+  }
+
+  /// The last stage of the accepted step is the first of the next one (FSAL).
+  void advance_memory() {
+    if (projected_ && fsal_ == Fsal::evaluate)
+      std::swap(k_[0], reevaluated_);
+    else
+      std::swap(k_[0], k_[last]);
+    accepted_ = false;
+  }
+
+  /// Σ_j w(j) k_j[i] over the stages j < Count whose weight, known at compile time, is not zero.
+  template <std::size_t Count, class W>
+  [[nodiscard]] double dot(W w, std::size_t i) const {
+    return [&]<std::size_t... J>(std::index_sequence<J...>) {
+      double sum = 0;
+      const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {
+        if constexpr (w(index) != 0) sum += w(index) * k_[j][i];
+      };
+      (add(std::integral_constant<std::size_t, J>{}), ...);
+      return sum;
+    }(std::make_index_sequence<Count>{});
+  }
+
+  /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later
+  /// one, and what the last stage got wrong in the error.
+  Outcome evaluate(double t, const double* y, std::size_t k) {
+    if (!all_finite(y, n())) return Outcome::not_finite;
+    evaluated_ = k + 1;
+    return f_(t, y, k_[k]) == Status::ok ? Outcome::ok : Outcome::stop;
+  }
+
+  /// Stages 1 … last − 1, formed with h as it is (ALGORITHMS §2).
+  template <std::size_t... I>
+  Outcome inner_stages(double h, std::index_sequence<I...>) {
+    Outcome outcome = Outcome::ok;
+    ((outcome == Outcome::ok ? void(outcome = stage<I + 1>(h)) : void()), ...);
+    return outcome;
+  }
+
+  template <std::size_t I>
+  Outcome stage(double h) {
+    for (std::size_t i = 0; i < n(); ++i) stage_[i] = y_[i] + h * dot<I>([](auto j) { return T.A[I][j]; }, i);
+    return evaluate(t_ + T.c[I] * h, stage_, I);
+  }
+
+  /// y* = y + (t₁ − t) Σ b_k k_k
+  void form_candidate() {
+    for (std::size_t i = 0; i < n(); ++i)
+      candidate_[i] = y_[i] + purified_ * dot<last>([](auto j) { return T.b()[j]; }, i);
+  }
+
+  /// |h| ‖Σ E_k k_k‖ with weights max(|y|, |y*|, thr)
+  [[nodiscard]] double error_norm() const {
+    MaxNorm norm;
+    for (std::size_t i = 0; i < n(); ++i)
+      norm.add(dot<stages>([](auto j) { return T.E[j]; }, i) / weights_.at(i, y_[i], candidate_[i]));
+    return std::abs(purified_) * norm.value();
+  }
+
+  /// Coefficients of θ, θ², … in the continuous extension: (t₁ − t) Σ_k B_kj k_k
+  template <std::size_t... J>
+  void coefficients(double* data, std::index_sequence<J...>) const {
+    const auto fill = [&]<std::size_t J1>(std::integral_constant<std::size_t, J1>) {
+      for (std::size_t i = 0; i < n(); ++i)
+        data[J1 * n() + i] = purified_ * dot<stages>([](auto k) { return T.B[k][J1]; }, i);
+    };
+    (fill(std::integral_constant<std::size_t, J>{}), ...);
+  }
+
+  Fsal fsal_;
+  std::vector<double> values_;
+  std::array<double*, stages> k_{};
+  double* start_ = nullptr;        // y at the start of the accepted step
+  double* stage_ = nullptr;        // argument of the stage in work
+  double* candidate_ = nullptr;    // y*
+  double* reevaluated_ = nullptr;  // f(t₁, y₁), with Fsal::evaluate
+  std::size_t evaluated_ = 0;      // stages of the last attempt that were evaluated
+  double t1_ = 0;
+  double error_ = 0;
+  double purified_ = 0;  // t₁ − t
+  bool failed_ = false;  // an attempt of this step failed
+  bool accepted_ = false;
+  bool projected_ = false;  // y₁ differs from y*
+};
+
+}  // namespace
+
+std::unique_ptr<Step> ode23_step(Callback& f, const Weights& weights, Fsal fsal) {
+  return std::make_unique<RungeKutta<bogacki_shampine>>(f, weights, fsal);
+}
+
+std::unique_ptr<Step> ode45_step(Callback& f, const Weights& weights, Fsal fsal) {
+  return std::make_unique<RungeKutta<dormand_prince>>(f, weights, fsal);
+}
+
+}  // namespace invariode

@@ -1,0 +1,18 @@
+#pragma once
+// Explicit Runge-Kutta pairs with local extrapolation and FSAL, driven by tableaux (ALGORITHMS §3).
+
+#include <memory>
+
+#include "step.hpp"
+#include "tableaux.hpp"
+
+namespace invariode {
+
+/// What the first stage of the step after a projection is: `reuse` takes f(t₁, y*), already computed, which changes the
+/// result by O(h^{q+1}) and saves an evaluation per step (paper, section 4); `evaluate` computes f(t₁, y₁).
+enum class Fsal { reuse, evaluate };
+
+std::unique_ptr<Step> ode23_step(Callback& f, const Weights& weights, Fsal fsal);
+std::unique_ptr<Step> ode45_step(Callback& f, const Weights& weights, Fsal fsal);
+
+}  // namespace invariode

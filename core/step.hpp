@@ -1,0 +1,92 @@
+#pragma once
+// The step contract: five operations that every method obeys, so that the loop, the projection, the events and the
+// output exist once.
+
+#include <cstddef>
+#include <vector>
+
+#include "callback.hpp"
+#include "weights.hpp"
+
+namespace invariode {
+
+/// How an operation of a step ended. `not_finite`: a needed value of f is NaN or infinite.
+enum class [[nodiscard]] Outcome { ok, not_finite, stop };
+
+/// Why an attempt was rejected.
+enum class Cause { error, newton, projection, not_finite };
+
+/// Evaluates the raw continuous extension that `Step::extension` wrote to `data`, at θ ∈ [0, 1], into out (n,). A plain
+/// function of the data alone, so that a step can be interpolated long after the method has moved on.
+using Interpolate = void (*)(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+
+/// One attempted or accepted step of a method, and the method's memory.
+///
+/// Between calls, (t, y) is the point reached: `attempt` proposes from it, `accept` alone moves it. A rejected attempt
+/// leaves no trace in (t, y) and the stored data; only the controller learns from it. An accepted step stays
+/// interpolable until the next attempt. Steps know nothing of invariants: `accept` is told the value to commit.
+class Step {
+ public:
+  /// What bounds the first step.
+  struct Span {
+    double tf;
+    double hmax;
+    double hmin;
+  };
+
+  /// A proposal: the candidate y* at t1 and its error in the norm of the error test (NaN or infinite if f was).
+  struct Attempt {
+    Outcome outcome;
+    double error;
+    const double* y;
+  };
+
+  Step(Callback& f, const Weights& weights) : f_(f), weights_(weights), y_(weights.size()) {}
+  Step(const Step&) = delete;
+  Step& operator=(const Step&) = delete;
+  virtual ~Step() = default;
+
+  /// Builds the memory at (t, y), also after a jump: evaluates f there and chooses the first |h|.
+  virtual Outcome start(double t, const double* y, const Span& span) = 0;
+
+  /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly.
+  virtual Attempt attempt(double h, double t1) = 0;
+
+  /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
+  virtual bool reject(Cause cause, double hmin) = 0;
+
+  /// Evaluates what is left to evaluate at y1 (the candidate, projected where invariants are imposed), then commits
+  /// (t1, y1) and chooses the next |h| and order. If the outcome is not `ok`, nothing was committed.
+  virtual Outcome accept(const double* y1) = 0;
+
+  /// Raw continuous extension of the step just accepted: its evaluator, the doubles that it reads, and how many they
+  /// are, in this step and at most.
+  [[nodiscard]] virtual Interpolate interpolate() const = 0;
+  virtual void extension(double* data) const = 0;
+  [[nodiscard]] virtual std::size_t extension_size() const = 0;
+  [[nodiscard]] virtual std::size_t max_extension_size() const = 0;
+  /// Its degree: so many roots inside a step has a linear event function at the most.
+  [[nodiscard]] virtual int degree() const = 0;
+
+  [[nodiscard]] virtual int order() const = 0;
+  /// f at the end of the accepted step as the method has it, without another evaluation.
+  [[nodiscard]] virtual const double* slope() const = 0;
+  /// The first component of f that was not finite in the last attempt (or at the start), or -1.
+  [[nodiscard]] virtual int undefined_component() const = 0;
+
+  [[nodiscard]] std::size_t n() const { return y_.size(); }
+  [[nodiscard]] double t() const { return t_; }
+  [[nodiscard]] const double* y() const { return y_.data(); }
+  /// |h| proposed for the next attempt.
+  [[nodiscard]] double h() const { return h_; }
+  void set_h(double h) { h_ = h; }
+
+ protected:
+  Callback& f_;
+  const Weights& weights_;
+  double t_ = 0;
+  std::vector<double> y_;
+  double h_ = 0;
+};
+
+}  // namespace invariode

@@ -1,0 +1,77 @@
+#pragma once
+// Tolerances, the weights they define, and the norm of the error test (ALGORITHMS §1: see docs/algorithms.md).
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <utility>
+#include <vector>
+
+namespace invariode {
+
+inline constexpr double eps = std::numeric_limits<double>::epsilon();
+
+/// Spacing of doubles at |t|.
+inline double ulp(double t) {
+  const double a = std::abs(t);
+  return std::nextafter(a, std::numeric_limits<double>::infinity()) - a;
+}
+
+/// True where every one of the n values is finite: 0 · x is 0 for those, NaN for the others.
+inline bool all_finite(const double* v, std::size_t n) {
+  double sum = 0;
+  for (std::size_t i = 0; i < n; ++i) sum += 0 * v[i];
+  return sum == 0;
+}
+
+/// Max of |values| that lets NaN through: std::max would lose it.
+class MaxNorm {
+ public:
+  void add(double a) {
+    a = std::abs(a);
+    undefined_ |= std::isnan(a);
+    if (a > max_) max_ = a;
+  }
+  [[nodiscard]] double value() const { return undefined_ ? std::numeric_limits<double>::quiet_NaN() : max_; }
+
+ private:
+  double max_ = 0;
+  bool undefined_ = false;
+};
+
+/// w_i = max(s_i |y_i|, s_i |ŷ_i|, thr_i). With scalar rtol all s_i are 1 and thr = atol / rtol; a vector rtol enters
+/// as s_i = rtol_i / min rtol, thr_i = atol_i / min rtol. thr is never below the smallest normal number, so that under
+/// pure relative control (atol_i = 0) at y_i = 0 a zero error counts as 0 and any other fails.
+class Weights {
+ public:
+  Weights(double rtol, std::vector<double> threshold, std::vector<double> scale)
+      : rtol_(rtol), threshold_(std::move(threshold)), scale_(std::move(scale)) {
+    for (double& thr : threshold_) thr = std::max(thr, std::numeric_limits<double>::min());
+  }
+
+  [[nodiscard]] double rtol() const { return rtol_; }
+  [[nodiscard]] std::size_t size() const { return threshold_.size(); }
+  [[nodiscard]] bool pure_relative(std::size_t i) const { return threshold_[i] == std::numeric_limits<double>::min(); }
+
+  [[nodiscard]] double at(std::size_t i, double y) const {
+    const double a = std::abs(y);
+    return std::max(scale_.empty() ? a : scale_[i] * a, threshold_[i]);
+  }
+  [[nodiscard]] double at(std::size_t i, double y, double yhat) const {
+    return at(i, std::max(std::abs(y), std::abs(yhat)));
+  }
+  void fill(const double* y, double* w) const {
+    for (std::size_t i = 0; i < size(); ++i) w[i] = at(i, y[i]);
+  }
+  void fill(const double* y, const double* yhat, double* w) const {
+    for (std::size_t i = 0; i < size(); ++i) w[i] = at(i, y[i], yhat[i]);
+  }
+
+ private:
+  double rtol_;
+  std::vector<double> threshold_;
+  std::vector<double> scale_;  // empty: all 1
+};
+
+}  // namespace invariode

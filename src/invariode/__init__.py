@@ -1,0 +1,34 @@
+"""ODE solvers that keep what the equations keep.
+
+The codes of the MATLAB ODE Suite with projection onto invariants, after L. F. Shampine, Conservation laws and the
+numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
+"""
+
+from importlib.metadata import version
+
+from .events import Event
+from .invariants import ImposeResult, InvariantError, Invariants, impose
+from .methods import METHODS, Method
+from .problem import Problem
+from .solution import DenseSolution, Solution, Stats, Steps
+from .suite import ode23, ode45, solve_ivp
+
+__all__ = [
+    "METHODS",
+    "DenseSolution",
+    "Event",
+    "ImposeResult",
+    "InvariantError",
+    "Invariants",
+    "Method",
+    "Problem",
+    "Solution",
+    "Stats",
+    "Steps",
+    "impose",
+    "ode23",
+    "ode45",
+    "solve_ivp",
+]
+
+__version__ = version("invariode")

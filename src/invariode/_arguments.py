@@ -1,0 +1,171 @@
+"""Checks of arguments. Every error names the argument, the value, and what was expected."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import operator
+import os
+import sys
+import warnings
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[Any]
+EPS = float(np.finfo(float).eps)
+
+
+_PACKAGE = os.path.dirname(__file__) + os.sep
+
+
+def warn(message: str) -> None:
+    """A UserWarning that points at the line of the caller of this package."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, UserWarning, stacklevel=level)
+
+
+def call_name(fun: object, default: str) -> str:
+    """A name for messages: the function's own, where it has one that tells something."""
+    name = getattr(fun, "__name__", None)
+    return name if isinstance(name, str) and name != "<lambda>" else default
+
+
+def function(name: str, value: object, signature: str) -> Any:
+    if not callable(value):
+        raise TypeError(f"{name} must be a function {signature}, got {value!r}")
+    return value
+
+
+def number(name: str, value: object) -> float:
+    """A real number; NaN is none."""
+    try:
+        result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a real number, got {value!r}") from None
+    if math.isnan(result):
+        raise ValueError(f"{name} must not be NaN")
+    return result
+
+
+def positive(name: str, value: object) -> float:
+    result = number(name, value)
+    if result <= 0:
+        raise ValueError(f"{name} must be positive, got {value!r}")
+    return result
+
+
+def positive_integer(name: str, value: object) -> int:
+    try:
+        result = operator.index(value)  # type: ignore[arg-type]  # the same
+    except TypeError:
+        raise TypeError(f"{name} must be a positive integer, got {value!r}") from None
+    if result < 1:
+        raise ValueError(f"{name} must be a positive integer, got {value!r}")
+    return result
+
+
+def choice(name: str, value: object, known: Iterable[str]) -> str:
+    known = list(known)
+    if isinstance(value, str) and value in known:
+        return value
+    near = difflib.get_close_matches(str(value), known, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}{hint}")
+
+
+def flag(name: str, value: object) -> bool:
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise TypeError(f"{name} must be True or False, got {value!r}")
+
+
+def interval(t_span: object) -> tuple[float, float]:
+    """(t0, tf): t0 finite, tf finite or infinite."""
+    try:
+        ends = (*t_span,)  # type: ignore[misc]  # the same
+    except TypeError:
+        ends = ()
+    if len(ends) != 2:
+        raise ValueError(f"t_span must be a pair (t0, tf), got {t_span!r}")
+    t0, tf = number("t_span[0]", ends[0]), number("t_span[1]", ends[1])
+    if math.isinf(t0):
+        raise ValueError(f"t_span[0] must be finite, got {t0!r}")
+    return t0, tf
+
+
+def state(y0: ArrayLike) -> Array:
+    """The initial state as a new float64 or complex128 array of shape (n,)."""
+    y = np.asarray(y0)
+    if y.ndim != 1:
+        raise ValueError(f"y0 must be 1-dimensional, got shape {y.shape}")
+    try:
+        y = np.array(y, dtype=complex if np.issubdtype(y.dtype, np.complexfloating) else float)
+    except (TypeError, ValueError):
+        raise TypeError(f"y0 must hold numbers, got {y0!r}") from None
+    if not np.isfinite(y).all():
+        i = int(np.flatnonzero(~np.isfinite(y))[0])
+        raise ValueError(f"y0 must be finite, got y0[{i}] = {y[i]}")
+    return y
+
+
+def tolerance(name: str, value: ArrayLike, n: int) -> Array:
+    """A tolerance as an array of shape () or (n,), finite and not negative."""
+    try:
+        result = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a number or {n} numbers, got {value!r}") from None
+    if result.ndim > 1 or (result.ndim == 1 and result.shape != (n,)):
+        raise ValueError(f"{name} must be a number or have shape ({n},), got shape {result.shape}")
+    if not np.isfinite(result).all() or (result < 0).any():
+        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+    return result
+
+
+def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, Array, Array | None]:
+    """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y (ALGORITHMS §1)."""
+    relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
+    least = 100 * EPS
+    if (relative < least).any():
+        warn(f"rtol is too small: raised to {least:.3g} (100 units of roundoff)")
+        relative = np.maximum(relative, least)
+    smallest = float(relative.min()) if relative.size else 1e-3
+    pairs = 2 if np.iscomplexobj(y) else 1
+    threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)
+    scale = np.repeat(relative / smallest, pairs) if relative.ndim == 1 and (relative != smallest).any() else None
+    return smallest, threshold, scale
+
+
+def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
+    """t_eval as an array, inside the interval and in the order of integration."""
+    try:
+        times = np.array(t_eval, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"t_eval must hold real numbers, got {t_eval!r}") from None
+    if times.ndim != 1:
+        raise ValueError(f"t_eval must be 1-dimensional, got shape {times.shape}")
+    low, high = min(t0, tf), max(t0, tf)
+    outside = ~((times >= low) & (times <= high))
+    if outside.any():
+        raise ValueError(f"t_eval must lie within t_span = ({t0}, {tf}), got {times[outside][0]}")
+    if (np.diff(times) * (1 if tf >= t0 else -1) <= 0).any():
+        raise ValueError("t_eval must be strictly sorted in the direction of integration")
+    return times
+
+
+def extra_arguments(args: object) -> tuple[Any, ...]:
+    if args is None:
+        return ()
+    try:
+        return (*args,)  # type: ignore[misc]  # the same
+    except TypeError:
+        raise TypeError(f"args must be a tuple of the extra arguments, for one argument args=({args!r},)") from None
+
+
+def unknown_option(name: str, known: Iterable[str]) -> TypeError:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return TypeError(f"unknown option {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))

@@ -1,0 +1,616 @@
+// The one boundary between Python and the core: Python callables become core callbacks, core results become arrays.
+
+#define NPY_NO_DEPRECATED_API NPY_1_22_API_VERSION
+#include <Python.h>
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+#include <numpy/arrayobject.h>
+
+#include <complex>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "integrate.hpp"
+#include "runge_kutta.hpp"
+
+namespace nb = nanobind;
+using namespace invariode;
+
+namespace {
+
+using Vector = nb::ndarray<double, nb::numpy, nb::ndim<1>, nb::c_contig>;
+using Matrix = nb::ndarray<double, nb::numpy, nb::ndim<2>, nb::c_contig>;
+using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Python callables as callbacks
+
+/// What a Python function is to return.
+struct Returns {
+  enum class Kind { values, truth } kind = Kind::values;
+  npy_intp rows = 1;  // (rows, columns) numbers; vectors have one column
+  npy_intp columns = 1;
+  bool matrix = false;
+  bool complex = false;
+
+  [[nodiscard]] npy_intp size() const { return rows * columns; }
+};
+
+/// A Python callable as a core callback. y is handed over in an array that the callee may keep: it is used again only
+/// if nobody else holds it or a view of it. Results are copied at once. The first exception stays set, and the callback
+/// says `stop`.
+class PythonFunction {
+ public:
+  PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, npy_intp n, bool complex,
+                 Returns returns)
+      : callable_(nb::borrow(callable)),
+        args_(args),
+        name_(std::move(name)),
+        n_(n),
+        complex_(complex),
+        returns_(returns) {}
+  PythonFunction(const PythonFunction&) = delete;
+  PythonFunction& operator=(const PythonFunction&) = delete;
+  ~PythonFunction() { Py_XDECREF(reinterpret_cast<PyObject*>(spare_)); }
+
+  [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
+
+ private:
+  static Status entry(void* self, double t, const double* y, double* out) noexcept {
+    return static_cast<PythonFunction*>(self)->call(t, y, out) ? Status::ok : Status::stop;
+  }
+
+  bool call(double t, const double* y, double* out) noexcept;
+  PyArrayObject* array_for(const double* y) noexcept;
+  [[nodiscard]] bool reusable(PyArrayObject* a) const noexcept;
+  bool read(PyObject* result, double* out) noexcept;
+  [[nodiscard]] bool read_sequence(PyObject* result, double* out) const noexcept;
+  bool read_array(PyArrayObject* array, double* out) noexcept;
+  bool read_objects(PyArrayObject* array, double* out) const noexcept;
+  [[nodiscard]] bool fits(PyArrayObject* array) const noexcept;
+  void complain(PyObject* returned) const noexcept;
+
+  nb::object callable_;
+  nb::tuple args_;
+  std::string name_;
+  npy_intp n_;
+  bool complex_;
+  Returns returns_;
+  PyArrayObject* spare_ = nullptr;  // the array of the last call, if no call is under way
+};
+
+bool PythonFunction::reusable(PyArrayObject* a) const noexcept {
+  constexpr int flags =
+      NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
+  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == 1 && PyArray_DIM(a, 0) == n_ &&
+         PyArray_FLAGS(a) == flags && PyArray_TYPE(a) == (complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
+}
+
+PyArrayObject* PythonFunction::array_for(const double* y) noexcept {
+  PyArrayObject* a = std::exchange(spare_, nullptr);
+  if (!reusable(a)) {
+    Py_XDECREF(reinterpret_cast<PyObject*>(a));
+    a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, &n_, complex_ ? NPY_CDOUBLE : NPY_DOUBLE));
+    if (a == nullptr) return nullptr;
+  }
+  std::memcpy(PyArray_DATA(a), y, static_cast<std::size_t>(n_) * (complex_ ? 2 : 1) * sizeof(double));
+  return a;
+}
+
+bool PythonFunction::call(double t, const double* y, double* out) noexcept {
+  if (PyErr_CheckSignals() != 0) return false;
+  PyArrayObject* array = array_for(y);
+  if (array == nullptr) return false;
+  PyObject* time = PyFloat_FromDouble(t);
+  PyObject* result = nullptr;
+  if (time != nullptr) {
+    constexpr std::size_t few = 8;
+    const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
+    PyObject* here[few + 3];
+    std::vector<PyObject*> many;
+    PyObject** arguments = here;
+    if (extra > few) {
+      many.resize(extra + 3);
+      arguments = many.data();
+    }
+    arguments[1] = time;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
+    arguments[2] = reinterpret_cast<PyObject*>(array);
+    for (std::size_t i = 0; i < extra; ++i)
+      arguments[i + 3] = PyTuple_GET_ITEM(args_.ptr(), static_cast<Py_ssize_t>(i));
+    result = PyObject_Vectorcall(callable_.ptr(), arguments + 1, (2 + extra) | PY_VECTORCALL_ARGUMENTS_OFFSET, nullptr);
+    Py_DECREF(time);
+  }
+  const bool done = result != nullptr && read(result, out);
+  Py_XDECREF(result);
+  if (spare_ == nullptr)  // else a nested call of this function has left its own
+    spare_ = array;
+  else
+    Py_DECREF(reinterpret_cast<PyObject*>(array));
+  return done;
+}
+
+/// Copies what was returned into out, the common kinds without NumPy's generic paths.
+bool PythonFunction::read(PyObject* result, double* out) noexcept {
+  if (returns_.kind == Returns::Kind::truth) {
+    const int truth = PyObject_IsTrue(result);
+    out[0] = truth;
+    return truth >= 0;
+  }
+  if (!returns_.matrix && read_sequence(result, out)) return true;
+  if (PyArray_Check(result)) return read_array(reinterpret_cast<PyArrayObject*>(result), out);
+  PyObject* array = result == Py_None ? nullptr : PyArray_FromAny(result, nullptr, 0, 0, 0, nullptr);
+  if (array == nullptr) {
+    if (PyErr_Occurred() != nullptr && PyErr_ExceptionMatches(PyExc_ValueError) == 0) return false;
+    complain(result);
+    return false;
+  }
+  const bool done = read_array(reinterpret_cast<PyArrayObject*>(array), out);
+  Py_DECREF(array);
+  return done;
+}
+
+/// Lists and tuples of Python or NumPy floats and ints, and a bare float where one number is expected. False: try as an
+/// array.
+bool PythonFunction::read_sequence(PyObject* result, double* out) const noexcept {
+  const auto number = [this](PyObject* item, double* to) {
+    if (PyFloat_Check(item)) {
+      to[0] = PyFloat_AS_DOUBLE(item);
+      if (returns_.complex) to[1] = 0;
+      return true;
+    }
+    if (returns_.complex && PyComplex_Check(item)) {
+      const Py_complex z = PyComplex_AsCComplex(item);
+      to[0] = z.real;
+      to[1] = z.imag;
+      return true;
+    }
+    if (PyLong_CheckExact(item)) {
+      to[0] = PyLong_AsDouble(item);
+      if (returns_.complex) to[1] = 0;
+      if (to[0] != -1.0 || PyErr_Occurred() == nullptr) return true;
+      PyErr_Clear();
+    }
+    return false;
+  };
+  const npy_intp size = returns_.size();
+  const npy_intp stride = returns_.complex ? 2 : 1;
+  const bool list = PyList_CheckExact(result);
+  if (!list && !PyTuple_CheckExact(result)) return size == 1 && number(result, out);
+  if ((list ? PyList_GET_SIZE(result) : PyTuple_GET_SIZE(result)) != size) return false;
+  for (npy_intp i = 0; i < size; ++i)
+    if (!number(list ? PyList_GET_ITEM(result, i) : PyTuple_GET_ITEM(result, i), out + i * stride)) return false;
+  return true;
+}
+
+bool PythonFunction::fits(PyArrayObject* array) const noexcept {
+  const int nd = PyArray_NDIM(array);
+  const npy_intp* shape = PyArray_DIMS(array);
+  if (PyArray_SIZE(array) != returns_.size()) return false;
+  if (returns_.size() == 1) return true;
+  if (returns_.matrix && nd == 2) return shape[0] == returns_.rows && shape[1] == returns_.columns;
+  return nd == 1 && (!returns_.matrix || returns_.rows == 1);
+}
+
+bool PythonFunction::read_array(PyArrayObject* array, double* out) noexcept {
+  const int type = returns_.complex ? NPY_CDOUBLE : NPY_DOUBLE;
+  if (!fits(array)) {
+    complain(reinterpret_cast<PyObject*>(array));
+    return false;
+  }
+  const std::size_t bytes = static_cast<std::size_t>(returns_.size()) * (returns_.complex ? 2 : 1) * sizeof(double);
+  if (PyArray_TYPE(array) == type && PyArray_ISCARRAY_RO(array)) {
+    std::memcpy(out, PyArray_DATA(array), bytes);
+    return true;
+  }
+  const bool numeric = PyArray_ISNUMBER(array) || PyArray_ISBOOL(array) || PyArray_ISOBJECT(array);
+  if (!numeric || (PyArray_ISCOMPLEX(array) && !returns_.complex)) {
+    PyErr_Format(PyExc_TypeError, "%s returned values of type %S, expected %s numbers%s", name_.c_str(),
+                 reinterpret_cast<PyObject*>(PyArray_DESCR(array)), returns_.complex ? "complex" : "real",
+                 PyArray_ISCOMPLEX(array) && !complex_ ? " (for a complex problem give a complex y0)" : "");
+    return false;
+  }
+  if (PyArray_ISOBJECT(array)) return read_objects(array, out);
+  PyObject* converted = PyArray_FromAny(reinterpret_cast<PyObject*>(array), PyArray_DescrFromType(type), 0, 0,
+                                        NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST, nullptr);
+  if (converted == nullptr) return false;
+  std::memcpy(out, PyArray_DATA(reinterpret_cast<PyArrayObject*>(converted)), bytes);
+  Py_DECREF(converted);
+  return true;
+}
+
+/// float() of each item, or complex(): what has neither (None) is an error, which NumPy would read as NaN.
+bool PythonFunction::read_objects(PyArrayObject* array, double* out) const noexcept {
+  PyObject* flat = PyArray_Ravel(array, NPY_CORDER);
+  PyObject* items = flat == nullptr ? nullptr : PyArray_ToList(reinterpret_cast<PyArrayObject*>(flat));
+  Py_XDECREF(flat);
+  if (items == nullptr) return false;
+  for (Py_ssize_t i = 0; i < PyList_GET_SIZE(items) && PyErr_Occurred() == nullptr; ++i) {
+    if (returns_.complex) {
+      const Py_complex z = PyComplex_AsCComplex(PyList_GET_ITEM(items, i));
+      *out++ = z.real;
+      *out++ = z.imag;
+    } else {
+      *out++ = PyFloat_AsDouble(PyList_GET_ITEM(items, i));
+    }
+  }
+  Py_DECREF(items);
+  return PyErr_Occurred() == nullptr;
+}
+
+/// ValueError: the name of the function, the shape returned, the shape expected; with the exception that is set as its
+/// cause.
+void PythonFunction::complain(PyObject* returned) const noexcept {
+  PyObject *type = nullptr, *cause = nullptr, *traceback = nullptr;
+  PyErr_Fetch(&type, &cause, &traceback);
+  if (type != nullptr) PyErr_NormalizeException(&type, &cause, &traceback);
+
+  char expected[96];
+  const auto rows = static_cast<long long>(returns_.rows), columns = static_cast<long long>(returns_.columns);
+  if (returns_.matrix)
+    std::snprintf(expected, sizeof expected, rows == 1 ? "shape (%lld, %lld) or (%lld,)" : "shape (%lld, %lld)", rows,
+                  columns, columns);
+  else
+    std::snprintf(expected, sizeof expected, returns_.size() == 1 ? "a number or shape (1,)" : "shape (%lld,)", rows);
+  if (PyArray_Check(returned)) {
+    PyObject* shape = PyObject_GetAttrString(returned, "shape");
+    PyErr_Format(PyExc_ValueError, "%s returned shape %S, expected %s", name_.c_str(), shape, expected);
+    Py_XDECREF(shape);
+  } else if (returned == Py_None) {
+    PyErr_Format(PyExc_ValueError, "%s returned None (is a `return` missing?), expected %s", name_.c_str(), expected);
+  } else {
+    PyErr_Format(PyExc_ValueError, "%s returned a %s that is no array of numbers, expected %s", name_.c_str(),
+                 Py_TYPE(returned)->tp_name, expected);
+  }
+  if (cause != nullptr) {
+    PyObject *t = nullptr, *error = nullptr, *tb = nullptr;
+    PyErr_Fetch(&t, &error, &tb);
+    PyErr_NormalizeException(&t, &error, &tb);
+    PyException_SetCause(error, Py_NewRef(cause));
+    PyErr_Restore(t, error, tb);
+  }
+  Py_XDECREF(type);
+  Py_XDECREF(cause);
+  Py_XDECREF(traceback);
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// The problem as the core sees it
+
+/// Describes the state: `size` doubles, which are that many reals or half as many complex numbers.
+struct Space {
+  std::size_t size;
+  bool complex;
+
+  [[nodiscard]] npy_intp components() const { return static_cast<npy_intp>(complex ? size / 2 : size); }
+};
+
+/// (fun, jac or None, m, name)
+using InvariantSpec = std::tuple<nb::object, nb::object, std::size_t, std::string>;
+/// (fun, terminal count, direction, name)
+using EventSpec = std::tuple<nb::object, std::int64_t, int, std::string>;
+
+/// Owns the Python functions of a call and makes callbacks of them.
+class Functions {
+ public:
+  Functions(Space space, nb::tuple args) : space_(space), args_(std::move(args)) {}
+
+  Callback state_valued(nb::handle f, const std::string& name) {
+    return add(f, args_, name, {.rows = space_.components(), .complex = space_.complex});
+  }
+  Callback scalar(nb::handle f, const std::string& name) { return add(f, args_, name, {}); }
+  Callback truth(nb::handle f, const std::string& name) {
+    return add(f, nb::tuple(), name, {.kind = Returns::Kind::truth});
+  }
+  std::vector<InvariantBlock> invariants(const std::vector<InvariantSpec>& specs) {
+    std::vector<InvariantBlock> blocks;
+    for (const auto& [g, jacobian, m, name] : specs) {
+      const auto rows = static_cast<npy_intp>(m);
+      InvariantBlock block{.g = add(g, args_, "invariant " + name, {.rows = rows}), .jacobian = {}, .m = m};
+      if (!jacobian.is_none())
+        block.jacobian = add(jacobian, args_, "the Jacobian of invariant " + name,
+                             {.rows = rows, .columns = space_.components(), .matrix = true, .complex = space_.complex});
+      blocks.push_back(block);
+    }
+    return blocks;
+  }
+
+ private:
+  Callback add(nb::handle f, const nb::tuple& args, std::string name, Returns returns) {
+    owned_.push_back(
+        std::make_unique<PythonFunction>(f, args, std::move(name), space_.components(), space_.complex, returns));
+    return owned_.back()->callback();
+  }
+
+  Space space_;
+  nb::tuple args_;
+  std::vector<std::unique_ptr<PythonFunction>> owned_;
+};
+
+std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
+
+Weights to_weights(double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale) {
+  return {rtol, to_vector(threshold), scale ? to_vector(*scale) : std::vector<double>{}};
+}
+
+/// Hands a vector over to NumPy without copying it.
+template <class Array, class T, class... Size>
+Array to_array(std::vector<T>&& values, Size... shape) {
+  auto* owner = new std::vector<T>(std::move(values));
+  const nb::capsule free(owner, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return Array(owner->data(), {static_cast<std::size_t>(shape)...}, free);
+}
+
+const char* name_of(State state) {
+  switch (state) {
+    case State::created: return "created";
+    case State::running: return "running";
+    case State::reached_end: return "reached_end";
+    case State::terminal_event: return "terminal_event";
+    case State::stopped_by_callback: return "stopped_by_callback";
+    case State::interrupted: return "interrupted";
+    case State::event_undefined: return "event_undefined";
+    case State::start_undefined: return "start_undefined";
+    case State::step_failed: return "step_failed";
+    case State::invariant_refused: return "invariant_refused";
+    case State::invariant_convicted: return "invariant_convicted";
+  }
+  return "";
+}
+
+const char* name_of(Cause cause) {
+  switch (cause) {
+    case Cause::error: return "error";
+    case Cause::newton: return "newton";
+    case Cause::projection: return "projection";
+    case Cause::not_finite: return "not_finite";
+  }
+  return "";
+}
+
+const char* name_of(Finding::Kind kind) {
+  switch (kind) {
+    case Finding::Kind::none: return "none";
+    case Finding::Kind::stop: return "stop";
+    case Finding::Kind::undefined: return "undefined";
+    case Finding::Kind::off_value: return "off_value";
+    case Finding::Kind::wrong_jacobian: return "wrong_jacobian";
+    case Finding::Kind::not_conserved: return "not_conserved";
+  }
+  return "";
+}
+
+template <class Names>
+auto find_name(const Names& names, const std::string& name, const char* what) {
+  for (const auto& [key, value] : names)
+    if (key == name) return value;
+  throw nb::value_error((std::string("unknown ") + what + " '" + name + "'").c_str());
+}
+
+using MakeStep = std::unique_ptr<Step> (*)(Callback&, const Weights&, Fsal);
+constexpr std::pair<const char*, MakeStep> steps[] = {{"ode23", ode23_step}, {"ode45", ode45_step}};
+constexpr std::pair<const char*, Fsal> fsals[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
+constexpr std::pair<const char*, Interpolation> interpolations[] = {
+    {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
+
+// ---------------------------------------------------------------------------------------------------------------------
+// What Python calls
+
+/// The continuous solution, with the tolerances that its projections use.
+struct Dense {
+  DenseOutput output;
+  Weights weights;
+  bool complex;
+
+  Matrix evaluate(const ConstVector& t, const std::vector<InvariantSpec>& invariants, const ConstVector& value,
+                  const nb::tuple& args) const {
+    Functions functions({output.n(), complex}, args);
+    std::optional<Invariants> g;
+    std::optional<Projector> projector;
+    if (output.projects()) {
+      g.emplace(output.n(), functions.invariants(invariants), to_vector(value), weights);
+      projector.emplace(*g, weights, 1);
+    }
+    std::vector<double> y(t.size() * output.n());
+    if (output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr) == Status::stop)
+      throw nb::python_error();
+    return to_array<Matrix>(std::move(y), t.size(), output.n());
+  }
+};
+
+/// What `integrate` returns: arrays with one row per point, counts, and why the run ended.
+struct Run {
+  std::size_t n;
+  Trajectory points;
+  std::vector<Trajectory> occurrences;
+  StepRecord record;
+  std::optional<Dense> dense;
+  State state;
+  Report report;
+  Counts counts;
+  std::int64_t nfev, nfev_check, ng, ngjac;
+  bool projected_start = false;
+  std::vector<int> dropped;
+  double dropped_at = 0;
+
+  static std::pair<Vector, Matrix> arrays(Trajectory&& points, std::size_t n) {
+    const std::size_t size = points.t.size();
+    return {to_array<Vector>(std::move(points.t), size), to_array<Matrix>(std::move(points.y), size, n)};
+  }
+};
+
+Run integrate(const std::string& method, const nb::object& fun, const nb::tuple& args, double t0, double tf,
+              const ConstVector& y0, bool complex, double rtol, const ConstVector& threshold,
+              const std::optional<ConstVector>& scale, double max_step, double first_step, const std::string& fsal,
+              const std::string& interpolation, int refine, const std::optional<ConstVector>& times, bool dense,
+              bool save_all, bool check, const std::vector<EventSpec>& events, const nb::object& callback,
+              const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations) {
+  const std::size_t n = y0.size();
+  const Weights weights = to_weights(rtol, threshold, scale);
+  Functions functions({n, complex}, args);
+  Callback f = functions.state_valued(fun, "fun(t, y)");
+  std::vector<EventFunction> event_functions;
+  for (const auto& [function, terminal, direction, name] : events)
+    event_functions.push_back({functions.scalar(function, "event " + name), terminal, direction});
+  const Callback notify = callback.is_none() ? Callback() : functions.truth(callback, "callback(t, y)");
+  std::optional<Invariants> g;
+  if (!invariants.empty()) g.emplace(n, functions.invariants(invariants), to_vector(value), weights);
+
+  Settings settings{.t0 = t0,
+                    .tf = tf,
+                    .hmax = max_step,
+                    .first_step = first_step,
+                    .iterations = iterations,
+                    .refine = refine,
+                    .output_at_times = times.has_value(),
+                    .times = times ? to_vector(*times) : std::vector<double>{},
+                    .interpolation = find_name(interpolations, interpolation, "interpolation"),
+                    .dense = dense,
+                    .save_all = save_all,
+                    .check = check};
+  Integration integration(find_name(steps, method, "method")(f, weights, find_name(fsals, fsal, "fsal")), weights, f,
+                          g ? &*g : nullptr, std::move(event_functions), notify, std::move(settings));
+  if (integration.start(y0.data()) == State::running) integration.run();
+  if (integration.state() == State::interrupted) throw nb::python_error();
+
+  Run run{.n = n,
+          .points = std::move(integration.points),
+          .occurrences = std::move(integration.occurrences),
+          .record = std::move(integration.steps),
+          .dense = {},
+          .state = integration.state(),
+          .report = integration.report(),
+          .counts = integration.counts(),
+          .nfev = f.calls(),
+          .nfev_check = g ? integration.guard()->calls() : 0,
+          .ng = g ? g->calls() : 0,
+          .ngjac = g ? g->jacobian_calls() : 0,
+          .dropped = {}};
+  if (integration.dense) run.dense.emplace(Dense{std::move(*integration.dense), weights, complex});
+  if (g) {
+    run.projected_start = integration.guard()->projected_start();
+    const Projector& projector = *integration.projector();
+    for (std::size_t i = 0; i < projector.dropped().size(); ++i)
+      if (projector.dropped()[i] != 0) run.dropped.push_back(static_cast<int>(i));
+    run.dropped_at = projector.dropped_at();
+  }
+  return run;
+}
+
+/// Projects each row of y, at the time in t, to roundoff: (y, converged, residual, iterations).
+auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const ConstVector& threshold,
+            const std::optional<ConstVector>& scale, const std::vector<InvariantSpec>& invariants,
+            const ConstVector& value, const nb::tuple& args) {
+  const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
+  const Weights weights = to_weights(rtol, threshold, scale);
+  Functions functions({n, complex}, args);
+  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Projector projector(g, weights, 1);
+  std::vector<double> points(y.data(), y.data() + y.size()), residual(count * m);
+  std::vector<std::int64_t> iterations(count), converged(count);
+  for (std::size_t p = 0; p < count; ++p) {
+    const Projector::Imposed imposed = projector.impose(t.data()[p], &points[p * n]);
+    if (imposed.outcome == Outcome::stop || g.residual(t.data()[p], &points[p * n], &residual[p * m]) == Status::stop)
+      throw nb::python_error();
+    converged[p] = imposed.converged;
+    iterations[p] = imposed.iterations;
+  }
+  using Integers = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+  return std::make_tuple(to_array<Matrix>(std::move(points), count, n), to_array<Integers>(std::move(converged), count),
+                         to_array<Matrix>(std::move(residual), count, m),
+                         to_array<Integers>(std::move(iterations), count));
+}
+
+/// g(t, y) − value of each row of y: (count, m).
+Matrix residual(const ConstVector& t, const ConstMatrix& y, bool complex, const std::vector<InvariantSpec>& invariants,
+                const ConstVector& value, const nb::tuple& args) {
+  const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
+  const Weights weights(1, std::vector<double>(n), {});
+  Functions functions({n, complex}, args);
+  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  std::vector<double> r(count * m);
+  for (std::size_t p = 0; p < count; ++p)
+    if (g.residual(t.data()[p], y.data() + p * n, &r[p * m]) == Status::stop) throw nb::python_error();
+  return to_array<Matrix>(std::move(r), count, m);
+}
+
+}  // namespace
+
+NB_MODULE(_core, module) {
+  if (_import_array() < 0) throw nb::python_error();
+  module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
+
+  nb::class_<Dense>(module, "Dense")
+      .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::kw_only(), nb::arg("invariants"), nb::arg("value"),
+           nb::arg("args"), "y at each t: (len(t), n).")
+      .def("knots", [](const Dense& d) {
+        return to_array<Vector>(std::vector<double>(d.output.knots()), d.output.knots().size());
+      });
+
+  using Integers = nb::ndarray<std::int32_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+  nb::class_<Run>(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.")
+      .def("take_points", [](Run& r) { return Run::arrays(std::move(r.points), r.n); })
+      .def("take_events",
+           [](Run& r) {
+             std::vector<std::pair<Vector, Matrix>> all;
+             for (Trajectory& one : r.occurrences) all.push_back(Run::arrays(std::move(one), r.n));
+             return all;
+           })
+      .def("take_steps",
+           [](Run& r) {
+             StepRecord& s = r.record;
+             const std::size_t size = s.t.size();
+             return std::make_tuple(to_array<Vector>(std::move(s.t), size), to_array<Vector>(std::move(s.h), size),
+                                    to_array<Integers>(std::move(s.order), size),
+                                    to_array<Vector>(std::move(s.error), size),
+                                    to_array<Vector>(std::move(s.correction), size));
+           })
+      .def("take_dense", [](Run& r) { return std::exchange(r.dense, {}); })
+      .def_prop_ro("state", [](const Run& r) { return name_of(r.state); })
+      .def_prop_ro("t", [](const Run& r) { return r.report.t; })
+      .def_prop_ro("h", [](const Run& r) { return r.report.h; })
+      .def_prop_ro("cause", [](const Run& r) { return name_of(r.report.cause); })
+      .def_prop_ro("component", [](const Run& r) { return r.report.component; })
+      .def_prop_ro("pure_relative", [](const Run& r) { return r.report.pure_relative; })
+      .def_prop_ro("event", [](const Run& r) { return r.report.event; })
+      .def_prop_ro("finding", [](const Run& r) { return name_of(r.report.finding.kind); })
+      .def_prop_ro("finding_invariant", [](const Run& r) { return r.report.finding.invariant; })
+      .def_prop_ro("finding_component", [](const Run& r) { return r.report.finding.component; })
+      .def_prop_ro("finding_t", [](const Run& r) { return r.report.finding.t; })
+      .def_prop_ro("finding_size", [](const Run& r) { return r.report.finding.size; })
+      .def_prop_ro("finding_distance", [](const Run& r) { return r.report.finding.distance; })
+      .def_prop_ro("steps", [](const Run& r) { return r.counts.steps; })
+      .def_prop_ro("failed", [](const Run& r) { return r.counts.failed; })
+      .def_prop_ro("projections", [](const Run& r) { return r.counts.projections; })
+      .def_prop_ro("skipped", [](const Run& r) { return r.counts.skipped; })
+      .def_ro("nfev", &Run::nfev)
+      .def_ro("nfev_check", &Run::nfev_check)
+      .def_ro("ng", &Run::ng)
+      .def_ro("ngjac", &Run::ngjac)
+      .def_ro("projected_start", &Run::projected_start)
+      .def_ro("dropped", &Run::dropped)
+      .def_ro("dropped_at", &Run::dropped_at);
+
+  module.def("integrate", &integrate, nb::kw_only(), nb::arg("method"), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
+             nb::arg("tf"), nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"),
+             nb::arg("scale").none(), nb::arg("max_step"), nb::arg("first_step"), nb::arg("fsal"),
+             nb::arg("interpolation"), nb::arg("refine"), nb::arg("times").none(), nb::arg("dense"),
+             nb::arg("save_all"), nb::arg("check"), nb::arg("events"), nb::arg("callback").none(),
+             nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"), "Integrates one problem with one method.");
+  module.def("impose", &impose, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"), nb::arg("rtol"),
+             nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
+             "Projects each row of y to roundoff: (y, converged, residual, iterations).");
+  module.def("residual", &residual, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"),
+             nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
+             "g(t, y) - value of each row of y: (len(t), m).");
+}

@@ -1,0 +1,110 @@
+"""The native core. Private: `invariode` is the interface."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy
+from numpy.typing import NDArray
+
+
+class Dense:
+    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """y at each t: (len(t), n)."""
+
+    def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+class Run:
+    """
+    Results of `integrate`. Arrays are handed over: each `take_…` works once.
+    """
+
+    def take_points(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]: ...
+
+    def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
+
+    def take_steps(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
+    def take_dense(self) -> Dense | None: ...
+
+    @property
+    def state(self) -> str: ...
+
+    @property
+    def t(self) -> float: ...
+
+    @property
+    def h(self) -> float: ...
+
+    @property
+    def cause(self) -> str: ...
+
+    @property
+    def component(self) -> int: ...
+
+    @property
+    def pure_relative(self) -> bool: ...
+
+    @property
+    def event(self) -> int: ...
+
+    @property
+    def finding(self) -> str: ...
+
+    @property
+    def finding_invariant(self) -> int: ...
+
+    @property
+    def finding_component(self) -> int: ...
+
+    @property
+    def finding_t(self) -> float: ...
+
+    @property
+    def finding_size(self) -> float: ...
+
+    @property
+    def finding_distance(self) -> float: ...
+
+    @property
+    def steps(self) -> int: ...
+
+    @property
+    def failed(self) -> int: ...
+
+    @property
+    def projections(self) -> int: ...
+
+    @property
+    def skipped(self) -> int: ...
+
+    @property
+    def nfev(self) -> int: ...
+
+    @property
+    def nfev_check(self) -> int: ...
+
+    @property
+    def ng(self) -> int: ...
+
+    @property
+    def ngjac(self) -> int: ...
+
+    @property
+    def projected_start(self) -> bool: ...
+
+    @property
+    def dropped(self) -> list[int]: ...
+
+    @property
+    def dropped_at(self) -> float: ...
+
+def integrate(*, method: str, fun: object, args: tuple, t0: float, tf: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str]], callback: object | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int) -> Run:
+    """Integrates one problem with one method."""
+
+def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
+    """
+    Projects each row of y to roundoff: (y, converged, residual, iterations).
+    """
+
+def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """g(t, y) - value of each row of y: (len(t), m)."""

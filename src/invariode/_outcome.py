@@ -1,0 +1,77 @@
+"""What is said about how a run ended: what, at which t and h, and what to try."""
+
+from __future__ import annotations
+
+from ._arguments import EPS
+from ._core import Run
+
+_MESSAGES = {
+    "reached_end": (0, "The solver successfully reached the end of the integration interval."),
+    "terminal_event": (1, "A termination event occurred."),
+    "stopped_by_callback": (2, "The callback stopped the integration."),
+}
+
+
+def status_and_message(run: Run, names: list[str], rtol: float, pairs: bool) -> tuple[int, str]:
+    """The status of the Solution and its message."""
+    if run.state in _MESSAGES:
+        return _MESSAGES[run.state]
+    if run.state == "invariant_convicted":
+        return -2, _not_conserved(run, names)
+    if run.state == "start_undefined":
+        return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
+    return -1, _step_failed(run, pairs)
+
+
+def _component(run: Run, pairs: bool) -> str:
+    return f"component {run.component // 2 if pairs else run.component}"
+
+
+def _step_failed(run: Run, pairs: bool) -> str:
+    where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
+    if run.cause == "not_finite":
+        what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
+        return f"{what} NaN or infinite also with the smallest step, {where}."
+    if run.cause == "projection":
+        return (
+            f"The projection onto the invariants fails also with the smallest step, {where}: "
+            "the tolerance is too loose, or the invariants are near singular here."
+        )
+    text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
+    if run.pure_relative:
+        text += (
+            f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
+            "impossible there. Give an atol > 0."
+        )
+    return text
+
+
+def _not_conserved(run: Run, names: list[str]) -> str:
+    return (
+        f"Invariant {names[run.finding_invariant]} is not conserved by fun: at t = {run.finding_t:.6g}, on the "
+        f"manifold, it changes at the rate {run.finding_size:.6g} ({run.finding_distance:.1e} of the size of its "
+        "terms; for invariants this is roundoff). Check its formula and the parameters. A constraint needs its hidden "
+        "constraints, its derivatives with respect to t, too. check=False switches this test off."
+    )
+
+
+def refusal(run: Run, names: list[str], rtol: float, pairs: bool) -> str:
+    """The text of the InvariantError with which a run was refused at its start."""
+    name = names[run.finding_invariant]
+    if run.finding == "off_value":
+        return (
+            f"y0 violates invariant {name}: g(t0, y0) - value = {run.finding_size:.6g}, a distance of "
+            f"{run.finding_distance:.3g} times the tolerance (rtol = {rtol:.3g}). Correct y0, or project it first: "
+            "y0 = invariode.impose(invariants, t0, y0).y"
+        )
+    if run.finding == "wrong_jacobian":
+        part = (" (real part)", " (imaginary part)")[run.finding_component % 2] if pairs else ""
+        column = run.finding_component // 2 if pairs else run.finding_component
+        return (
+            f"the Jacobian of invariant {name} is wrong at t = {run.finding_t:.6g}: its entry for y[{column}]{part} is "
+            f"{run.finding_size:.9g}, differences of the invariant give {run.finding_distance:.9g} "
+            f"(good to about {EPS ** (2 / 3):.0e}). check=False switches this test off."
+        )
+    if run.finding == "undefined":
+        return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
+    return _not_conserved(run, names)

@@ -1,0 +1,23 @@
+"""The command `invariode`. Needs the extra `cli`."""
+
+from __future__ import annotations
+
+import sys
+
+__all__ = ["main"]
+
+#: What the extra `cli` installs.
+_EXTRA = ("typer", "rich")
+
+
+def main() -> None:
+    """Runs the command line; what is missing from the installation is said in one line, with exit code 1."""
+    try:
+        from .app import app
+    except ModuleNotFoundError as missing:
+        package = (missing.name or "").partition(".")[0]
+        if package not in _EXTRA:
+            raise
+        print(f"The command line needs {package}: pip install invariode[cli]", file=sys.stderr)
+        raise SystemExit(1) from None
+    app()

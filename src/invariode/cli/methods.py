@@ -1,0 +1,40 @@
+"""`invariode methods`: the registry as a table."""
+
+from __future__ import annotations
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from ..methods import METHODS
+
+__all__ = ["methods"]
+
+#: Heading and attribute of the columns of numbers.
+_NUMBERS = (
+    ("order", "order"),
+    ("extension", "extension_order"),
+    ("f per step", "stages"),
+    ("iterations", "iterations"),
+    ("refine", "refine"),
+)
+
+
+def methods() -> None:
+    """List the methods, their orders and costs, and where their formulas come from.
+
+    Columns: SciPy's name of the method; the order of the solution and of its continuous extension; evaluations of f
+    per step; projection iterations per step with invariants; points per step by default.
+    """
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method", style="bold", no_wrap=True)
+    table.add_column("SciPy", no_wrap=True)
+    for heading, _ in _NUMBERS:
+        table.add_column(heading, justify="right")
+    sources = Table.grid(padding=(0, 2, 0, 0))
+    sources.add_column(style="bold", no_wrap=True)
+    for method in METHODS.values():
+        numbers = [str(getattr(method, attribute)) for _, attribute in _NUMBERS]
+        table.add_row(method.name, method.scipy_name, *numbers)
+        sources.add_row(method.name, f"{method.family}: {method.source}")
+    Console().print(table, sources, sep="\n")

@@ -1,0 +1,92 @@
+"""`invariode paper`: the experiments of the paper, as a table and as a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.util import find_spec
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from ..paper import Results, Row, report, run
+
+__all__ = ["paper"]
+
+#: The columns of `Row.counts`, and the width of a terminal from which they are shown.
+COUNTS = ("steps", "failed", "f", "proj.", "g")
+ROOM_FOR_COUNTS = 112
+
+
+def paper(
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="Where the report goes."),
+    ] = Path("paper-report.html"),
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Only print the table; matplotlib is not needed.")
+    ] = False,
+) -> None:
+    """Run the experiments of Shampine's paper and compare each published number.
+
+    Prints the table 'paper | here' and writes a report with the figures, one HTML file.
+    The exit code is 1 if any number differs.
+
+    Example: [bold]invariode paper --output paper-report.html[/bold]
+    """
+    console, errors = Console(), Console(stderr=True)
+    if not no_report:
+        if find_spec("matplotlib") is None:
+            errors.print(escape("The report needs matplotlib: pip install invariode[plot] (or use --no-report)"))
+            raise typer.Exit(1)
+        if not output.parent.is_dir():
+            raise typer.BadParameter(f"no such directory: {output.parent}", param_hint="--output")
+    results = run()
+    _print_table(console, results.paper, "paper")
+    _print_table(console, results.matlab, "MATLAB")
+    console.print(_outcome(results))
+    if not no_report:
+        output.write_text(report(results), encoding="utf-8")
+        console.print("Report:", Text(str(output), style="bold"), soft_wrap=True)
+    if not results.agree:
+        raise typer.Exit(1)
+
+
+def _print_table(console: Console, rows: Iterable[Row], published: str) -> None:
+    """One table for each experiment, under its name and with the columns of the others; counts where there is room."""
+    counts = COUNTS if console.width >= ROOM_FOR_COUNTS else ()
+    console.print(_table(published, counts, heading=True))
+    for experiment, group in groupby(rows, key=lambda row: row.experiment):
+        table = _table(published, counts, heading=False)
+        for row in group:
+            numbers = [str(count) for count in row.counts or ()][: len(counts)]
+            table.add_row(escape(row.quantity), row.printed or "–", row.here, _verdict(row), *numbers)
+        console.print(Text(experiment, style="bold"), table, "", sep="\n")
+
+
+def _table(published: str, counts: Iterable[str], heading: bool) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=heading, header_style="dim")
+    for name, width in (("quantity", 43), (published, 14), ("here", 12), ("", 1)):
+        table.add_column(name, width=width)
+    for name in counts:
+        table.add_column(name, width=max(4, len(name)), justify="right", style="dim")
+    return table
+
+
+def _verdict(row: Row) -> Text:
+    if row.agrees is None:
+        return Text("")
+    return Text("✓", style="green") if row.agrees else Text("✗", style="bold red")
+
+
+def _outcome(results: Results) -> str:
+    compared = len(results.compared)
+    differing = sum(not row.agrees for row in results.compared)
+    if differing:
+        return f"[bold red]{differing} of {compared} published values differ.[/]"
+    return f"[green]All {compared} published values are met.[/]"

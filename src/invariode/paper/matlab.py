@@ -1,0 +1,127 @@
+"""Numbers that MATLAB's ode45 prints for problems other than the paper's: counts, errors, event times, a failure.
+
+They come from public material that shows MATLAB's output. Errors are those of the method's own continuous extension;
+the numbers of points are those of the suite's default of four per step.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._arguments import Array
+from ..events import Event
+from ..suite import ode45, solve_ivp
+from .rows import DIGITS, LAST_DIGIT, SIZE, Row
+
+__all__ = ["matlab_rows"]
+
+SOURCE = "MATLAB"
+
+#: rtol = atol, evaluations of f, error: as printed. Round-off reaches the last digit at 1e-11, all of them at 1e-13.
+THIRD_ORDER = (
+    ("1e-1", "67", "9.882e-06", DIGITS),
+    ("1e-3", "67", "1.044e-05", DIGITS),
+    ("1e-5", "85", "5.394e-06", DIGITS),
+    ("1e-7", "199", "4.763e-08", DIGITS),
+    ("1e-9", "493", "4.398e-10", DIGITS),
+    ("1e-11", "1237", "4.382e-12", LAST_DIGIT),
+    ("1e-13", "3091", "4.396e-14", SIZE),
+)
+#: Mean time until a flame has grown, by n-point quadrature over its unknown initial size.
+FLAME = ((1, "108.176"), (2, "133.169"), (3, "116.507"), (4, "116.326"))
+
+
+def matlab_rows() -> list[Row]:
+    """Solves these problems and holds the results against what MATLAB prints."""
+    return [*_third_order(), *_flame(), *_scalar_linear(), *_points(), *_blow_up()]
+
+
+def _third_order() -> list[Row]:
+    """u''' + u'' + 4 u' + 4 u = 4 t² + 8 t - 10 on [0, 2], whose solution is -sin 2t + t² - 3."""
+    title = "u‴ = −u″ − 4u′ − 4u + 4t² + 8t − 10 on [0, 2], rtol = atol"
+
+    def f(t: float, u: Array) -> list[float]:
+        return [u[1], u[2], -u[2] - 4 * u[1] - 4 * u[0] + 4 * t**2 + 8 * t - 10]
+
+    t = np.linspace(0, 2, 500)
+    exact = -np.sin(2 * t) + t**2 - 3
+    rows = []
+    for printed, nfev, error, rule in THIRD_ORDER:
+        tol = float(printed)
+        sol = ode45(f, (0, 2), [-3, -2, 2], rtol=tol, atol=tol, dense_output=True, interpolation="raw")
+        assert sol.sol is not None  # dense_output=True
+        rows.append(Row(title, f"evaluations of f, {printed}", nfev, sol.nfev, SOURCE, stats=sol.stats))
+        rows.append(Row(title, f"error, {printed}", error, np.abs(sol.sol(t)[0] - exact).max(), SOURCE, rule))
+    return rows
+
+
+def clenshaw_curtis(n: int) -> tuple[Array, Array]:
+    """Nodes and weights on [-1, 1]: the rule that integrates the polynomial through the n Chebyshev points exactly."""
+    if n == 1:
+        return np.zeros(1), np.array([2.0])
+    u = np.cos(np.pi * np.arange(n) / (n - 1))
+    k = np.arange(n)
+    chebyshev = np.cos(np.outer(k, np.arccos(u)))
+    integrals = np.array([0.0 if j % 2 else 2 / (1 - j * j) for j in range(n)])  # of T_j
+    return u, np.linalg.solve(chebyshev, integrals)
+
+
+def _flame() -> list[Row]:
+    """y' = y² (1 - y) from 0.01·2^u until y = 0.99, averaged over u in [-1, 1]."""
+    title = "y′ = y²(1 − y), y(0) = 0.01·2ᵘ: time until y = 0.99, mean over u in [−1, 1]"
+    grown = Event(lambda t, y: y[0] - 0.99, terminal=True)
+
+    def duration(u: float) -> float:
+        sol = solve_ivp(lambda t, y: y**2 * (1 - y), (0, 250), [0.01 * 2**u], events=grown)
+        assert sol.t_events is not None  # there is an event
+        return float(sol.t_events[0][0])
+
+    rows = []
+    for n, printed in FLAME:
+        u, w = clenshaw_curtis(n)
+        q = sum(w_j * duration(u_j) for w_j, u_j in zip(w, u, strict=True)) / 2
+        rows.append(Row(title, f"by the {n}-point rule" if n > 1 else "at the midpoint", printed, q, SOURCE))
+    return rows
+
+
+def _scalar_linear() -> list[Row]:
+    """x' = -2 x + t, x(0) = 0: the counts of Stats."""
+    title = "x′ = −2x + t, x(0) = 0 on [0, 10]"
+    sol = ode45(lambda t, x: -2 * x + t, (0, 10), [0])
+    return [
+        Row(title, "successful steps", "14", sol.stats.steps, SOURCE, stats=sol.stats),
+        Row(title, "failed attempts", "2", sol.stats.failed, SOURCE),
+        Row(title, "evaluations of f", "97", sol.nfev, SOURCE),
+        Row(title, "points", "57", len(sol.t), SOURCE),
+    ]
+
+
+def _linear(matrix: Array, tf: float, y0: ArrayLike, title: str, printed: str) -> Row:
+    sol = ode45(lambda t, y: matrix @ y, (0, tf), y0)
+    return Row(title, "points", printed, len(sol.t), SOURCE, stats=sol.stats)
+
+
+def _points() -> list[Row]:
+    """Two linear problems y' = A y: the heat equation by the method of lines, and a growing one of two equations."""
+    m = 100
+    x = np.arange(m) / m
+    shift = np.roll(np.eye(m), 1, axis=0)
+    heat = m**2 * (shift - 2 * np.eye(m) + shift.T)
+    return [
+        _linear(heat, 0.05, np.exp(-60 * (x - 0.5) ** 2), "uₜ = uₓₓ, periodic, 100 points, t ≤ 0.05", "2405"),
+        _linear(np.array([[0, 1], [-3, 2]]), 10, [1, -1], "x₁′ = x₂, x₂′ = −3x₁ + 2x₂ on [0, 10]", "85"),
+    ]
+
+
+def _blow_up() -> list[Row]:
+    """u' = (t + u)², u(0) = 1, which is tan(t + π/4) - t: the step fails just before t = π/4."""
+    title = "u′ = (t + u)², u(0) = 1, which has a pole at t = π/4"
+    sol = ode45(lambda t, u: (t + u) ** 2, (0, 1), [1])
+    smallest = re.search(r"smallest step allowed is (\S+\d)", sol.message)
+    return [
+        Row(title, "fails at t", "7.853789e-01", float(sol.t[-1]), SOURCE, stats=sol.stats),
+        Row(title, "smallest step allowed", "1.776357e-15", float(smallest[1]) if smallest else np.nan, SOURCE),
+    ]

@@ -1,0 +1,251 @@
+"""The problem: what describes it, validated once; and the one way to solve it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _core
+from ._arguments import (
+    Array,
+    call_name,
+    choice,
+    extra_arguments,
+    flag,
+    function,
+    interval,
+    output_times,
+    positive,
+    positive_integer,
+    state,
+    tolerances,
+    unknown_option,
+    warn,
+)
+from ._outcome import refusal, status_and_message
+from .events import direction_sign, terminal_count, to_events
+from .invariants import BoundInvariants, InvariantError, bind, to_invariants
+from .methods import Method, find_method
+from .solution import DenseSolution, Solution, Stats, Steps
+
+__all__ = ["Problem"]
+
+#: Options of other methods of the suite and of SciPy: harmless here, but said.
+_OTHER_METHODS = ("jac", "jac_sparsity", "lband", "uband", "max_order", "bdf", "min_step")
+
+_OPTIONS = (
+    "rtol",
+    "atol",
+    "first_step",
+    "max_step",
+    "refine",
+    "interpolation",
+    "fsal",
+    "callback",
+    "save",
+    "check",
+    "t_eval",
+    "dense_output",
+    "mass",
+    *_OTHER_METHODS,
+)
+
+
+class Problem:
+    """An initial value problem y' = f(t, y), y(t0) = y0, with what is known of its solution.
+
+    Parameters
+    ----------
+    fun : callable
+        ``f(t, y, *args)``, the derivative, a sequence or array of shape (n,). y is a new array whenever someone still
+        holds the last one, so it may be kept; a buffer may be returned again and again.
+    t_span : (float, float)
+        (t0, tf); tf < t0 integrates backwards; tf may be infinite if a terminal event or `callback` ends the run.
+    y0 : array_like of shape (n,)
+        Initial state, real or complex.
+    args : tuple, optional
+        Extra arguments of `fun`, the invariants and the events.
+    invariants : callable, Invariants, or list of these, optional
+        What the solution keeps. See `Invariants`.
+    events : callable, Event, or list of these, optional
+        Functions whose zeros are located. See `Event`.
+    name : str, optional
+        For tables and plots.
+    labels : sequence of n str, optional
+        Names of the components.
+    """
+
+    def __init__(
+        self,
+        fun: Callable[..., Any],
+        t_span: Sequence[float],
+        y0: ArrayLike,
+        *,
+        args: Iterable[Any] | None = (),
+        invariants: Any = None,
+        events: Any = None,
+        name: str | None = None,
+        labels: Sequence[str] | None = None,
+    ) -> None:
+        self.fun = function("fun", fun, "f(t, y)")
+        self.t_span = interval(t_span)
+        self.y0 = state(y0)
+        self.args = extra_arguments(args)
+        self.invariants = to_invariants(invariants)
+        self.events = to_events(events)
+        for event in self.events:
+            terminal_count(event), direction_sign(event)
+        self.name = call_name(self.fun, "problem") if name is None else name
+        self.labels = [f"y{i}" for i in range(len(self.y0))] if labels is None else list(labels)
+        if len(self.labels) != len(self.y0):
+            raise ValueError(f"labels must name the {len(self.y0)} components of y0, got {labels!r}")
+
+    def __repr__(self) -> str:
+        return f"Problem({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+    def solve(
+        self,
+        method: str = "ode45",
+        *,
+        t_eval: ArrayLike | None = None,
+        dense_output: bool = False,
+        rtol: ArrayLike = 1e-3,
+        atol: ArrayLike = 1e-6,
+        first_step: float | None = None,
+        max_step: float | None = None,
+        refine: int = 1,
+        interpolation: str = "projected",
+        fsal: str = "reuse",
+        callback: Callable[[float, Array], object] | None = None,
+        save: str = "all",
+        check: bool = True,
+        **options: Any,
+    ) -> Solution:
+        """Solves the problem. The options are those of `solve_ivp`."""
+        chosen = find_method(method)
+        _foreign_options(chosen, options)
+        t0, tf = self.t_span
+        span = abs(tf - t0)
+        rmin, threshold, scale = tolerances(rtol, atol, self.y0)
+        times = None if t_eval is None else output_times(t_eval, t0, tf)
+        dense_output, save = flag("dense_output", dense_output), choice("save", save, ("all", "end"))
+        if save == "end" and (times is not None or dense_output):
+            raise ValueError('save="end" keeps the final state only: t_eval and dense_output need save="all"')
+        refine = positive_integer("refine", refine)
+        if refine > 1 and (times is not None or save == "end"):
+            other = "t_eval" if times is not None else 'save="end"'
+            warn(f"refine has no effect together with {other}")
+        first = 0.0 if first_step is None else positive("first_step", first_step)
+        if first > span:
+            raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first_step!r}")
+        bound = bind(self.invariants, t0, self.y0, self.args)
+
+        run = _core.integrate(
+            method=chosen.name,
+            fun=self.fun,
+            args=self.args,
+            t0=t0,
+            tf=tf,
+            y0=self.y0.view(float),
+            complex=np.iscomplexobj(self.y0),
+            rtol=rmin,
+            threshold=threshold,
+            scale=scale,
+            max_step=span / 10 if max_step is None else positive("max_step", max_step),
+            first_step=first,
+            fsal=choice("fsal", fsal, ("reuse", "evaluate")),
+            interpolation=choice("interpolation", interpolation, ("projected", "corrected", "raw")),
+            refine=refine,
+            times=times,
+            dense=dense_output,
+            save_all=save == "all",
+            check=flag("check", check),
+            events=[(event.fun, terminal_count(event), direction_sign(event), event.__name__) for event in self.events],
+            callback=None if callback is None else function("callback", callback, "callback(t, y)"),
+            invariants=bound.specs,
+            value=bound.value,
+            iterations=bound.iterations or chosen.iterations,
+        )
+        if run.state == "invariant_refused":
+            raise InvariantError(refusal(run, bound.names, rmin, np.iscomplexobj(self.y0)))
+        if run.state == "event_undefined":
+            raise ValueError(f"event {self.events[run.event].__name__} returned NaN at t = {run.t}")
+        if run.dropped:
+            _warn_dropped(run, bound.names)
+        return self._solution(run, bound, rtol, atol, rmin)
+
+    def _solution(
+        self, run: _core.Run, bound: BoundInvariants, rtol: ArrayLike, atol: ArrayLike, rmin: float
+    ) -> Solution:
+        dtype = self.y0.dtype
+        status, message = status_and_message(run, bound.names, rmin, dtype.kind == "c")
+        dense = run.take_dense()
+        t, rows = run.take_points()
+        happened = run.take_events()
+        kept = Steps(*run.take_steps())
+        return Solution(
+            t=t,
+            y=rows.view(dtype).T,
+            sol=None if dense is None else DenseSolution(dense, dtype, bound),
+            t_events=[times for times, _ in happened] if self.events else None,
+            y_events=[points.view(dtype) for _, points in happened] if self.events else None,
+            nfev=run.nfev,
+            njev=0,
+            nlu=0,
+            status=status,
+            message=message,
+            success=status >= 0,
+            stats=Stats(
+                steps=run.steps,
+                failed=run.failed,
+                nfev=run.nfev,
+                nfev_check=run.nfev_check,
+                njev=0,
+                nlu=0,
+                nsolve=0,
+                projections=run.projections,
+                skipped=run.skipped,
+                ng=run.ng + len(bound.specs),
+                ngjac=run.ngjac,
+                derivatives=_derivatives(bound),
+                projected_start=run.projected_start,
+            ),
+            steps=kept if len(kept.t) == run.steps else None,
+            _invariants=bound,
+            _rtol=rtol,
+            _atol=atol,
+        )
+
+
+def _foreign_options(method: Method, options: dict[str, Any]) -> None:
+    """An option that this method cannot use is a warning, an unknown one an error."""
+    for name, given in options.items():
+        if name == "mass":
+            if given is not None:
+                raise ValueError(
+                    f"mass: {method.name} is explicit and cannot use a mass matrix; solve M y' = f for y' in fun"
+                )
+        elif name in ("args", "invariants", "events"):
+            raise TypeError(f"{name} describes the problem: it is an argument of Problem or solve_ivp, not an option")
+        elif name not in _OTHER_METHODS:
+            raise unknown_option(name, _OPTIONS)
+        elif given is not None and given is not False:
+            warn(f"option {name!r} has no effect on {method.name}")
+
+
+def _warn_dropped(run: _core.Run, names: list[str]) -> None:
+    listed = ", ".join(names[i] for i in run.dropped)
+    several = len(run.dropped) > 1
+    warn(
+        f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
+        f"t = {run.dropped_at:.6g} (dependent on the others to within rtol, or stationary there), and "
+        f"{'were' if several else 'was'} left out there"
+    )
+
+
+def _derivatives(bound: BoundInvariants) -> str | None:
+    kinds = {"central differences" if jac is None else "given" for _, jac, _, _ in bound.specs}
+    return " and ".join(sorted(kinds)) or None

@@ -1,0 +1,237 @@
+"""What comes back from a solve."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._arguments import Array, warn
+from ._core import Dense
+from .invariants import BoundInvariants
+
+__all__ = ["DenseSolution", "Solution", "Stats", "Steps"]
+
+
+class Record(Mapping[str, Any]):
+    """Fields of a dataclass as items too, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
+
+    def __getitem__(self, key: str) -> Any:
+        if key in self.keys():
+            return getattr(self, key)
+        raise KeyError(key)
+
+    def __iter__(self) -> Iterator[str]:
+        return (f.name for f in dataclasses.fields(self) if not f.name.startswith("_"))  # type: ignore[arg-type]  # subclasses are dataclasses
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, key: object) -> bool:
+        return key in list(self)
+
+    __eq__ = object.__eq__  # arrays do not compare to one truth
+    __hash__ = object.__hash__
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stats(Record):
+    """Counts of a run.
+
+    Attributes
+    ----------
+    steps, failed : int
+        Accepted steps and failed attempts.
+    nfev, njev, nlu, nsolve : int
+        Evaluations of f by the method, of its Jacobian, factorisations and solutions of linear systems.
+    nfev_check : int
+        Evaluations of f by the tests that an invariant is one; not in `nfev`.
+    projections, skipped : int
+        Projected attempts, and those whose projection was not needed.
+    ng, ngjac : int
+        Evaluations of the invariants and of their Jacobians, output between steps included.
+    derivatives : str or None
+        How the Jacobians of the invariants were had: 'given', 'central differences', both, or None.
+    projected_start : bool
+        y0 was off a demanded value by less than the tolerance, and was projected.
+    """
+
+    steps: int
+    failed: int
+    nfev: int
+    nfev_check: int
+    njev: int
+    nlu: int
+    nsolve: int
+    projections: int
+    skipped: int
+    ng: int
+    ngjac: int
+    derivatives: str | None
+    projected_start: bool
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Steps(Record):
+    """The accepted steps, arrays of one value each.
+
+    Attributes
+    ----------
+    t, h : ndarray of float
+        Where the step ended, and its signed size.
+    order : ndarray of int
+        Its order.
+    error, correction : ndarray of float
+        The estimated error and the size of the correction by projection, max_i |·|_i / w_i, in units of rtol.
+    """
+
+    t: Array
+    h: Array
+    order: Array
+    error: Array
+    correction: Array
+
+    def __repr__(self) -> str:
+        return f"Steps({len(self.t)} steps)"
+
+
+class DenseSolution:
+    """The solution as a continuous function of t.
+
+    ``sol(t)`` has shape (n,) for a number and (n, n_t) for an array t. At the ends of the steps it returns the stored
+    values; between them it does what the option `interpolation` says. Outside [t_min, t_max] it extrapolates the
+    outermost step, as SciPy does.
+
+    Attributes
+    ----------
+    ts : ndarray
+        The ends of the steps, the start first.
+    t_min, t_max : float
+        The interval.
+    """
+
+    def __init__(
+        self, dense: Dense, dtype: np.dtype[Any], invariants: BoundInvariants, imposed: Mapping[str, Any] | None = None
+    ):
+        self._dense = dense
+        self._dtype = dtype
+        self._invariants = invariants
+        self._imposed = imposed
+        self.ts: Array = dense.knots()
+        self.t_min = float(min(self.ts[0], self.ts[-1]))
+        self.t_max = float(max(self.ts[0], self.ts[-1]))
+
+    def __call__(self, t: ArrayLike) -> Array:
+        times = np.asarray(t, dtype=float)
+        if times.ndim > 1:
+            raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
+        g = self._invariants
+        rows = self._dense.evaluate(np.atleast_1d(times), invariants=g.specs, value=g.value, args=g.args)
+        y: Array = (rows.view(self._dtype) if np.issubdtype(self._dtype, np.complexfloating) else rows).T
+        if self._imposed is not None and y.shape[1]:
+            y = g.impose(np.atleast_1d(times), y, **self._imposed).y
+        return y[:, 0] if times.ndim == 0 else y
+
+    def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
+        """The same with its values projected to roundoff."""
+        return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Solution(Record):
+    """Result of a solve. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+
+    Attributes
+    ----------
+    t : ndarray, (n_t,)
+        Times.
+    y : ndarray, (n, n_t)
+        The solution at t.
+    sol : DenseSolution or None
+        The solution as a function of t, with ``dense_output=True``.
+    t_events, y_events : list of ndarray, or None
+        For each event its times, (k,), and states, (k, n). None without events.
+    nfev, njev, nlu : int
+        Evaluations of f, of its Jacobian, factorisations.
+    status : int
+        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 an invariant is none.
+    message : str
+        Why the integration ended.
+    success : bool
+        status >= 0.
+    stats : Stats
+        All counts.
+    steps : Steps or None
+        The accepted steps; None with ``save="end"``.
+    """
+
+    t: Array
+    y: Array
+    sol: DenseSolution | None
+    t_events: list[Array] | None
+    y_events: list[Array] | None
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    message: str
+    success: bool
+    stats: Stats
+    steps: Steps | None
+    _invariants: BoundInvariants
+    _rtol: ArrayLike
+    _atol: ArrayLike
+
+    @cached_property
+    def residual(self) -> Array:
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed when first asked for."""
+        return self._invariants.residual(self.t, self.y)
+
+    @property
+    def correction(self) -> Array:
+        """The corrections by projection of the accepted steps, (n_steps,), in units of rtol."""
+        if self.steps is None:
+            raise ValueError('the corrections of the steps are kept with save="all"')
+        return self.steps.correction
+
+    def impose(self) -> Solution:
+        """This solution with y, the event states and ``sol(t)`` projected to roundoff onto the run's own invariants.
+
+        Returns
+        -------
+        Solution
+            Points that did not converge stay as they are, with a warning.
+        """
+        g = self._invariants
+        if not g.specs:
+            raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
+
+        def project(t: Array, y: Array) -> Array:
+            if y.shape[1] == 0:
+                return y
+            result = g.impose(t, y, self._rtol, self._atol)
+            if not result.converged.all():
+                left = int((~result.converged).sum())
+                warn(f"impose: {left} of {len(t)} points did not converge and are unchanged")
+            return result.y
+
+        events = self.y_events
+        if events is not None and self.t_events is not None:
+            events = [project(t, y.T).T for t, y in zip(self.t_events, events, strict=True)]
+        dense = self.sol and self.sol.imposed(self._rtol, self._atol)
+        return dataclasses.replace(self, y=project(self.t, self.y), y_events=events, sol=dense)
+
+    def __repr__(self) -> str:
+        width = max(map(len, self))
+        shown = {name: self[name] for name in self}
+        for name in ("t", "y"):
+            shown[name] = f"array of shape {shown[name].shape}"
+        for name in ("t_events", "y_events"):
+            if shown[name] is not None:
+                shown[name] = "[" + ", ".join(f"array of shape {one.shape}" for one in shown[name]) + "]"
+        shown["sol"] = None if self.sol is None else f"function on [{self.sol.t_min}, {self.sol.t_max}]"
+        return "\n".join(f"{name:>{width}}: {value}" for name, value in shown.items())

@@ -1,0 +1,141 @@
+"""The functions of the suite: `solve_ivp`, and each method under its own name with the suite's defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from .problem import Problem
+from .solution import Solution
+
+__all__ = ["ode23", "ode45", "solve_ivp"]
+
+
+def solve_ivp(
+    fun: Callable[..., Any],
+    t_span: Sequence[float],
+    y0: ArrayLike,
+    method: str = "ode45",
+    t_eval: ArrayLike | None = None,
+    dense_output: bool = False,
+    events: Any = None,
+    vectorized: bool = False,
+    args: Iterable[Any] | None = None,
+    *,
+    invariants: Any = None,
+    **options: Any,
+) -> Solution:
+    """Solves an initial value problem y' = f(t, y), y(t0) = y0, keeping its invariants.
+
+    The positional arguments, the fields of the result and the attributes of events are those of
+    `scipy.integrate.solve_ivp`.
+
+    Parameters
+    ----------
+    fun : callable
+        ``fun(t, y, *args)``: the derivative, a sequence or array of shape (n,); y has shape (n,).
+    t_span : (float, float)
+        (t0, tf). tf < t0 integrates backwards; an infinite tf needs a terminal event or a callback that stops.
+    y0 : array_like of shape (n,)
+        Initial state, real or complex. Complex states are weighted as pairs of reals.
+    method : str, default 'ode45'
+        A name in `METHODS`, or SciPy's name of the same pair ('RK23', 'RK45').
+    t_eval : array_like, optional
+        Times of the output, sorted in the direction of integration. Default: the ends of the steps.
+    dense_output : bool, default False
+        Whether ``Solution.sol`` is computed.
+    events : callable, Event, or list of these, optional
+        Functions ``event(t, y, *args)`` whose zeros are located, to a few units in the last place of t.
+    vectorized : bool, default False
+        Whether `fun` takes y of shape (n, k). It is called with k = 1.
+    args : tuple, optional
+        Extra arguments of `fun`, invariants and events.
+    invariants : callable, Invariants, or list of these, optional
+        What the solution keeps: each accepted step is projected onto it (paper, sections 3 and 4).
+
+    Other Parameters
+    ----------------
+    rtol, atol : float or array_like of shape (n,), defaults 1e-3 and 1e-6
+        The estimated error of component i is kept below max(rtol_i |y_i|, atol_i). rtol below 100 ε is raised to it.
+    first_step : float, optional
+        Size of the first step. Default: chosen from f(t0, y0).
+    max_step : float, optional
+        Largest step. Default: a tenth of the interval; ``inf`` lifts that.
+    refine : int, default 1
+        Points per step in the output; those inside the step are interpolated.
+    interpolation : {'projected', 'corrected', 'raw'}
+        Values between steps: continuous and on the manifold of the invariants; continuous only; or the method's own
+        extension, as in the paper and the suite.
+    fsal : {'reuse', 'evaluate'}
+        After a projection: take the last stage of the step as the first of the next (paper, section 4), or evaluate f
+        at the projected value, for one more f per step.
+    callback : callable, optional
+        ``callback(t, y)`` after each accepted step; returning True stops.
+    save : {'all', 'end'}
+        Keep all steps, or the final state and the events only: memory then does not grow with the number of steps.
+    check : bool, default True
+        Test that the invariants are invariants, and that their Jacobians are right.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arguments that are wrong; an option that is unknown; a function that returns the wrong shape.
+    InvariantError
+        y0 is off a demanded value, a Jacobian is wrong, or an invariant is none already at the start.
+
+    Warns
+    -----
+    UserWarning
+        An option that the method cannot use, a tolerance that was raised, invariants that are redundant.
+
+    Notes
+    -----
+    A numerical failure is a value: ``success`` is False, and ``message`` says why. Exceptions of the user's functions
+    come out unchanged.
+
+    References
+    ----------
+    L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def pendulum(t, y):
+    ...     return [y[1], -np.sin(y[0])]
+    >>> def energy(t, y):
+    ...     return y[1] ** 2 / 2 - np.cos(y[0])
+    >>> sol = iv.solve_ivp(pendulum, (0, 100), [1.0, 0.0], invariants=energy)
+    >>> bool(abs(sol.residual).max() < 1e-6)
+    True
+    """
+    problem = Problem(
+        _one_column(fun) if vectorized else fun, t_span, y0, args=args, invariants=invariants, events=events
+    )
+    return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **options)
+
+
+def _one_column(fun: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of columns y (n, k) as a function of one y."""
+
+    def column(t: float, y: Any, *args: Any) -> Any:
+        return fun(t, y[:, None], *args).ravel()
+
+    return column
+
+
+def ode23(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+    """`solve_ivp` with the Bogacki-Shampine (2,3) pair, for crude tolerances. Options as there."""
+    return solve_ivp(fun, t_span, y0, "ode23", **options)
+
+
+def ode45(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+    """`solve_ivp` with the Dormand-Prince (4,5) pair and the suite's default of 4 points per step. Options as there."""
+    if options.get("t_eval") is None and options.get("save", "all") == "all":
+        options.setdefault("refine", 4)
+    return solve_ivp(fun, t_span, y0, "ode45", **options)

@@ -1,0 +1,23 @@
+"""Fixtures: every law runs over the registry of methods and over the problems."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
+
+import invariode as iv
+from problems import PROBLEMS, TestProblem
+
+
+@pytest.fixture(params=list(iv.METHODS))
+def method(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(params=list(PROBLEMS))
+def problem(request: pytest.FixtureRequest) -> TestProblem:
+    return PROBLEMS[request.param]

@@ -1,0 +1,158 @@
+"""Wrong arguments are refused at the call, by name, with the value and what was expected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import invariode as iv
+
+
+def decay(t, y):
+    return [-v for v in y]
+
+
+def energy(t, y):
+    return y[0]
+
+
+CALLS = {
+    "fun": (dict(fun=3), TypeError, r"fun must be a function f\(t, y\), got 3"),
+    "t_span number": (dict(t_span=3), ValueError, "t_span must be a pair"),
+    "t_span NaN": (dict(t_span=(0, np.nan)), ValueError, r"t_span\[1\] must not be NaN"),
+    "t_span infinite start": (dict(t_span=(-np.inf, 0)), ValueError, r"t_span\[0\] must be finite"),
+    "t_span text": (dict(t_span=("a", 1)), TypeError, r"t_span\[0\] must be a real number, got 'a'"),
+    "y0 text": (dict(y0=["a"]), TypeError, "y0 must hold numbers"),
+    "y0 inf": (dict(y0=[1, np.inf]), ValueError, r"y0 must be finite, got y0\[1\] = inf"),
+    "rtol text": (dict(rtol="small"), TypeError, "rtol must be a number"),
+    "rtol NaN": (dict(rtol=np.nan), ValueError, "rtol must be finite"),
+    "atol inf": (dict(atol=np.inf), ValueError, "atol must be finite"),
+    "atol matrix": (dict(atol=[[1.0]]), ValueError, "atol must be a number or have shape"),
+    "t_eval text": (dict(t_eval=["a"]), TypeError, "t_eval must hold real numbers"),
+    "t_eval NaN": (dict(t_eval=[np.nan]), ValueError, "t_eval must lie within"),
+    "dense_output": (dict(dense_output="yes"), TypeError, "dense_output must be True or False"),
+    "check": (dict(check=1), TypeError, "check must be True or False"),
+    "refine 0": (dict(refine=0), ValueError, "refine must be a positive integer"),
+    "refine float": (dict(refine=2.5), TypeError, "refine must be a positive integer"),
+    "interpolation": (dict(interpolation="projcted"), ValueError, "did you mean 'projected'"),
+    "fsal": (dict(fsal=True), ValueError, "fsal must be one of 'reuse', 'evaluate', got True"),
+    "save": (dict(save="last"), ValueError, "save must be one of 'all', 'end'"),
+    "save and t_eval": (dict(save="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
+    "save and dense": (dict(save="end", dense_output=True), ValueError, "t_eval and dense_output need"),
+    "callback": (dict(callback=3), TypeError, "callback must be a function"),
+    "unknown option": (dict(rtoll=1e-3), TypeError, "unknown option 'rtoll'; did you mean 'rtol'"),
+    "far unknown option": (dict(zzz=1), TypeError, "unknown option 'zzz'$"),
+    "mass": (dict(mass=np.eye(2)), ValueError, "explicit and cannot use a mass matrix"),
+    "method": (dict(method="ode46"), ValueError, "unknown method 'ode46'; did you mean 'ode45'"),
+    "method type": (dict(method=45), TypeError, "method must be the name of a method"),
+    "events": (dict(events={}), TypeError, "events must be a function"),
+    "invariants": (dict(invariants=3), TypeError, r"invariants must be a function g\(t, y\)"),
+    "invariants text": (dict(invariants="energy"), TypeError, "invariants must be"),
+    "invariant None": (dict(invariants=lambda t, y: None), ValueError, "invariant g returned None"),
+    "invariant complex": (dict(invariants=lambda t, y: 1j), ValueError, "expected a real number"),
+    "invariant empty": (dict(invariants=lambda t, y: []), ValueError, "invariant g returned shape"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_refused(method, name):
+    changed, error, message = CALLS[name]
+    with pytest.raises(error, match=message):
+        iv.solve_ivp(**{"fun": decay, "t_span": (0, 2), "y0": [1, 2], "method": method} | changed)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        (dict(fun=3), TypeError, "the invariant must be a function"),
+        (dict(fun=energy, jac=3), TypeError, "jac of the invariant must be a function"),
+        (dict(fun=energy, value="a"), TypeError, "value of an invariant must be a number"),
+        (dict(fun=energy, value=np.nan), ValueError, "value of an invariant must be finite"),
+        (dict(fun=energy, value=[[1.0]]), ValueError, r"of shape \(m,\)"),
+        (dict(fun=energy, names=3), TypeError, "names"),
+        (dict(fun=energy, names=[1]), TypeError, "names of invariants must be str"),
+        (dict(fun=energy, iterations=0), ValueError, "iterations must be a positive integer"),
+    ],
+)
+def test_refused_invariants(arguments, error, message):
+    with pytest.raises(error, match=message):
+        iv.Invariants(**arguments)
+
+
+def test_sizes_that_show_only_with_the_problem():
+    with pytest.raises(ValueError, match=r"value of invariant energy must have shape \(1,\)"):
+        iv.solve_ivp(decay, (0, 1), [1, 2], invariants=iv.Invariants(energy, value=[1, 2]))
+    with pytest.raises(ValueError, match="returns 1 values and has 2 names"):
+        iv.solve_ivp(decay, (0, 1), [1, 2], invariants=iv.Invariants(energy, names=["a", "b"]))
+
+
+def test_problem():
+    with pytest.raises(TypeError, match="invariants describes the problem"):
+        iv.Problem(decay, (0, 1), [1, 2]).solve(invariants=energy)
+    with pytest.raises(ValueError, match="labels must name the 2 components"):
+        iv.Problem(decay, (0, 1), [1, 2], labels=["x"])
+    problem = iv.Problem(decay, (0, 1), [1, 2], name="decay", labels=["a", "b"])
+    assert repr(problem) == "Problem('decay', t_span=(0.0, 1.0), n=2)"
+    np.testing.assert_array_equal(problem.solve("ode23").y, iv.solve_ivp(decay, (0, 1), [1, 2], "ode23").y)
+
+
+def test_y0_is_copied():
+    y0 = np.array([1.0, 2.0])
+    problem = iv.Problem(decay, (0, 1), y0)
+    y0[:] = 5
+    np.testing.assert_array_equal(problem.y0, [1, 2])
+    problem.solve()
+    np.testing.assert_array_equal(problem.y0, [1, 2])
+
+
+def test_refine_that_has_no_effect_is_warned_of(method):
+    with pytest.warns(UserWarning, match="refine has no effect together with t_eval"):
+        iv.solve_ivp(decay, (0, 1), [1, 2], method, refine=3, t_eval=[0.5])
+
+
+def test_warnings_point_at_the_caller():
+    with pytest.warns(UserWarning) as warned:
+        iv.solve_ivp(decay, (0, 1), [1, 2], rtol=1e-20)
+        iv.solve_ivp(decay, (0, 1), [1, 2], jac=3)
+        iv.solve_ivp(decay, (0, 1), [1, 2], refine=3, t_eval=[0.5])
+        iv.ode45(decay, (0, 1), [1, 2], rtol=1e-20)
+        iv.Problem(decay, (0, 1), [1, 2]).solve(rtol=1e-20)
+    assert [w.filename for w in warned] == [__file__] * 5
+
+
+def test_pure_relative_control_at_zero_is_explained(method):
+    """atol = 0 at a component that starts at 0 and leaves: no step is small enough, and the message says why."""
+    sol = iv.solve_ivp(lambda t, y: [np.cos(t + y[0])], (0, 1), [0.0], method, atol=0)
+    if sol.status == -1:
+        assert "pure relative error control is impossible" in sol.message
+    kept = iv.solve_ivp(lambda t, y: [0.0, -y[1]], (0, 1), [0, 1], method, atol=0)
+    assert kept.success  # a zero error counts as 0
+
+
+def test_repr_and_iteration():
+    sol = iv.solve_ivp(decay, (0, 1), [1, 2], dense_output=True, events=energy)
+    text = repr(sol)
+    assert "message: The solver successfully reached" in text
+    assert "array of shape (2, " in text
+    assert "_rtol" not in text
+    assert set(dict(sol)) == set(sol.keys())
+    assert sol.stats["steps"] == sol.stats.steps == len(sol.steps.t) == len(sol.t) - 1
+    end = iv.solve_ivp(decay, (0, 1), [1, 2], save="end")
+    assert end.steps is None
+    assert end.t.tolist() == [1]
+    with pytest.raises(ValueError, match="corrections"):
+        _ = end.correction
+    with pytest.raises(ValueError, match="had no invariants"):
+        sol.impose()
+    assert sol.residual.shape == (0, len(sol.t))
+
+
+def test_registry():
+    for name, method in iv.METHODS.items():
+        assert name == method.name
+        assert method.source
+        sol = iv.solve_ivp(decay, (0, 1), [1, 2], name)
+        assert sol.nfev == 1 + method.stages * (sol.stats.steps + sol.stats.failed)
+        assert set(sol.steps.order) == {method.order}
+    with pytest.raises(TypeError):
+        iv.METHODS["new"] = None

@@ -1,0 +1,132 @@
+"""Counts and errors printed by MATLAB and in the paper are reproduced to the unit and to the printed digits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import PROBLEMS
+
+PUBLISHED = json.loads((Path(__file__).parent / "data" / "published.json").read_text())
+LINEAR = PUBLISHED["problems"]["third-order linear"]
+
+
+def third_order(t, u):
+    return [u[1], u[2], -u[2] - 4 * u[1] - 4 * u[0] + 4 * t**2 + 8 * t - 10]
+
+
+def rows(problem: str) -> list[dict]:
+    found = [row for row in PUBLISHED["rows"] if row["problem"] == problem and row.get("method", "ode45") == "ode45"]
+    assert found
+    return found
+
+
+@pytest.mark.parametrize("row", rows("third-order linear"), ids=lambda row: row["rtol"])
+def test_third_order_linear(row):
+    rtol, printed = float(row["rtol"]), row["ode45"]
+    sol = iv.ode45(
+        third_order,
+        LINEAR["t_span"],
+        LINEAR["y0"],
+        rtol=rtol,
+        atol=float(row["atol"]),
+        dense_output=True,
+        interpolation="raw",
+    )
+    assert sol.nfev == printed["nfev"]
+    t = np.linspace(0, 2, 500)
+    error = np.abs(sol.sol(t)[0] - (-np.sin(2 * t) + t**2 - 3)).max()
+    if rtol > 1e-10:
+        assert f"{error:.3e}" == printed["error"]
+    elif rtol > 1e-12:  # the last digit is roundoff's
+        assert error == pytest.approx(float(printed["error"]), abs=1.001e-15)
+    else:  # only the size is not
+        assert error == pytest.approx(float(printed["error"]), rel=0.5)
+
+
+@pytest.mark.parametrize(("n", "printed"), rows("flame")[0]["q"].items())
+def test_flame(n, printed):
+    n = int(n)
+    nodes = np.cos(np.pi * np.arange(n) / (n - 1)) if n > 1 else np.zeros(1)
+    # Clenshaw-Curtis: the rule that integrates the Chebyshev polynomials T_0 … T_{n-1} exactly.
+    exact = [2 / (1 - k * k) if k % 2 == 0 else 0 for k in range(n)]
+    weights = np.linalg.solve(np.cos(np.outer(np.arange(n), np.arccos(nodes))), exact)
+
+    def burnt(t, y):
+        return y[0] - 0.99
+
+    burnt.terminal = True
+    times = [
+        iv.ode45(lambda t, y: [y[0] ** 2 * (1 - y[0])], (0, 250), [0.01 * 2**u], events=burnt).t_events[0][0]
+        for u in nodes
+    ]
+    assert f"{weights @ times / 2:.3f}" == f"{printed:.3f}"
+
+
+def test_decay_with_ramp():
+    row = rows("x'=-2x+t")[0]
+    sol = iv.ode45(lambda t, x: [-2 * x[0] + t], (0, 10), [0])
+    assert (sol.stats.steps, sol.stats.failed, sol.nfev, len(sol.t)) == tuple(
+        row[key] for key in ("steps", "failed", "nfev", "points")
+    )
+
+
+def test_heat_equation_points():
+    x = np.arange(100) / 100
+    sol = iv.ode45(lambda t, u: 1e4 * (np.roll(u, 1) - 2 * u + np.roll(u, -1)), (0, 0.05), np.exp(-60 * (x - 0.5) ** 2))
+    assert len(sol.t) == rows("heat")[0]["points"]
+
+
+def test_linear_system_points():
+    sol = iv.ode45(lambda t, x: [x[1], -3 * x[0] + 2 * x[1]], (0, 10), [1, -1])
+    assert len(sol.t) == rows("linear 2x2")[0]["points"]
+
+
+def test_blow_up_ends_where_matlab_ends():
+    sol = iv.ode45(lambda t, u: (t + u) ** 2, (0, 1), [1])
+    assert not sol.success
+    assert sol.status == -1
+    printed = rows("blow-up")[0]["fails_at"]
+    t, hmin = printed.removeprefix("t=").split(", smallest step allowed ")
+    assert f"{sol.t[-1]:.6e}" == t
+    assert f"smallest step allowed is {hmin}" in sol.message
+
+
+COUNTS = {  # ALGORITHMS §8: largest residual, steps, failed, nfev
+    "Lotka-Volterra plain": ("ode23", False, {}, "9.1177", (391, 27, 1255)),
+    "Lotka-Volterra projected": ("ode23", True, {}, "8.7976e-05", (389, 26, 1246)),
+    "Lotka-Volterra projected, f evaluated again": ("ode23", True, {"fsal": "evaluate"}, "7.01e-05", None),
+    "pendulum plain": ("ode45", False, {}, "1.1929", (98, 10, 649)),
+    "pendulum projected": ("ode45", True, {"refine": 4, "interpolation": "raw"}, "0.00033632", (113, 9, 733)),
+}
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_paper(name):
+    method, project, options, printed, counts = COUNTS[name]
+    problem = PROBLEMS[name.split()[0]]
+    sol = problem.solve(method, project, **options)
+    values = [problem.g(t, y) for t, y in zip(sol.t, sol.y.T, strict=True)]
+    first = np.array([np.atleast_1d(v)[0] for v in values])  # of the pendulum, its length
+    digits = len(printed.replace("0.000", "").replace(".", "").split("e")[0])
+    assert float(f"{np.abs(first - first[0]).max():.{digits - 1}e}") == float(printed)
+    if counts:
+        assert (sol.stats.steps, sol.stats.failed, sol.nfev) == counts
+
+
+def test_residual_inside_the_last_step_is_that_of_figure_2():
+    problem = PROBLEMS["Lotka-Volterra"]
+    sol = problem.solve("ode23", refine=4, interpolation="raw")
+    inside = np.abs(sol.residual[0, -5:])
+    assert f"{inside.max():.2e}" == "6.76e-03"
+
+
+def test_impose_reaches_ten_units_in_the_last_place_of_g_everywhere():
+    problem = PROBLEMS["Lotka-Volterra"]
+    sol = problem.solve("ode23", refine=4, interpolation="raw").impose()
+    assert np.abs(sol.residual).max() <= 1.5e-13
+    assert np.abs(sol.residual[0, -5:]).max() <= 3e-14

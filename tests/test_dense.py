@@ -1,0 +1,111 @@
+"""The solution between steps: continuous, the stored values at the ends, on the manifold where that is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import PROBLEMS
+
+MODES = ["projected", "corrected", "raw"]
+
+
+@pytest.mark.parametrize("interpolation", ["projected", "corrected"])
+@pytest.mark.parametrize("project", [False, True])
+def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpolation):
+    """Just before and just after a knot the values differ by what the solution moves in that time, and by roundoff."""
+    sol = problem.solve(method, project, dense_output=True, interpolation=interpolation)
+    inner = sol.t[1:-1]
+    size = np.abs(sol.y).max()
+    before, after = sol.sol(np.nextafter(inner, -np.inf)), sol.sol(np.nextafter(inner, np.inf))
+    slope = max(np.abs(problem.fun(t, y)).max() for t, y in zip(sol.t, sol.y.T, strict=True))
+    bound = 16 * np.finfo(float).eps * size + 4 * slope * np.spacing(np.abs(sol.t).max())
+    # `projected`: a projection to roundoff of g is one of y divided by the gradient
+    bound *= 16 if interpolation == "projected" and project else 1
+    assert np.abs(before - sol.y[:, 1:-1]).max() <= bound
+    assert np.abs(after - sol.y[:, 1:-1]).max() <= bound
+
+
+@pytest.mark.parametrize("interpolation", MODES)
+def test_stored_values_at_the_ends_of_steps(method, problem, interpolation):
+    sol = problem.solve(method, dense_output=True, interpolation=interpolation)
+    np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
+    np.testing.assert_array_equal(sol.sol.ts, sol.t)
+
+
+@pytest.mark.parametrize("interpolation", MODES)
+def test_output_at_given_times_is_the_dense_output(method, problem, interpolation):
+    dense = problem.solve(method, dense_output=True, interpolation=interpolation)
+    t = np.linspace(*problem.t_span, 77)
+    at_times = problem.solve(method, t_eval=t, interpolation=interpolation)
+    np.testing.assert_array_equal(at_times.t, t)
+    np.testing.assert_allclose(at_times.y, dense.sol(t), rtol=1e-13, atol=1e-13)
+    refined = problem.solve(method, refine=3, interpolation=interpolation)
+    np.testing.assert_allclose(refined.y, dense.sol(refined.t), rtol=1e-13, atol=1e-13)
+
+
+def test_projected_values_keep_the_invariants_as_the_steps_do(method, problem):
+    """Between steps the residual is the one that interpolates those of the two ends."""
+    sol = problem.solve(method, refine=5)
+    at_steps = sol.residual[:, ::5]
+    scale = 1 + max(np.abs(np.atleast_1d(problem.g(t, y))).max() for t, y in zip(sol.t, sol.y.T, strict=True))
+    for j in range(1, 5):
+        blend = (1 - j / 5) * at_steps[:, :-1] + j / 5 * at_steps[:, 1:]
+        # three iterations from the error of the extension reach roundoff, unless the steps are very long
+        assert np.abs(sol.residual[:, j::5] - blend).max() < 1e-9 * scale
+    raw = problem.solve(method, refine=5, interpolation="raw")
+    assert np.abs(raw.residual).max() > 10 * np.abs(sol.residual).max()
+
+
+def test_corrected_differs_from_raw_by_the_correction_only(method):
+    problem = PROBLEMS["Lotka-Volterra"]
+    raw = problem.solve(method, refine=4, interpolation="raw")
+    corrected = problem.solve(method, refine=4, interpolation="corrected")
+    np.testing.assert_array_equal(raw.y[:, ::4], corrected.y[:, ::4])
+    weights = np.maximum(np.abs(corrected.y), 1e-3)
+    assert (np.abs(raw.y - corrected.y) / weights).max() <= corrected.correction.max() * 1e-3 * 1.01
+
+
+def test_without_invariants_all_modes_agree(method):
+    problem = PROBLEMS["Kepler"]
+    runs = [problem.solve(method, False, refine=4, interpolation=mode) for mode in MODES]
+    for run in runs[1:]:
+        np.testing.assert_allclose(run.y, runs[0].y, rtol=1e-13, atol=1e-14)
+
+
+def test_scalars_arrays_and_order_of_times(method):
+    sol = PROBLEMS["Kepler"].solve(method, dense_output=True).sol
+    t = np.array([3.0, 0.1, 19.9, 0.1, 20.0, 0.0])
+    together = sol(t)
+    assert together.shape == (4, 6)
+    for i, one in enumerate(t):
+        assert sol(one).shape == (4,)
+        np.testing.assert_array_equal(sol(one), together[:, i])
+    assert sol([]).shape == (4, 0)
+    assert (sol.t_min, sol.t_max) == (0, 20)
+    with pytest.raises(ValueError, match="1-dimensional"):
+        sol([[1.0]])
+
+
+def test_backwards(method):
+    problem = PROBLEMS["Kepler"]
+    sol = iv.solve_ivp(problem.fun, (0, -20), problem.y0, method, dense_output=True, invariants=problem.invariants())
+    assert sol.t[-1] == -20
+    assert (sol.sol.t_min, sol.sol.t_max) == (-20, 0)
+    np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
+    t = np.linspace(0, -20, 31)
+    again = iv.solve_ivp(problem.fun, (0, -20), problem.y0, method, t_eval=t, invariants=problem.invariants())
+    np.testing.assert_allclose(again.y, sol.sol(t), rtol=1e-13, atol=1e-13)
+
+
+def test_dense_output_outlives_the_run_and_may_be_used_in_threads(method):
+    from concurrent.futures import ThreadPoolExecutor
+
+    problem = PROBLEMS["Lotka-Volterra"]
+    sol = problem.solve(method, dense_output=True).sol
+    t = np.linspace(0, 50, 2000)
+    expected = sol(t)
+    with ThreadPoolExecutor(4) as pool:
+        for values in pool.map(sol, [t] * 8):
+            np.testing.assert_array_equal(values, expected)

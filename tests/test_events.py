@@ -1,0 +1,187 @@
+"""Events: each sign change once, in time order, to a few ulp of t, with states on the solution and on the manifold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import PROBLEMS
+
+
+def clock(t, y):
+    """y0 is the time itself, exactly representable by every method."""
+    return [1.0, -y[1]]
+
+
+def at(*times):
+    """An event with simple zeros at the given times."""
+
+    def event(t, y):
+        return np.prod([y[0] - s for s in times])
+
+    return event
+
+
+def run(method, events, t_span=(0, 10), **options):
+    return iv.solve_ivp(clock, t_span, [t_span[0], 1.0], method, events=events, rtol=1e-6, **options)
+
+
+def test_roots_are_found_to_a_few_ulp(method):
+    times = [0.3, 1.7, 4.00001, 9.99]
+    sol = run(method, [at(s) for s in times])
+    for s, found in zip(times, sol.t_events, strict=True):
+        assert len(found) == 1
+        assert abs(found[0] - s) <= 8 * np.spacing(10.0)
+        np.testing.assert_allclose(sol.y_events[0][0][0], sol.t_events[0][0], rtol=1e-14)
+
+
+def test_several_roots_in_one_step_are_all_found_in_order(method):
+    """Steps of length 1: three zeros between 4 and 5, of one function."""
+    times = [4.1, 4.45, 4.8]
+    sol = run(method, at(*times), max_step=1, first_step=1)
+    np.testing.assert_allclose(sol.t_events[0], times, rtol=1e-14)
+
+
+def test_root_exactly_at_the_end_of_a_step_is_reported_once(method):
+    sol = iv.solve_ivp(clock, (0, 10), [0, 0], method, events=lambda t, y: t - 4, max_step=1, first_step=1)
+    assert 4.0 in sol.t
+    np.testing.assert_array_equal(sol.t_events[0], [4.0])
+    np.testing.assert_array_equal(sol.y_events[0][0], sol.y[:, list(sol.t).index(4.0)])
+    at_the_end = run(method, lambda t, y: t - 10)
+    np.testing.assert_array_equal(at_the_end.t_events[0], [10.0])
+
+
+def test_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero(method):
+    assert run(method, at(0.0)).t_events[0].size == 0
+    np.testing.assert_allclose(run(method, at(0.0, 3.0)).t_events[0], [3.0], rtol=1e-14)
+    never = run(method, lambda t, y: 0.0)
+    assert never.t_events[0].size == 0
+
+
+def test_touch_without_a_sign_change_is_no_event(method):
+    sol = run(method, lambda t, y: (y[0] - 4.0) ** 2 * (1 if y[0] != 4.0 else 0), max_step=0.37)
+    assert sol.t_events[0].size == 0
+
+
+@pytest.mark.parametrize(("direction", "expected"), [(1, [2.0, 6.0]), (-1, [4.0]), (0, [2.0, 4.0, 6.0])])
+def test_direction(method, direction, expected):
+    sol = run(method, iv.Event(at(2.0, 4.0, 6.0), direction=direction))
+    np.testing.assert_allclose(sol.t_events[0], expected, rtol=1e-14)
+
+
+def test_direction_is_that_of_the_integration(method):
+    """Backwards, a function that rises with t falls."""
+    sol = run(method, [iv.Event(at(5.0), direction=-1), iv.Event(at(5.0), direction=1)], t_span=(10, 0))
+    assert [len(found) for found in sol.t_events] == [1, 0]
+
+
+def test_backwards_in_the_order_of_integration(method):
+    sol = run(method, at(2.0, 5.0, 7.0), t_span=(10, 0))
+    np.testing.assert_allclose(sol.t_events[0], [7.0, 5.0, 2.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_terminal_at_an_occurrence(method, count):
+    times = [2.0, 3.0, 5.0]
+    event = iv.Event(at(*times), terminal=count)
+    sol = run(method, [event, at(2.5), at(9.0)], dense_output=True)
+    assert sol.status == 1
+    assert sol.success
+    assert sol.message == "A termination event occurred."
+    np.testing.assert_allclose(sol.t_events[0], times[:count], rtol=1e-14)
+    assert len(sol.t_events[1]) == (count > 1)
+    assert len(sol.t_events[2]) == 0
+    assert sol.t[-1] == sol.t_events[0][-1] == sol.sol.t_max
+    np.testing.assert_array_equal(sol.y[:, -1], sol.y_events[0][-1])
+    np.testing.assert_array_equal(sol.sol(sol.t[-1]), sol.y[:, -1])
+
+
+def test_ties_with_the_terminal_event_are_reported_and_later_roots_dropped(method):
+    """At one instant all; in the same step but later, none."""
+    sol = run(method, [at(4.4), iv.Event(at(4.4), terminal=True), at(4.4), at(4.41)], max_step=1, first_step=1)
+    assert [len(found) for found in sol.t_events] == [1, 1, 1, 0]
+    assert sol.t_events[0][0] == pytest.approx(4.4, rel=1e-14)
+    assert all(found[0] <= sol.t[-1] for found in sol.t_events[:3])
+
+
+def test_output_ends_with_the_terminal_event(method):
+    event = iv.Event(at(4.4), terminal=True)
+    at_times = run(method, event, t_eval=np.arange(0, 10.5, 0.5))
+    np.testing.assert_array_equal(at_times.t, np.arange(0, 4.5, 0.5))
+    refined = run(method, event, refine=4)
+    assert refined.t[-1] == pytest.approx(4.4)
+    assert (np.diff(refined.t) > 0).all()
+    end = run(method, event, save="end")
+    assert end.t.shape == (1,)
+    assert end.t[0] == refined.t[-1]
+
+
+def test_infinite_interval_is_cut_by_a_terminal_event(method):
+    sol = run(method, iv.Event(at(123.0), terminal=True), t_span=(0, np.inf))
+    assert sol.t[-1] == pytest.approx(123.0, rel=1e-13)
+    still = iv.solve_ivp(lambda t, y: [0.0], (0, np.inf), [1.0], method, events=iv.Event(lambda t, y: t - 50, True))
+    assert still.t[-1] == pytest.approx(50, rel=1e-13)
+
+
+def test_event_states_are_on_the_manifold(method, problem):
+    """Located and returned on the projected solution: at every event of the run, and at the terminal one."""
+
+    def crossing(t, y):
+        return y[0] - problem.y0[0] + 0.1
+
+    sol = problem.solve(method, events=iv.Event(crossing), refine=2)
+    assert len(sol.t_events[0]) > 0
+    residuals = sol._invariants.residual(sol.t_events[0], sol.y_events[0].T)
+    assert np.abs(residuals).max() <= 1.01 * np.abs(sol.residual).max() + 1e-12
+    for y in sol.y_events[0]:
+        assert abs(crossing(0, y)) < 1e-11
+    terminal = problem.solve(method, events=iv.Event(crossing, terminal=True))
+    assert np.abs(terminal.residual[:, -1]).max() <= 1.01 * np.abs(sol.residual).max() + 1e-12
+
+
+def test_raw_and_corrected_event_states_are_on_their_interpolants(method):
+    problem = PROBLEMS["Kepler"]
+    for mode in ("corrected", "raw"):
+        sol = problem.solve(method, events=lambda t, y: y[1], interpolation=mode, dense_output=True)
+        for t, y in zip(sol.t_events[0], sol.y_events[0], strict=True):
+            np.testing.assert_allclose(sol.sol(t), y, rtol=1e-12, atol=1e-12)
+
+
+def test_no_event_is_lost_or_doubled_over_a_long_run(method):
+    """sin t crosses zero at every multiple of π."""
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -y[0]], (0, 100.5), [0, 1], method, rtol=1e-9, atol=1e-12, events=lambda t, y: y[0]
+    )
+    np.testing.assert_allclose(sol.t_events[0], np.pi * np.arange(1, 32), rtol=1e-6)
+
+
+def test_nan_is_an_error_that_names_the_event(method):
+    def height(t, y):
+        return np.nan if t > 5 else 1.0
+
+    with pytest.raises(ValueError, match="event height returned NaN at t = "):
+        run(method, height)
+
+
+def test_attributes_as_in_scipy(method):
+    def plain(t, y):
+        return y[0] - 3
+
+    plain.terminal = True
+    plain.direction = 1
+    assert run(method, plain).status == 1
+    plain.direction = -1
+    assert run(method, [plain]).status == 0
+
+
+def test_wrong_attributes():
+    for terminal in (-1, 1.5, "yes"):
+        with pytest.raises(ValueError, match=r"terminal of .* must be a boolean or a positive integer"):
+            run("ode45", iv.Event(at(1.0), terminal=terminal))
+    with pytest.raises(TypeError, match="direction of"):
+        run("ode45", iv.Event(at(1.0), direction="up"))
+    with pytest.raises(TypeError, match="an event must be a function"):
+        run("ode45", [3])
+    with pytest.raises(TypeError, match="events must be a function"):
+        run("ode45", 3)

@@ -1,0 +1,173 @@
+"""A wrong invariant is refused at the start or ends the run, by name; a right one is never accused (ALGORITHMS §6)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import (
+    PROBLEMS,
+    jacobi_integral,
+    kepler,
+    kepler_invariants,
+    lotka_volterra,
+    lotka_volterra_invariant,
+    pendulum,
+    rigid_body,
+    three_body,
+)
+
+
+def oscillator(t, y):
+    return [y[1], -4 * y[0]]
+
+
+def damped(t, y):
+    return [y[1], -4 * y[0] - 1e-3 * y[1]]
+
+
+def driven(t, y):
+    return [y[1], -4 * y[0] + 0.01 * np.sin(t)]
+
+
+def oscillator_energy(t, y):
+    return y[1] ** 2 / 2 + 2 * y[0] ** 2
+
+
+ORBIT = [0.4, 0, 0, 2]
+WRONG = {
+    "missing factor": (oscillator, [1, 0.3], lambda t, y: y[1] ** 2 + 2 * y[0] ** 2),
+    "sign": (oscillator, [1, 0.3], lambda t, y: y[1] ** 2 / 2 - 2 * y[0] ** 2),
+    "wrong stiffness": (oscillator, [1, 0.3], lambda t, y: y[1] ** 2 / 2 + 2.02 * y[0] ** 2),
+    "dissipative": (damped, [1, 0.3], oscillator_energy),
+    "forced": (driven, [1, 0.3], oscillator_energy),
+    "sign of the potential": (kepler, ORBIT, lambda t, y: (y[2] ** 2 + y[3] ** 2) / 2 + 1 / np.hypot(y[0], y[1])),
+    "potential 1/r²": (kepler, ORBIT, lambda t, y: (y[2] ** 2 + y[3] ** 2) / 2 - 1 / (y[0] ** 2 + y[1] ** 2)),
+    "wrong mass": (kepler, ORBIT, lambda t, y: (y[2] ** 2 + y[3] ** 2) / 2 - 1.01 / np.hypot(y[0], y[1])),
+    "momentum with a plus": (kepler, ORBIT, lambda t, y: y[0] * y[3] + y[1] * y[2]),
+    "exchanged rates": (lotka_volterra, [1, 3], lambda t, y: lotka_volterra_invariant(t, y[::-1])),
+    "of another problem": (lotka_volterra, [1, 3], lambda t, y: y @ y),
+    "energy in the rotating frame": (
+        three_body,
+        PROBLEMS["three-body"].y0,
+        lambda t, y: jacobi_integral(t, y) + y[0] ** 2,
+    ),
+    "Coriolis": (three_body, PROBLEMS["three-body"].y0, lambda t, y: y[0] * y[3] - y[1] * y[2]),
+    "wrong inertia": (rigid_body, [0.2, 1, 1], lambda t, y: y[0] ** 2 + 1.1 * y[1] ** 2),
+    "explicit time": (oscillator, [1, 0.3], lambda t, y: oscillator_energy(t, y) + 0.1 * t),
+    "a component": (oscillator, [1, 0.3], lambda t, y: y[0]),
+}
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_invariants_are_found(method, name, rtol):
+    fun, y0, wrong = WRONG[name]
+    invariants = iv.Invariants(wrong, names="suspect")
+    try:
+        sol = iv.solve_ivp(fun, (0, 50), y0, method, rtol=rtol, atol=rtol * 1e-3, invariants=invariants)
+    except iv.InvariantError as refused:
+        assert "suspect is not conserved" in str(refused)
+    else:
+        assert sol.status == -2
+        assert not sol.success
+        assert "suspect is not conserved" in sol.message
+        assert sol.t[-1] < 50
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
+def test_right_invariants_are_never_accused(method, problem, rtol):
+    for jac in (True, False):
+        sol = iv.solve_ivp(
+            problem.fun,
+            problem.t_span,
+            problem.y0,
+            method,
+            rtol=rtol,
+            atol=1e-3 * rtol,
+            invariants=problem.invariants(jac=jac),
+        )
+        assert sol.success, sol.message
+
+
+HARD = {
+    "value 0": (lambda t, y: [y[1], y[0]], [1, 1], lambda t, y: y[1] ** 2 - y[0] ** 2),
+    "huge": (kepler, ORBIT, lambda t, y: 1e200 * kepler_invariants(t, y)[0]),
+    "tiny": (kepler, ORBIT, lambda t, y: 1e-200 * kepler_invariants(t, y)[0]),
+    "offset": (kepler, ORBIT, lambda t, y: 1e6 + kepler_invariants(t, y)[0]),
+    "time-dependent": (lambda t, y: [np.cos(t), y[0] - np.sin(t)], [0, 2], lambda t, y: y[0] - np.sin(t)),
+    "explicit time that cancels": (lambda t, y: [1.0, -y[1]], [0, 1], lambda t, y: np.exp(t) * y[1]),
+    "close approach": (kepler, [0.02, 0, 0, (1.98 / 0.02) ** 0.5], kepler_invariants),
+    "a power": (oscillator, [1, 0.3], lambda t, y: oscillator_energy(t, y) ** 5),
+    "nearly an equilibrium": (lotka_volterra, [1.0001, 1.0001], lotka_volterra_invariant),
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_right_invariants_that_are_hard(method, name):
+    fun, y0, g = HARD[name]
+    sol = iv.solve_ivp(fun, (0, 10), y0, method, invariants=g)
+    assert sol.success, sol.message
+
+
+def test_critical_point_at_the_start(method):
+    """The energy is stationary where the oscillator rests: it is left out with a warning, and the run goes on."""
+    with pytest.warns(UserWarning, match="stationary"):
+        sol = iv.solve_ivp(oscillator, (0, 10), [0, 0], method, invariants=oscillator_energy)
+    assert sol.success
+
+
+def test_position_constraint_alone_is_told_to_need_its_derivative(method):
+    invariants = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 - 1, value=0, names="length")
+    sol = iv.solve_ivp(pendulum, (0, 50), [1, 0, 0, 0], method, invariants=invariants)
+    assert sol.status == -2
+    assert "length is not conserved" in sol.message
+    assert "hidden constraints" in sol.message
+
+
+def test_wrong_jacobian_is_refused_and_the_entry_named(method):
+    problem = PROBLEMS["Kepler"]
+
+    def wrong(t, y):
+        J = np.array(problem.jac(t, y))
+        J[1, 3] *= 1.01
+        return J
+
+    invariants = iv.Invariants(problem.g, wrong, names=["energy", "momentum"])
+    with pytest.raises(
+        iv.InvariantError, match=r"Jacobian of invariant momentum is wrong .* entry for y\[3\] is 0\.404,"
+    ):
+        iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, invariants=invariants)
+    assert iv.solve_ivp(problem.fun, (0, 1), problem.y0, method, invariants=invariants, check=False).success
+
+
+def test_wrong_jacobian_of_a_complex_problem_names_the_part(method):
+    invariants = iv.Invariants(lambda t, z: abs(z[0]) ** 2, jac=lambda t, z: 2 * z.conj())
+    with pytest.raises(iv.InvariantError, match=r"entry for y\[0\] \(imaginary part\)"):
+        iv.solve_ivp(lambda t, z: 1j * z, (0, 1), [1 + 1j], method, invariants=invariants)
+
+
+def test_check_false_takes_the_user_at_their_word(method):
+    fun, y0, wrong = WRONG["dissipative"]
+    sol = iv.solve_ivp(fun, (0, 5), y0, method, invariants=wrong, check=False)
+    assert sol.success
+    assert sol.stats.nfev_check == 0
+
+
+def test_invariant_that_is_not_finite_at_the_start():
+    with pytest.raises(ValueError, match="invariant g is not finite at t = 0"):
+        iv.solve_ivp(oscillator, (0, 1), [1, 0], invariants=lambda t, y: np.inf)
+    with pytest.raises(
+        iv.InvariantError, match="invariant oscillator_energy, or its Jacobian, is not finite at the start"
+    ):
+        iv.solve_ivp(
+            oscillator, (0, 1), [1, 0], invariants=iv.Invariants(oscillator_energy, jac=lambda t, y: [np.nan, 0])
+        )
+
+
+def test_size_of_corrections_stays_in_the_range_known_for_right_invariants(method, problem):
+    """ALGORITHMS §6: below 100 rtol for rtol <= 1e-2."""
+    for rtol in (1e-2, 1e-3, 1e-4, 1e-6):
+        sol = problem.solve(method, rtol=rtol)
+        assert sol.correction.max() < 100

@@ -1,0 +1,258 @@
+"""The experiments of the paper: each published number is met, and the report shows them all."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import invariode as iv
+from invariode.cli.app import app
+from invariode.paper import Results, Row, lotka_volterra, pendulum, report, run, three_body
+from invariode.paper.matlab import clenshaw_curtis
+from invariode.paper.plots import FIGURES
+from invariode.paper.rows import LAST_DIGIT, SIZE, at_digits_of
+
+
+@functools.cache
+def results() -> Results:
+    """All experiments, run once per session."""
+    return run()
+
+
+@functools.cache
+def page() -> str:
+    """The report, made once per session."""
+    return report(results())
+
+
+def name_of(row: Row) -> str:
+    return f"{row.experiment}: {row.quantity}"
+
+
+@pytest.mark.parametrize("row", results().rows, ids=name_of)
+def test_published_value_is_met(row):
+    assert row.agrees in (True, None), f"published {row.printed}, here {row.value!r}"
+    assert np.isfinite(row.value)
+
+
+def test_every_number_of_the_paper_has_a_row():
+    # Section 6 and its figures, for the two codes that there are.
+    published = {"9.12", "8.80e-5", "7e-3", "1.4e-14", "1.19", "3.36e-4"}
+    assert published <= {row.printed for row in results().paper}
+
+
+@pytest.mark.parametrize(
+    ("printed", "value", "shown"),
+    [
+        ("9.12", 9.117709, "9.12"),
+        ("8.80e-5", 8.7976e-5, "8.80e-5"),
+        ("9.882e-06", 9.8822e-6, "9.882e-06"),
+        ("7e-3", 6.76e-3, "7e-3"),
+        ("67", 67, "67"),
+        ("7.853789e-01", 0.78537893, "7.853789e-01"),
+        (None, 7.01e-5, "7.0e-5"),
+        ("periodic", 1.57e-3, "1.6e-3"),
+    ],
+)
+def test_value_is_shown_at_the_printed_digits(printed, value, shown):
+    assert Row("", "", printed, value).here == shown
+
+
+@pytest.mark.parametrize(
+    ("row", "agrees"),
+    [
+        (Row("", "", "9.12", 9.1251), False),
+        (Row("", "", "9.12", 9.1249), True),
+        (Row("", "", "97", 98), False),
+        (Row("", "", "4.382e-12", 4.3834e-12, rule=LAST_DIGIT), True),
+        (Row("", "", "4.382e-12", 4.3846e-12, rule=LAST_DIGIT), False),
+        (Row("", "", "4.396e-14", 9e-14, rule=SIZE), True),
+        (Row("", "", "4.396e-14", 4e-13, rule=SIZE), False),
+        (Row("", "", "9.12", np.nan), False),
+        (Row("", "", None, 1.0), None),
+    ],
+)
+def test_verdict_is_computed(row, agrees):
+    assert row.agrees is agrees
+
+
+def test_digits_carry_into_the_exponent():
+    assert at_digits_of("8.80e-5", 9.999e-5) == "1.00e-4"
+
+
+@pytest.mark.parametrize("factory", [lotka_volterra, pendulum, three_body])
+def test_jacobian_of_each_invariant_is_that_of_differences(factory):
+    problem = factory()
+    (g,) = problem.invariants
+    rng = np.random.default_rng(1999)
+    h = np.cbrt(np.finfo(float).eps)
+    for _ in range(20):
+        y = problem.y0 + 0.05 * rng.standard_normal(len(problem.y0))
+        differences = [
+            (np.asarray(g.fun(0, y + h * e)) - np.asarray(g.fun(0, y - h * e))) / (2 * h) for e in np.eye(len(y))
+        ]
+        jacobian = np.atleast_2d(g.jac(0, y))
+        np.testing.assert_allclose(
+            jacobian, np.atleast_2d(np.transpose(differences)), atol=1e-6 * np.abs(jacobian).max()
+        )
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_clenshaw_curtis_is_exact_for_polynomials_through_its_nodes(n):
+    u, w = clenshaw_curtis(n)
+    for degree in range(n):
+        assert w @ u**degree == pytest.approx((1 + (-1) ** degree) / (degree + 1), abs=1e-13)
+
+
+class Page(HTMLParser):
+    """What a page refers to, and the ids in it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags, self.ids, self.references, self.loaded = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        for key, value in attrs:
+            if key == "id":
+                self.ids.append(value)
+            elif key in ("href", "xlink:href"):
+                self.references.append(value)
+            elif key in ("src", "srcset", "data", "poster", "action"):
+                self.loaded.append(value)
+
+
+def test_report_is_self_contained():
+    parsed = Page()
+    parsed.feed(page())
+    assert not parsed.loaded
+    assert not {"script", "link", "iframe", "object", "img"} & set(parsed.tags)
+    assert all(reference.startswith("#") for reference in parsed.references)
+    assert {reference[1:] for reference in parsed.references} <= set(parsed.ids)
+    assert "@import" not in page()
+    assert all(target.startswith("#") for target in re.findall(r"url\(\s*([^)]*)\)", page()))
+
+
+def test_ids_of_the_figures_do_not_collide():
+    parsed = Page()
+    parsed.feed(page())
+    assert len(parsed.ids) == len(set(parsed.ids))
+
+
+def test_report_shows_every_figure_and_every_row():
+    assert page().count("<svg ") == page().count("</svg>") == len(FIGURES)
+    for plot in FIGURES:
+        assert f'aria-label="{plot.title}"' in page()
+    for row in results().rows:
+        assert f'<td class="n">{row.here}</td>' in page()
+    assert page().count("✓ agrees") == len(results().compared)
+    assert "✗" not in page()
+
+
+def test_report_says_how_it_was_made():
+    for text in ("invariode paper", iv.__version__, np.__version__, "ode113 follows"):
+        assert text in page()
+
+
+def with_a_wrong_row() -> Results:
+    first, *others = results().matlab
+    return dataclasses.replace(results(), matlab=[dataclasses.replace(first, value=first.value + 1), *others])
+
+
+def test_report_shows_what_differs():
+    wrong = report(with_a_wrong_row())
+    compared = len(results().compared)
+    assert wrong.count("✗ differs") == 1
+    assert f"{compared - 1} of {compared} published values are met" in wrong
+
+
+def test_command_paper_prints_the_table_and_writes_the_report(tmp_path):
+    output = tmp_path / "paper.html"
+    outcome = CliRunner().invoke(app, ["paper", "--output", str(output)], env={"COLUMNS": "120"})
+    assert outcome.exit_code == 0, outcome.output
+    assert "8.80e-5" in outcome.output
+    assert f"All {len(results().compared)} published values are met" in outcome.output
+    assert "</html>" in output.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_table_fits_the_terminal(columns, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = CliRunner().invoke(app, ["paper", "--no-report"], env={"COLUMNS": str(columns)})
+    assert outcome.exit_code == 0, outcome.output
+    assert "…" not in outcome.output
+    assert max(map(len, outcome.output.splitlines())) <= columns
+    assert ("proj." in outcome.output) == (columns == 120)
+    assert not list(tmp_path.iterdir())
+
+
+def test_command_paper_fails_when_a_number_differs(monkeypatch):
+    monkeypatch.setattr("invariode.cli.paper.run", with_a_wrong_row)
+    outcome = CliRunner().invoke(app, ["paper", "--no-report"])
+    assert outcome.exit_code == 1
+    assert "1 of" in outcome.output
+
+
+def test_command_paper_needs_a_directory(tmp_path):
+    outcome = CliRunner().invoke(app, ["paper", "--output", str(tmp_path / "none" / "paper.html")])
+    assert outcome.exit_code == 2
+    assert "no such directory" in outcome.output
+
+
+def test_command_paper_without_matplotlib_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("invariode.cli.paper.find_spec", lambda name: None)
+    outcome = CliRunner().invoke(app, ["paper"])
+    assert outcome.exit_code == 1
+    assert "pip install invariode[plot]" in outcome.output
+
+
+def test_command_methods_lists_the_registry():
+    outcome = CliRunner().invoke(app, ["methods"], env={"COLUMNS": "100"})
+    assert outcome.exit_code == 0, outcome.output
+    for method in iv.METHODS.values():
+        assert method.name in outcome.output
+        assert method.scipy_name in outcome.output
+
+
+def command(*arguments: str, prelude: str = "") -> subprocess.CompletedProcess[str]:
+    """The console entry point in a process of its own, after `prelude`."""
+    code = f"{prelude}\nimport sys\nfrom invariode.cli import main\nsys.argv = ['invariode', *{arguments!r}]\nmain()"
+    return subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_entry_point():
+    assert command("--version").stdout.strip() == f"invariode {iv.__version__}"
+    help_text = command("--help")
+    assert help_text.returncode == 0
+    assert "Example: invariode paper" in help_text.stdout
+    assert command("papers").returncode == 2
+
+
+def test_module_is_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "invariode.cli", "methods"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "ode45" in done.stdout
+
+
+@pytest.mark.parametrize("missing", ["typer", "rich"])
+def test_missing_extra_is_named(missing):
+    done = command("methods", prelude=f"import sys; sys.modules['{missing}'] = None")
+    assert done.returncode == 1
+    assert done.stderr.strip() == f"The command line needs {missing}: pip install invariode[cli]"
+
+
+def test_library_and_table_need_no_extra():
+    blocked = "import sys; sys.modules.update(matplotlib=None, typer=None, rich=None)"
+    code = f"{blocked}\nfrom invariode.paper import run\nassert run().agree"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
