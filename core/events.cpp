@@ -8,7 +8,7 @@ namespace invariode {
 namespace {
 
 constexpr double location_ulps = 2;  // width of the final bracket, in ulp of t
-constexpr double tie_ulps = 4;       // two roots this close are one instant
+constexpr double tie_ulps = 4;       // roots this close are one instant
 
 int sign_of(double v) { return (v > 0) - (v < 0); }
 
@@ -152,10 +152,13 @@ Events::Result Events::locate(std::size_t event, const Bracket& bracket, double&
       result = evaluate(event, t, y_.data(), value);
     return result == Result::ok;
   };
-  const double width = location_ulps * std::max(ulp(step_.t0), ulp(step_.t1));
+  const double width = location_ulps * step_ulp();
   find_root(e, times_[bracket.a], values_[bracket.a], times_[bracket.b], values_[bracket.b], width, root);
   return result;
 }
+
+/// The unit of time in the step, which also holds where t passes through 0.
+double Events::step_ulp() const { return std::max(ulp(step_.t0), ulp(step_.t1)); }
 
 /// Puts the occurrences into the order of integration and lets the first terminal one, with its ties, end them.
 void Events::settle() {
@@ -168,7 +171,7 @@ void Events::settle() {
   for (; kept < occurrences_.size(); ++kept) {
     Occurrence& occurrence = occurrences_[kept];
     if (terminal_) {
-      if (std::abs(occurrence.t - end) > tie_ulps * ulp(end)) break;
+      if (std::abs(occurrence.t - end) > tie_ulps * step_ulp()) break;
       occurrence.t = end;
     }
     const EventFunction& function = functions_[occurrence.event];

@@ -63,6 +63,7 @@ class Events {
   void find_brackets(std::size_t event);
   Result locate(std::size_t event, const Bracket& bracket, double& root);
   void settle();
+  [[nodiscard]] double step_ulp() const;
 
   std::vector<EventFunction> functions_;
   std::size_t n_;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <utility>
 
 namespace invariode {
 namespace {
@@ -43,9 +45,9 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       original_(invariants.n()),
       best_(invariants.n()),
       scaled_(index(invariants.n()), index(invariants.m())),
-      qr_(index(invariants.n()), index(invariants.m())),
-      solution_(index(invariants.n())),
-      workspace_(1),
+      R_(index(invariants.m()), index(invariants.m())),
+      z_(index(invariants.m())),
+      order_(invariants.m()),
       dropped_(invariants.m()) {}
 
 Outcome Projector::project(double t, const double* from, double* y) {
@@ -148,27 +150,46 @@ void Projector::solve(double t) {
   for (std::size_t j = 0; j < n; ++j) delta_[j] = w_[j] * (row[j] * distance);
 }
 
-/// With (J W)ᵀ Π = Q R and rank k, the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁: the leading k pivots alone count.
+/// With (J W)ᵀ Π = Q R and rank k the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁. Q and R come from the modified
+/// Gram-Schmidt process with pivoting, in which each pivot is orthogonalised twice: Q is then orthogonal to roundoff.
+/// (Eigen's pivoted QR allocates in each call.)
 void Projector::solve_several(double t) {
   const std::size_t m = r_.size();
-  qr_.compute(scaled_);
-  const auto& R = qr_.matrixQR();
-  const auto& pivots = qr_.colsPermutation().indices();
-  const double threshold = pivot_threshold_ * std::abs(R(0, 0));
-  const Eigen::Index most = std::min(R.rows(), R.cols());
-  Eigen::Index rank = 0;
-  while (rank < most && std::abs(R(rank, rank)) > threshold) ++rank;
-  for (auto k = static_cast<std::size_t>(rank); k < m; ++k) drop(static_cast<std::size_t>(pivots[index(k)]), t);
-
-  solution_.setZero();
-  for (Eigen::Index k = 0; k < rank; ++k) {
-    const auto i = static_cast<std::size_t>(pivots[k]);
-    double sum = preference(i) * r_[i] / norm_[i];
-    for (Eigen::Index l = 0; l < k; ++l) sum -= R(l, k) * solution_[l];
-    solution_[k] = sum / R(k, k);
+  const auto column = [this](std::size_t k) { return scaled_.col(index(order_[k])); };
+  std::iota(order_.begin(), order_.end(), std::size_t{0});
+  R_.setZero();
+  double first = 0;
+  std::size_t rank = 0;
+  for (; rank < std::min(m, w_.size()); ++rank) {
+    std::size_t pivot = rank;
+    for (std::size_t k = rank + 1; k < m; ++k)
+      if (column(k).squaredNorm() > column(pivot).squaredNorm()) pivot = k;
+    std::swap(order_[rank], order_[pivot]);
+    for (std::size_t l = 0; l < rank; ++l) remove_component(order_[rank], order_[l]);
+    const double size = column(rank).norm();
+    if (rank == 0) first = size;
+    if (size <= pivot_threshold_ * first) break;
+    column(rank) /= size;
+    R_(index(order_[rank]), index(order_[rank])) = size;
+    for (std::size_t k = rank + 1; k < m; ++k) remove_component(order_[k], order_[rank]);
   }
-  qr_.householderQ().setLength(rank).applyThisOnTheLeft(solution_, workspace_);
-  for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] = w_[j] * solution_[index(j)];
+  for (std::size_t k = rank; k < m; ++k) drop(order_[k], t);
+
+  std::fill(delta_.begin(), delta_.end(), 0);
+  for (std::size_t k = 0; k < rank; ++k) {
+    const std::size_t i = order_[k];
+    double sum = preference(i) * r_[i] / norm_[i];
+    for (std::size_t l = 0; l < k; ++l) sum -= R_(index(order_[l]), index(i)) * z_[index(l)];
+    z_[index(k)] = sum / R_(index(i), index(i));
+    for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] += w_[j] * (scaled_(index(j), index(i)) * z_[index(k)]);
+  }
+}
+
+/// Takes out of column i what it has of the unit column q, and notes it in R.
+void Projector::remove_component(std::size_t i, std::size_t q) {
+  const double component = scaled_.col(index(q)).dot(scaled_.col(index(i)));
+  scaled_.col(index(i)) -= component * scaled_.col(index(q));
+  R_(index(q), index(i)) += component;
 }
 
 void Projector::drop(std::size_t i, double t) {

@@ -2,7 +2,7 @@
 // Projection onto the manifold of the invariants in the weighted Euclidean norm (paper, sections 3 and 4; ALGORITHMS
 // §6).
 
-#include <Eigen/QR>
+#include <Eigen/Core>
 #include <cstddef>
 #include <vector>
 
@@ -57,6 +57,7 @@ class Projector {
   Outcome linearize(double t, const double* y);
   void solve(double t);
   void solve_several(double t);
+  void remove_component(std::size_t i, std::size_t q);
   void drop(std::size_t i, double t);
   [[nodiscard]] double roundoff_units(const double* y) const;  ///< largest residual, in units of its roundoff
 
@@ -65,10 +66,10 @@ class Projector {
   int iterations_;
   double pivot_threshold_;
   std::vector<double> r_, J_, norm_, w_, point_, delta_, original_, best_;
-  Eigen::MatrixXd scaled_;  // (n, m): the rows of J W, each divided by its norm, as columns
-  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr_;
-  Eigen::VectorXd solution_;
-  Eigen::RowVectorXd workspace_;
+  Eigen::MatrixXd scaled_;          // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
+  Eigen::MatrixXd R_;               // (m, m): column i has the components of row i in Q
+  Eigen::VectorXd z_;               // (m)
+  std::vector<std::size_t> order_;  // of the pivots
   double correction_ = 0;
   std::vector<char> dropped_;
   double dropped_at_ = 0;

@@ -55,6 +55,7 @@ class RungeKutta final : public Step {
     t1_ = t1;
     h_ = std::abs(h);
     purified_ = t1 - t_;
+    reevaluation_failed_ = false;
     error_ = std::numeric_limits<double>::quiet_NaN();
     Outcome outcome = inner_stages(h, std::make_index_sequence<last - 1>{});
     if (outcome == Outcome::ok) {
@@ -68,10 +69,10 @@ class RungeKutta final : public Step {
   bool reject(Cause cause, double hmin) override {
     if (h_ <= hmin) return false;
     double factor = 0.5;
-    if (!failed_ && cause != Cause::projection) {
-      const double optimal = safety * std::pow(weights_.rtol() / error_, exponent);
-      factor = optimal > T.floor ? optimal : T.floor;  // also where optimal is NaN
-    }
+    if (!failed_ && cause == Cause::error)
+      factor = std::max(T.floor, safety * std::pow(weights_.rtol() / error_, exponent));
+    else if (!failed_ && cause == Cause::not_finite)
+      factor = T.floor;
     h_ = std::max(hmin, h_ * factor);
     failed_ = true;
     return true;
@@ -81,7 +82,8 @@ class RungeKutta final : public Step {
     projected_ = !std::equal(y1, y1 + n(), candidate_);
     if (projected_ && fsal_ == Fsal::evaluate) {
       if (f_(t1_, y1, reevaluated_) == Status::stop) return Outcome::stop;
-      if (!all_finite(reevaluated_, n())) return Outcome::not_finite;
+      reevaluation_failed_ = !all_finite(reevaluated_, n());
+      if (reevaluation_failed_) return Outcome::not_finite;
     }
     std::copy(y_.begin(), y_.end(), start_);
     std::copy(y1, y1 + n(), y_.begin());
@@ -107,9 +109,11 @@ class RungeKutta final : public Step {
   [[nodiscard]] int order() const override { return T.order; }
   [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
   [[nodiscard]] int undefined_component() const override {
-    for (std::size_t k = 0; k < evaluated_; ++k)
-      for (std::size_t i = 0; i < n(); ++i)
-        if (!std::isfinite(k_[k][i])) return static_cast<int>(i);
+    for (std::size_t i = 0; i < n(); ++i) {
+      bool finite = !reevaluation_failed_ || std::isfinite(reevaluated_[i]);
+      for (std::size_t k = 0; k < evaluated_; ++k) finite &= std::isfinite(k_[k][i]);
+      if (!finite) return static_cast<int>(i);
+    }
     return -1;
   }
 
@@ -201,8 +205,9 @@ class RungeKutta final : public Step {
   std::size_t evaluated_ = 0;      // stages of the last attempt that were evaluated
   double t1_ = 0;
   double error_ = 0;
-  double purified_ = 0;  // t₁ − t
-  bool failed_ = false;  // an attempt of this step failed
+  double purified_ = 0;               // t₁ − t
+  bool reevaluation_failed_ = false;  // f(t₁, y₁) was not finite
+  bool failed_ = false;               // an attempt of this step failed
   bool accepted_ = false;
   bool projected_ = false;  // y₁ differs from y*
 };

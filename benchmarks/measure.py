@@ -1,0 +1,92 @@
+"""How all benchmarks measure, name the machine, and write their tables into docs/benchmarks.md."""
+
+from __future__ import annotations
+
+import gc
+import os
+import platform
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from time import perf_counter
+
+DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+
+#: Seconds, one per repetition, of everything that ran in turn.
+Times = Mapping[str, Sequence[float]]
+
+
+def interleaved(contestants: Mapping[str, Callable[[], object]], repetitions: int) -> Times:
+    """Times A B C A B C ...: what disturbs the machine disturbs all of them. One round before warms up."""
+    times: dict[str, list[float]] = {name: [] for name in contestants}
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        for repetition in range(-1, repetitions):
+            for name, run in contestants.items():
+                start = perf_counter()
+                run()
+                elapsed = perf_counter() - start
+                if repetition >= 0:
+                    times[name].append(elapsed)
+            gc.collect()
+    finally:
+        if collecting:
+            gc.enable()
+    return times
+
+
+def ratio(a: Iterable[float], b: Iterable[float]) -> float:
+    """Median over the repetitions of a / b: neighbours in time are compared."""
+    return statistics.median(x / y for x, y in zip(a, b, strict=True))
+
+
+def spread(seconds: Sequence[float], unit: float, digits: int = 2) -> str:
+    """Median, smallest and largest, in multiples of `unit` seconds."""
+    median, low, high = (x / unit for x in (statistics.median(seconds), min(seconds), max(seconds)))
+    return f"{median:.{digits}f} ({low:.{digits}f}–{high:.{digits}f})"
+
+
+def machine(*packages: str) -> str:
+    """The machine and the versions that the figures are from."""
+    versions = ", ".join(f"{package} {installed(package) or 'not installed'}" for package in packages)
+    return f"{_cpu()}, {os.cpu_count()} cores, {platform.system()}; Python {platform.python_version()}, {versions}"
+
+
+def installed(package: str) -> str | None:
+    """Version of the package, or None."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table that is also aligned as plain text: the first column to the left, the others to the right."""
+    lines = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
+    text = [
+        " | ".join(cell.rjust(width) if column else cell.ljust(width) for column, (cell, width) in enumerate(cells))
+        for cells in (list(zip(line, widths, strict=True)) for line in lines)
+    ]
+    rule = "|".join("-" * (width + 1) + (":" if column else "-") for column, width in enumerate(widths))
+    return "\n".join([f"| {text[0]} |", f"|{rule}|", *(f"| {line} |" for line in text[1:])])
+
+
+def write_section(name: str, text: str) -> None:
+    """Replaces what stands between the markers of the section in docs/benchmarks.md."""
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, found_begin, rest = DOCUMENT.read_text(encoding="utf-8").partition(begin)
+    _, found_end, after = rest.partition(end)
+    if not (found_begin and found_end):
+        raise SystemExit(f"{DOCUMENT.name} has no section between {begin} and {end}")
+    DOCUMENT.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")

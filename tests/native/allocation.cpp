@@ -1,0 +1,121 @@
+// Between the first accepted step and the end the loop allocates nothing but stored output.
+
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <new>
+#include <vector>
+
+#include "check.hpp"
+#include "problems.hpp"
+
+// Every malloc is counted, Eigen's and those of operator new: by AddressSanitizer's hooks, or by standing in front of
+// glibc's functions. Elsewhere operator new alone is seen.
+static std::atomic<std::int64_t> allocations{0};
+
+#if defined(__SANITIZE_ADDRESS__)
+extern "C" int __sanitizer_install_malloc_and_free_hooks(void (*on_malloc)(const volatile void*, std::size_t),
+                                                         void (*on_free)(const volatile void*));
+static const int hooked = __sanitizer_install_malloc_and_free_hooks(
+    [](const volatile void*, std::size_t) { ++allocations; }, [](const volatile void*) {});
+#elif defined(__GLIBC__)
+extern "C" {
+void* __libc_malloc(std::size_t size);
+void* __libc_calloc(std::size_t count, std::size_t size);
+void* __libc_realloc(void* old, std::size_t size);
+void* __libc_memalign(std::size_t alignment, std::size_t size);
+void* malloc(std::size_t size) { return ++allocations, __libc_malloc(size); }
+void* calloc(std::size_t count, std::size_t size) { return ++allocations, __libc_calloc(count, size); }
+void* realloc(void* old, std::size_t size) { return ++allocations, __libc_realloc(old, size); }
+void* memalign(std::size_t alignment, std::size_t size) { return ++allocations, __libc_memalign(alignment, size); }
+void* aligned_alloc(std::size_t alignment, std::size_t size) { return ++allocations, __libc_memalign(alignment, size); }
+}
+#else
+void* operator new(std::size_t size) {
+  ++allocations;
+  if (void* p = std::malloc(size > 0 ? size : 1)) return p;
+  throw std::bad_alloc();
+}
+void operator delete(void* p) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t) noexcept { std::free(p); }
+#endif
+
+using namespace invariode;
+using namespace invariode::test;
+
+namespace {
+
+/// Allocations from the end of the first step to the end of the run.
+std::int64_t allocations_of(Run& run) {
+  CHECK(run.start() == State::running);
+  CHECK(run->advance() == State::running);
+  const std::int64_t before = allocations;
+  CHECK(run->run() == State::reached_end);
+  const std::int64_t after = allocations;
+  CHECK(run->counts().steps > 20);
+  return after - before;
+}
+
+const Problem problems[] = {without_invariants(kepler(0.5)), lotka_volterra(), moving(), kepler(0.5),
+                            with_redundant_invariant(rigid_body())};
+
+template <class Look>
+void for_runs(Look look) {
+  for (const Method& method : methods)
+    for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate})
+      for (const bool user_jacobian : {true, false})
+        for (const Problem& problem : problems) {
+          const check::Case label(method.name, ", ", problem.name, ", m = ", problem.m);
+          look(method, problem, Options{.fsal = fsal, .user_jacobian = user_jacobian, .settings = {.save_all = false}});
+        }
+}
+
+}  // namespace
+
+TEST(allocations_are_counted) {
+  const std::int64_t before = allocations;
+  const std::vector<double> by_new(10);
+  const Eigen::VectorXd by_eigen(10);
+  CHECK(by_new.data() != by_eigen.data());
+#if defined(__SANITIZE_ADDRESS__) || defined(__GLIBC__)
+  CHECK(allocations == before + 2);
+#else
+  CHECK(allocations >= before + 1);
+#endif
+}
+
+TEST(a_run_that_stores_nothing_allocates_nothing) {
+  for_runs([](const Method& method, const Problem& problem, const Options& options) {
+    Run run(method, problem, options);
+    CHECK(allocations_of(run) == 0);
+  });
+}
+
+TEST(watching_events_allocates_nothing) {
+  // One event that happens and is stored, in room that is there, and one that does not.
+  Function crosses = [](double t, const double*, double* e) { e[0] = std::cos(t); };
+  Function never = [](double, const double*, double* e) { e[0] = 1; };
+  for_runs([&](const Method& method, const Problem& problem, Options options) {
+    options.events = {{as_callback(crosses)}, {as_callback(never), 1}};
+    Run run(method, problem, options);
+    run->occurrences[0].t.reserve(100);
+    run->occurrences[0].y.reserve(400);
+    CHECK(allocations_of(run) == 0);
+    CHECK(run->occurrences[0].t.size() == 16);
+  });
+}
+
+TEST(failed_attempts_allocate_nothing) {
+  for_runs([](const Method& method, Problem problem, Options options) {
+    const Function f = problem.f;
+    int calls = 0;
+    problem.f = [f, &calls](double t, const double* y, double* out) {
+      f(t, y, out);
+      if (++calls % 50 == 0) out[0] = NaN;
+    };
+    options.settings.check = false;  // as it would confirm with such an f
+    Run run(method, problem, options);
+    CHECK(allocations_of(run) == 0);
+    CHECK(run->counts().failed > 3);
+  });
+}

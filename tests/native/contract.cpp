@@ -1,0 +1,275 @@
+// The step contract: attempt proposes, accept alone commits, and what fails leaves no trace.
+
+#include <string>
+#include <vector>
+
+#include "check.hpp"
+#include "problems.hpp"
+
+using namespace invariode;
+using namespace invariode::test;
+
+namespace {
+
+/// What a step shows of the point reached.
+struct Snapshot {
+  double t;
+  std::vector<double> y;
+  explicit Snapshot(const Step& step) : t(step.t()), y(step.y(), step.y() + step.n()) {}
+  bool operator==(const Snapshot& other) const { return t == other.t && same_bits(y, other.y); }
+};
+
+std::vector<double> extension_of(const Step& step) {
+  std::vector<double> data(step.extension_size());
+  step.extension(data.data());
+  return data;
+}
+
+/// A step of Kepler's problem at (t, y) = start, with f that can be told to fail.
+struct Bench {
+  /// The default rtol makes h an honest rejection.
+  explicit Bench(const Method& method, Fsal fsal = Fsal::reuse, double rtol = 1e-10)
+      : weights(rtol, std::vector<double>(4, 1e-3), {}), step(method.make(callback, weights, fsal)) {
+    CHECK(step->start(0, problem.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
+  }
+
+  Step::Attempt attempt(double h) { return step->attempt(h, step->t() + h); }
+  std::vector<double> candidate(double h) {
+    const Step::Attempt proposal = attempt(h);
+    CHECK(proposal.outcome == Outcome::ok);
+    return {proposal.y, proposal.y + step->n()};
+  }
+
+  Problem problem = kepler(0.5);
+  Weights weights;
+  double spoil = 0;  // added to f: NaN and infinity make it undefined
+  Status status = Status::ok;
+  Function f = [this](double t, const double* y, double* out) {
+    problem.f(t, y, out);
+    out[2] += spoil;
+  };
+  std::function<Status(double, const double*, double*)> guarded = [this](double t, const double* y, double* out) {
+    f(t, y, out);
+    return status;
+  };
+  Callback callback = as_callback(guarded);
+  std::unique_ptr<Step> step;
+};
+
+constexpr double h = 0.1;
+
+}  // namespace
+
+TEST(an_attempt_that_is_rejected_leaves_t_and_y_as_they_were) {
+  for (const Method& method : methods)
+    for (const Cause cause : {Cause::error, Cause::projection, Cause::not_finite}) {
+      const check::Case label(method.name, ", cause ", static_cast<int>(cause));
+      Bench bench(method);
+      CHECK(bench.step->accept(bench.candidate(h).data()) == Outcome::ok);
+      const Snapshot before(*bench.step);
+      for (int failure = 0; failure < 3; ++failure) {
+        (void)bench.attempt(h);
+        CHECK(before == Snapshot(*bench.step));
+        CHECK(bench.step->reject(cause, 0));
+        CHECK(before == Snapshot(*bench.step));
+        CHECK(bench.step->h() < h);
+      }
+    }
+}
+
+TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
+  for (const Method& method : methods)
+    for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
+      const check::Case label(method.name);
+      Bench bench(method, fsal);
+      std::vector<double> y1 = bench.candidate(h);
+      y1[0] += 1e-4;  // as a projection would
+      CHECK(bench.step->accept(y1.data()) == Outcome::ok);
+      const std::vector<double> data = extension_of(*bench.step);
+      bench.step->set_h(h / 3);
+      CHECK(same_bits(data, extension_of(*bench.step)));
+      CHECK(bench.step->extension_size() <= bench.step->max_extension_size());
+      double y[4];
+      bench.step->interpolate()(data.data(), data.size(), 4, 0, y);
+      CHECK(same_bits(y, bench.problem.y0.data(), 4));
+      bench.step->interpolate()(data.data(), data.size(), 4, 1, y);
+      y1[0] -= 1e-4;  // the raw extension ends at y*
+      CHECK_CLOSE(distance(y, y1.data(), 4), 0, 20 * eps);
+    }
+}
+
+TEST(a_retry_with_the_same_h_gives_bitwise_the_same_step) {
+  for (const Method& method : methods)
+    for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
+      const check::Case label(method.name);
+      Bench bench(method, fsal), plain(method, fsal);
+      for (int step = 0; step < 3; ++step) {
+        std::vector<double> expected = plain.candidate(h);
+        CHECK(same_bits(bench.candidate(h), expected));
+        CHECK(bench.step->reject(Cause::error, 0));
+        (void)bench.attempt(h / 7);
+        CHECK(bench.step->reject(Cause::projection, 0));
+        CHECK(same_bits(bench.candidate(h), expected));
+        expected[1] += 1e-5;
+        CHECK(plain.step->accept(expected.data()) == Outcome::ok);
+        CHECK(bench.step->accept(expected.data()) == Outcome::ok);
+        CHECK(Snapshot(*bench.step) == Snapshot(*plain.step));
+        CHECK(same_bits(extension_of(*bench.step), extension_of(*plain.step)));
+      }
+    }
+}
+
+TEST(an_accept_that_fails_commits_nothing) {
+  for (const Method& method : methods)
+    for (const Outcome failure : {Outcome::not_finite, Outcome::stop}) {
+      const check::Case label(method.name, ", outcome ", static_cast<int>(failure));
+      Bench bench(method, Fsal::evaluate), plain(method, Fsal::evaluate);
+      for (Bench* b : {&bench, &plain}) CHECK(b->step->accept(b->candidate(h).data()) == Outcome::ok);
+      const Snapshot before(*bench.step);
+      std::vector<double> y1 = bench.candidate(h);
+      y1[3] -= 1e-4;
+      bench.spoil = failure == Outcome::not_finite ? NaN : 0;
+      bench.status = failure == Outcome::stop ? Status::stop : Status::ok;
+      CHECK(bench.step->accept(y1.data()) == failure);
+      CHECK(before == Snapshot(*bench.step));
+      bench.spoil = 0;
+      bench.status = Status::ok;
+      CHECK(bench.step->reject(Cause::not_finite, 0));
+      for (int step = 0; step < 2; ++step) {
+        y1 = plain.candidate(h);
+        CHECK(same_bits(bench.candidate(h), y1));
+        y1[3] -= 1e-4;
+        for (Bench* b : {&bench, &plain}) CHECK(b->step->accept(y1.data()) == Outcome::ok);
+        CHECK(Snapshot(*bench.step) == Snapshot(*plain.step));
+        CHECK(same_bits(extension_of(*bench.step), extension_of(*plain.step)));
+      }
+    }
+}
+
+TEST(an_accept_that_fails_is_retried_with_a_smaller_step_and_names_the_component) {
+  for (const Method& method : methods)
+    for (const double size : {h, h / 50}) {  // with an error that is close to the tolerance, and one far below
+      const check::Case label(method.name, ", h ", size);
+      Bench bench(method, Fsal::evaluate, 1e-3);
+      std::vector<double> y1 = bench.candidate(size);
+      y1[3] -= 1e-4;
+      bench.spoil = NaN;
+      CHECK(bench.step->accept(y1.data()) == Outcome::not_finite);
+      CHECK(bench.step->undefined_component() == 2);
+      CHECK(bench.step->reject(Cause::not_finite, 0));
+      CHECK(bench.step->h() < size);
+    }
+}
+
+TEST(a_value_of_f_that_is_not_finite_fails_the_attempt_whichever_stage_it_is) {
+  for (const Method& method : methods)
+    for (const double bad : {NaN, infinity, -infinity}) {
+      Bench counter(method);
+      const std::int64_t before = counter.callback.calls();
+      (void)counter.attempt(h);
+      const std::int64_t stages = counter.callback.calls() - before;
+      CHECK(stages == (method.order == 3 ? 3 : 6));
+      for (std::int64_t k = 0; k < stages; ++k) {
+        const check::Case label(method.name, ", stage ", k + 1, " is ", bad);
+        Bench bench(method);
+        std::int64_t call = 0;
+        bench.f = [&](double t, const double* y, double* out) {
+          bench.problem.f(t, y, out);
+          if (call++ == k) out[3] = bad;
+        };
+        const Step::Attempt proposal = bench.attempt(h);
+        CHECK(proposal.outcome == Outcome::not_finite || !std::isfinite(proposal.error));
+        CHECK(bench.step->undefined_component() == 3);
+        CHECK(bench.step->reject(Cause::not_finite, 0));
+        CHECK(same_bits(bench.candidate(h), Bench(method).candidate(h)));
+      }
+    }
+}
+
+TEST(f_is_never_asked_at_a_point_that_is_not_finite) {
+  const auto run = [](const Method& method, Problem problem, double first_step) {
+    const check::Case label(method.name, ", ", problem.name);
+    bool asked = false;
+    const Function f = problem.f;
+    problem.f = [&asked, f, n = problem.y0.size()](double t, const double* y, double* out) {
+      asked = asked || !all_finite(y, n) || !std::isfinite(t);
+      f(t, y, out);
+    };
+    Options options;
+    options.settings.first_step = first_step;
+    options.settings.hmax = infinity;
+    Run r(method, problem, options);
+    (void)r.run();
+    CHECK(!asked);
+    CHECK(r->counts().failed > 0);
+  };
+  const Problem square = scalar("y' = y^2", 1, 2, [](double, const double* y, double* out) { out[0] = y[0] * y[0]; });
+  const Problem exponential =
+      scalar("y' = exp(y)", 1, 2, [](double, const double* y, double* out) { out[0] = std::exp(y[0]); });
+  const Problem root =
+      scalar("y' = -1 / sqrt(y)", 1, 2, [](double, const double* y, double* out) { out[0] = -1 / std::sqrt(y[0]); });
+  for (const Method& method : methods) {
+    run(method, square, 2);
+    run(method, square, 1e200);
+    run(method, exponential, 2);
+    run(method, root, 2);
+    run(method, lotka_volterra(), 40);  // logarithms of negative numbers
+  }
+}
+
+namespace {
+
+/// Kepler's problem with all kinds of user functions, which count their calls together; call number `last` stops.
+struct Stoppable {
+  using Counted = std::function<Status(double, const double*, double*)>;
+
+  Counted counted(Function function) {
+    return [this, function = std::move(function)](double t, const double* y, double* out) {
+      function(t, y, out);
+      return ++calls == last ? Status::stop : Status::ok;
+    };
+  }
+
+  State run(const Method& method, Fsal fsal, bool user_jacobian, std::int64_t stop_at) {
+    calls = 0;
+    last = stop_at;
+    Callback rhs = as_callback(f);
+    Invariants invariants(4, {{as_callback(g), user_jacobian ? as_callback(jacobian) : Callback{}, 2}}, value, weights);
+    Settings settings;
+    settings.tf = problem.tf;
+    settings.hmax = 1;
+    settings.iterations = method.iterations;
+    settings.refine = 2;
+    settings.dense = true;
+    Integration integration(method.make(rhs, weights, fsal), weights, rhs, &invariants, {{as_callback(event)}},
+                            as_callback(callback), settings);
+    (void)integration.start(problem.y0.data());
+    return integration.run();
+  }
+
+  std::int64_t calls = 0, last = 0;
+  Problem problem = kepler(0.3, 3);
+  std::vector<double> value = {-0.5, std::sqrt(1 - 0.09)};
+  Weights weights{1e-2, std::vector<double>(4, 1e-2), {}};
+  Counted f = counted(problem.f), g = counted(problem.g), jacobian = counted(problem.jacobian);
+  Counted event = counted([](double, const double* y, double* e) { e[0] = y[1] - 0.5; });
+  Counted callback = counted([](double, const double*, double* flag) { flag[0] = 0; });
+};
+
+}  // namespace
+
+TEST(a_user_function_that_stops_ends_the_run_at_once_whichever_call_it_is) {
+  for (const Method& method : methods)
+    for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate})
+      for (const bool user_jacobian : {true, false}) {
+        Stoppable functions;
+        CHECK(functions.run(method, fsal, user_jacobian, 0) == State::reached_end);
+        const std::int64_t all = functions.calls;
+        CHECK(all > 50);
+        for (std::int64_t k = 1; k <= all; ++k) {
+          const check::Case label(method.name, ", call ", k, " of ", all);
+          CHECK(functions.run(method, fsal, user_jacobian, k) == State::interrupted);
+          CHECK(functions.calls == k);
+        }
+      }
+}

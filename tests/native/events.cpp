@@ -1,0 +1,260 @@
+// Events: every sign change once, in order, to a few ulp of t.
+
+#include <algorithm>
+#include <list>
+#include <vector>
+
+#include "check.hpp"
+#include "problems.hpp"
+
+using namespace invariode;
+using namespace invariode::test;
+
+namespace {
+
+/// Event functions, kept where the callbacks find them.
+class Watch {
+ public:
+  Watch& add(Function function, std::int64_t terminal = 0, int direction = 0) {
+    functions_.push_back(std::move(function));
+    events_.push_back({as_callback(functions_.back()), terminal, direction});
+    return *this;
+  }
+  /// The event 'time c'.
+  Watch& at(double c, std::int64_t terminal = 0) {
+    return add([c](double t, const double*, double* e) { e[0] = t - c; }, terminal);
+  }
+  operator const std::vector<EventFunction>&() const { return events_; }
+
+ private:
+  std::list<Function> functions_;
+  std::vector<EventFunction> events_;
+};
+
+const Function sine = [](double, const double* y, double* e) { e[0] = y[1]; };  // −sin t of the harmonic oscillator
+
+Options watching(const Watch& watch, Settings settings = {}, double rtol = 1e-3) {
+  return {.rtol = rtol, .settings = std::move(settings), .events = watch};
+}
+
+}  // namespace
+
+TEST(a_root_at_a_step_end_is_found_once_and_exactly) {
+  for (const Method& method : methods)
+    for (const double size : {1.0, -1.0}) {
+      const check::Case label(method.name, ", direction ", size);
+      Watch watch;
+      watch.at(3 * size).at(7 * size);
+      Settings settings{.tf = 10 * size, .hmax = 1, .first_step = 1};
+      Run run(method, clock(0), watching(watch, settings));
+      CHECK(run.run() == State::reached_end);
+      CHECK(run->counts().steps == 10);
+      CHECK(run->occurrences[0].t == std::vector<double>{3 * size});
+      CHECK(run->occurrences[1].t == std::vector<double>{7 * size});
+    }
+}
+
+TEST(a_root_at_the_very_end_is_found) {
+  for (const Method& method : methods) {
+    Watch watch;
+    watch.at(10, 1);
+    Run run(method, clock(10), watching(watch));
+    CHECK(run.run() == State::terminal_event);
+    CHECK(run->occurrences[0].t == std::vector<double>{10});
+    CHECK(run->points.t.back() == 10);
+  }
+}
+
+TEST(the_roots_of_a_step_are_found_in_order) {
+  for (const Method& method : methods) {
+    const check::Case label(method.name);
+    Watch watch;
+    watch.at(0.7).at(0.2).at(0.45);
+    watch.add([](double t, const double*, double* e) { e[0] = (t - 0.1) * (t - 0.4) * (t - 0.9); });
+    Run run(method, clock(1), watching(watch, {.hmax = infinity, .first_step = 1}));
+    CHECK(run.run() == State::reached_end);
+    CHECK(run->counts().steps == 1);
+    CHECK_CLOSE(run->occurrences[0].t.at(0), 0.7, 2 * eps);
+    CHECK_CLOSE(run->occurrences[1].t.at(0), 0.2, 2 * eps);
+    CHECK_CLOSE(run->occurrences[2].t.at(0), 0.45, 2 * eps);
+    const std::vector<double>& several = run->occurrences[3].t;
+    const double expected[] = {0.1, 0.4, 0.9};
+    CHECK(several.size() == 3 && std::is_sorted(several.begin(), several.end()));
+    for (std::size_t i = 0; i < several.size(); ++i) CHECK_CLOSE(several[i], expected[i], 8 * eps);
+  }
+}
+
+TEST(an_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero) {
+  for (const Method& method : methods)
+    for (const double tf : {10.0, -10.0}) {
+      const check::Case label(method.name, ", tf ", tf);
+      Watch watch;
+      watch.add(sine, 0).add([](double, const double*, double* e) { e[0] = 0; });
+      Run run(method, without_invariants(harmonic()), watching(watch, {.tf = tf}, 1e-6));
+      CHECK(run.run() == State::reached_end);
+      const std::vector<double>& t = run->occurrences[0].t;
+      CHECK(t.size() == 3);
+      for (std::size_t k = 0; k < t.size(); ++k)
+        CHECK_CLOSE(t[k], (tf > 0 ? pi : -pi) * static_cast<double>(k + 1), 1e-4);
+      CHECK(run->occurrences[1].t.empty());  // always zero: always asleep
+    }
+}
+
+TEST(a_tangency_without_a_sign_change_is_no_event) {
+  for (const Method& method : methods) {
+    Watch watch;
+    for (const double root : {2.5, 3.1, 4.75})  // where the scan finds an exact zero, and where not
+      watch.add([root](double t, const double*, double* e) { e[0] = (t - root) * (t - root); });
+    Run run(method, clock(10), watching(watch, {.hmax = 1, .first_step = 1}));
+    CHECK(run.run() == State::reached_end);
+    for (const Trajectory& found : run->occurrences) CHECK(found.t.empty());
+  }
+}
+
+TEST(the_direction_is_that_of_the_integration) {
+  for (const Method& method : methods)
+    for (const double forward : {1.0, -1.0}) {
+      const check::Case label(method.name, ", direction ", forward);
+      // cos t falls through its first zero after the start, whichever way.
+      const Function cosine = [](double, const double* y, double* e) { e[0] = y[0]; };
+      Watch watch;
+      watch.add(cosine, 0, 0).add(cosine, 0, 1).add(cosine, 0, -1);
+      Run run(method, without_invariants(harmonic()), watching(watch, {.tf = 12 * forward}, 1e-6));
+      CHECK(run.run() == State::reached_end);
+      const std::vector<double>& all = run->occurrences[0].t;
+      const std::vector<double>& rising = run->occurrences[1].t;
+      const std::vector<double>& falling = run->occurrences[2].t;
+      CHECK(all.size() == 4 && rising.size() == 2 && falling.size() == 2);
+      for (std::size_t k = 0; k < 4; ++k) CHECK(all[k] == (k % 2 == 0 ? falling : rising)[k / 2]);
+    }
+}
+
+TEST(a_terminal_event_ends_the_run_at_its_count) {
+  for (const Method& method : methods)
+    for (std::int64_t count = 1; count <= 3; ++count) {
+      const check::Case label(method.name, ", count ", count);
+      Watch watch;
+      watch.add(sine, count).at(2.5 * pi);
+      Run run(method, harmonic(), watching(watch, {.dense = true}, 1e-6));
+      CHECK(run.run() == State::terminal_event);
+      const Trajectory& found = run->occurrences[0];
+      CHECK(static_cast<std::int64_t>(found.t.size()) == count);
+      CHECK(run->occurrences[1].t.size() == (count == 3 ? 1u : 0u));
+      CHECK(run->points.t.back() == found.t.back());
+      CHECK(run->steps.t.back() == found.t.back());
+      CHECK(run->dense->knots().back() == found.t.back());
+      CHECK(same_bits(run.last(), &found.y.end()[-2], 2));
+      CHECK(run->advance() == State::terminal_event);  // and it stays ended
+    }
+}
+
+TEST(ties_with_the_terminal_event_are_reported_and_later_events_are_dropped) {
+  for (const Method& method : methods)
+    for (const bool terminal_first : {true, false}) {
+      const check::Case label(method.name, ", terminal first ", terminal_first);
+      Watch watch;
+      if (terminal_first) watch.at(0.6, 1);
+      watch.add([](double t, const double*, double* e) { e[0] = std::sin(t - 0.6); });
+      watch.add([](double t, const double*, double* e) { e[0] = std::exp(t) - std::exp(0.6); });
+      watch.at(0.61).at(0.3);
+      if (!terminal_first) watch.at(0.6, 1);
+      Run run(method, clock(1), watching(watch, {.hmax = infinity, .first_step = 1}));
+      CHECK(run.run() == State::terminal_event);
+      std::size_t at_end = 0, before = 0;
+      for (const Trajectory& found : run->occurrences)
+        for (const double t : found.t) {
+          CHECK_CLOSE(t, t < 0.5 ? 0.3 : 0.6, 4 * eps);
+          (t < 0.5 ? before : at_end) += 1;
+        }
+      CHECK(before == 1 && at_end == 3);
+    }
+}
+
+TEST(ties_are_ties_at_time_zero_too) {
+  for (const Method& method : methods) {
+    const check::Case label(method.name);
+    Watch watch;
+    for (const double rate : {1.0, 2.0, 3.0})
+      watch.add([rate](double t, const double*, double* e) { e[0] = std::expm1(rate * t); }, 1);
+    Run run(method, clock(1), watching(watch, {.t0 = -0.9, .hmax = infinity, .first_step = 2}));
+    CHECK(run.run() == State::terminal_event);
+    for (const Trajectory& found : run->occurrences) CHECK(found.t.size() == 1 && std::abs(found.t[0]) <= 2 * eps);
+  }
+}
+
+TEST(an_event_that_is_nan_ends_the_run_and_is_named) {
+  for (const Method& method : methods)
+    for (const double from : {0.0, 0.5, 3.3}) {
+      const check::Case label(method.name, ", NaN from ", from);
+      Watch watch;
+      watch.at(20).add([from](double t, const double*, double* e) { e[0] = t < from ? 1 : NaN; });
+      Run run(method, clock(10), watching(watch, {.hmax = 1, .first_step = 1}));
+      CHECK(run.run() == State::event_undefined);
+      CHECK(run->report().event == 1);
+      CHECK(run->report().t >= from && run->report().t <= from + 1);
+    }
+}
+
+TEST(roots_are_located_to_a_few_ulp_of_t) {
+  // What the event function sees at a root may be off by the roundoff of its own terms: a few ulp more.
+  const struct {
+    const char* name;
+    Function e;
+    double root;
+  } examples[] = {
+      {"t - 1/3", [](double t, const double*, double* e) { e[0] = t - 1. / 3; }, 1. / 3},
+      {"sin 3t", [](double t, const double*, double* e) { e[0] = std::sin(3 * t); }, pi / 3},
+      {"exp t - 2", [](double t, const double*, double* e) { e[0] = std::exp(t) - 2; }, std::log(2)},
+      {"t^9 - 1/2", [](double t, const double*, double* e) { e[0] = std::pow(t, 9) - 0.5; }, std::pow(0.5, 1. / 9)},
+      {"cube root", [](double t, const double*, double* e) { e[0] = std::cbrt(t - 0.7); }, 0.7},
+      {"jump", [](double t, const double*, double* e) { e[0] = t < 0.7 ? -1 : 1; }, 0.7},
+      {"steep", [](double t, const double*, double* e) { e[0] = std::tanh(1e6 * (t - 0.7)); }, 0.7},
+      {"huge", [](double t, const double*, double* e) { e[0] = 1e300 * (t - 0.7); }, 0.7},
+      {"infinite", [](double t, const double*, double* e) { e[0] = t < 0.7 ? -infinity : infinity; }, 0.7},
+      {"tiny", [](double t, const double*, double* e) { e[0] = 1e-300 * (t - 0.7); }, 0.7},
+  };
+  for (const Method& method : methods)
+    for (const auto& example : examples)
+      for (const bool long_steps : {false, true}) {
+        const check::Case label(method.name, ", ", example.name);
+        Watch watch;
+        watch.add(example.e, 1);
+        Run run(method, clock(1.2), watching(watch, {.hmax = long_steps ? infinity : 0.1, .first_step = 1}));
+        CHECK(run.run() == State::terminal_event);
+        CHECK_CLOSE(run->points.t.back(), example.root, 4 * ulp(example.root) + (long_steps ? 2 : 1) * eps);
+      }
+}
+
+TEST(locating_a_root_takes_few_evaluations) {
+  // Bisection of a step down to 2 ulp takes some 50, superlinear convergence some 10.
+  for (const Method& method : methods) {
+    std::int64_t calls = 0;
+    Watch watch;
+    watch.add([&calls](double t, const double*, double* e) { e[0] = std::exp(t) - 2, ++calls; }, 1);
+    Run run(method, clock(1), watching(watch, {.hmax = infinity, .first_step = 1}));
+    CHECK(run.run() == State::terminal_event);
+    CHECK(calls <= 20);
+  }
+}
+
+TEST(an_event_is_where_the_values_returned_are_zero) {
+  // The state stored with an event is the continuous solution there, and the event function vanishes at it to roundoff.
+  for (const Method& method : methods)
+    for (const Interpolation interpolation : {Interpolation::projected, Interpolation::corrected, Interpolation::raw}) {
+      const check::Case label(method.name, ", interpolation ", static_cast<int>(interpolation));
+      Watch watch;
+      watch.add([](double, const double* y, double* e) { e[0] = y[0] - 0.25; });
+      Run run(method, kepler(0.5), watching(watch, {.interpolation = interpolation, .dense = true}));
+      CHECK(run.run() == State::reached_end);
+      const Trajectory& found = run->occurrences[0];
+      CHECK(found.t.size() >= 10);
+      std::vector<double> y(found.y.size());
+      Projector projector(*run.invariants, run.weights, 1);
+      CHECK(run->dense->evaluate(found.t.data(), found.t.size(), y.data(), &projector) == Status::ok);
+      CHECK(same_bits(y, found.y));
+      for (std::size_t k = 0; k < found.t.size(); ++k) {
+        const double speed = std::abs(found.y[4 * k + 2]);
+        CHECK_CLOSE(found.y[4 * k], 0.25, (2 + speed) * 4 * ulp(found.t[k]) + 8 * eps);
+      }
+    }
+}

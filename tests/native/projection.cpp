@@ -1,0 +1,255 @@
+// The projection is the minimum-norm Newton correction in the norm of the weights, whatever the units and rank of g.
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <random>
+#include <vector>
+
+#include "check.hpp"
+#include "problems.hpp"
+
+using namespace invariode;
+using namespace invariode::test;
+
+namespace {
+
+using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using Vector = Eigen::VectorXd;
+
+/// Invariants J y of a matrix, with the value `value`: one Newton iteration is exact.
+struct Linear {
+  Linear(Matrix matrix, const Vector& value, const Weights& weights)
+      : J(std::move(matrix)),
+        invariants(static_cast<std::size_t>(J.cols()),
+                   {{as_callback(g), as_callback(jacobian), static_cast<std::size_t>(J.rows())}},
+                   {value.data(), value.data() + value.size()}, weights) {}
+  Linear(const Linear&) = delete;
+
+  Matrix J;
+  Function g = [this](double, const double* y, double* r) {
+    Eigen::Map<Vector>(r, J.rows()) = J * Eigen::Map<const Vector>(y, J.cols());
+  };
+  Function jacobian = [this](double, const double*, double* out) { std::copy(J.data(), J.data() + J.size(), out); };
+  Invariants invariants;
+};
+
+/// A random linear projection problem: y* near `from`, weights of different sizes.
+struct Sample {
+  Sample(int m, int n, unsigned seed)
+      : random(seed),
+        J(draw(m, n)),
+        from(draw(n, 1)),
+        y(from + 0.1 * draw(n, 1)),
+        value(J * from),
+        weights(1e-9, thresholds(n), {}) {}
+
+  Matrix draw(int rows, int columns) {
+    std::normal_distribution<double> normal;
+    return Matrix::NullaryExpr(rows, columns, [&] { return normal(random); });
+  }
+  std::vector<double> thresholds(int n) {
+    std::vector<double> thr(static_cast<std::size_t>(n));
+    for (double& w : thr) w = std::exp(3 * draw(1, 1)(0));
+    return thr;
+  }
+  /// y projected onto J y = value by the projector.
+  Vector project(const Matrix& matrix, const Vector& target, std::vector<char>* dropped = nullptr) const {
+    Linear linear(matrix, target, weights);
+    Projector projector(linear.invariants, weights, 1);
+    Vector result = y;
+    CHECK(projector.project(0, from.data(), result.data()) == Outcome::ok);
+    if (dropped) *dropped = projector.dropped();
+    return result;
+  }
+  [[nodiscard]] Vector project() const { return project(J, value); }
+  /// The same by the dense formula y − W² Jᵀ (J W² Jᵀ)⁻¹ (J y − value).
+  [[nodiscard]] Vector reference() const {
+    Vector w(y.size());
+    weights.fill(from.data(), y.data(), w.data());
+    const Matrix W2Jt = w.cwiseAbs2().asDiagonal() * J.transpose();
+    return y - W2Jt * (J * W2Jt).fullPivLu().solve(J * y - value);
+  }
+  /// max_i |a_i − b_i| / w_i.
+  [[nodiscard]] double difference(const Vector& a, const Vector& b) const {
+    Vector w(y.size());
+    weights.fill(from.data(), y.data(), w.data());
+    return (a - b).cwiseQuotient(w).cwiseAbs().maxCoeff();
+  }
+
+  /// What roundoff may do to a result whose errors grow as κ^power, κ the condition of the rows of J W scaled to 1.
+  [[nodiscard]] double roundoff(int power) const {
+    Vector w(y.size());
+    weights.fill(from.data(), y.data(), w.data());
+    const Matrix rows = (J * w.asDiagonal()).rowwise().normalized();
+    const Vector singular = rows.jacobiSvd().singularValues();
+    const double size = 1 + y.cwiseQuotient(w).cwiseAbs().maxCoeff() + difference(y, project());
+    return 20 * eps * std::pow(singular[0] / singular[singular.size() - 1], power) * size;
+  }
+
+  std::mt19937 random;
+  Matrix J;
+  Vector from, y, value;
+  Weights weights;
+};
+
+template <class Check>
+void for_samples(Check check_sample) {
+  unsigned seed = 0;
+  for (int m = 1; m <= 3; ++m)
+    for (int n = 4; n <= 7; ++n)
+      for (int repeat = 0; repeat < 20; ++repeat, ++seed) {
+        const check::Case label("m = ", m, ", n = ", n, ", seed ", seed);
+        check_sample(Sample(m, n, seed));
+      }
+}
+
+int count(const std::vector<char>& flags) { return static_cast<int>(std::count(flags.begin(), flags.end(), 1)); }
+
+}  // namespace
+
+TEST(one_iteration_is_the_correction_of_least_weighted_norm) {
+  for_samples([](const Sample& s) { CHECK_CLOSE(s.difference(s.project(), s.reference()), 0, s.roundoff(2)); });
+}
+
+TEST(the_units_of_an_invariant_do_not_matter) {
+  for_samples([](const Sample& s) {
+    const Vector expected = s.project();
+    for (const double unit : {1e-12, 1e12, 1e-200, 1e200}) {
+      Matrix J = s.J;
+      Vector value = s.value;
+      J.row(0) *= unit;
+      value[0] *= unit;
+      std::vector<char> dropped;
+      CHECK_CLOSE(s.difference(s.project(J, value, &dropped), expected), 0, s.roundoff(1));
+      CHECK(count(dropped) == 0);
+    }
+  });
+}
+
+TEST(a_redundant_row_is_dropped_and_flagged_and_changes_nothing) {
+  for_samples([](const Sample& s) {
+    if (s.J.rows() != 2) return;
+    Matrix J(3, s.J.cols());
+    J << s.J, 2 * s.J.row(0) - 3 * s.J.row(1);
+    Vector value(3);
+    value << s.value, 2 * s.value[0] - 3 * s.value[1];
+    std::vector<char> dropped;
+    CHECK_CLOSE(s.difference(s.project(J, value, &dropped), s.project()), 0, s.roundoff(2));
+    CHECK(count(dropped) == 1);
+  });
+}
+
+TEST(a_zero_row_is_dropped_and_flagged_and_changes_nothing) {
+  for_samples([](const Sample& s) {
+    Matrix J = Matrix::Zero(s.J.rows() + 1, s.J.cols());
+    J.bottomRows(s.J.rows()) = s.J;
+    Vector value(J.rows());
+    value << -1, s.value;  // cannot be met: must not poison the others
+    std::vector<char> dropped;
+    CHECK_CLOSE(s.difference(s.project(J, value, &dropped), s.project()), 0, s.roundoff(1));
+    CHECK(count(dropped) == 1 && dropped[0] == 1);
+  });
+  const Sample s(1, 4, 0);
+  std::vector<char> dropped;
+  CHECK(s.project(Matrix::Zero(1, 4), Vector::Ones(1), &dropped) == s.y);
+  CHECK(count(dropped) == 1);
+}
+
+TEST(the_correction_reported_is_the_largest_move_in_units_of_the_weights) {
+  for_samples([](const Sample& s) {
+    Linear linear(s.J, s.value, s.weights);
+    Projector projector(linear.invariants, s.weights, 1);
+    Vector y = s.y;
+    CHECK(projector.project(0, s.from.data(), y.data()) == Outcome::ok);
+    CHECK_CLOSE(projector.correction(), s.difference(s.y, y), 0);
+  });
+}
+
+TEST(impose_reaches_roundoff_and_keeps_points_that_have) {
+  for (Problem problem : {harmonic(), kepler(0.6), pendulum(), rigid_body(), lotka_volterra()})
+    for (const bool user_jacobian : {true, false}) {
+      const check::Case label(problem.name, user_jacobian ? "" : ", difference Jacobian");
+      const std::size_t n = problem.y0.size();
+      const Weights weights(1e-3, std::vector<double>(n, 1e-3), {});
+      Invariants invariants = make_invariants(problem, weights, user_jacobian, {});
+      Projector projector(invariants, weights, 1);
+      std::vector<double> y = problem.y0, r(problem.m), J(problem.m * n);
+      for (std::size_t i = 0; i < n; ++i) y[i] += i % 2 ? 0.05 : -0.03;
+      Projector::Imposed imposed = projector.impose(0, y.data());
+      CHECK(imposed.outcome == Outcome::ok && imposed.converged && imposed.iterations < 20);
+      CHECK(invariants.residual(0, y.data(), r.data()) == Status::ok);
+      CHECK(invariants.jacobian(0, y.data(), J.data()) == Status::ok);
+      for (std::size_t i = 0; i < problem.m; ++i) CHECK(std::abs(r[i]) <= invariants.roundoff(i, y.data(), J.data()));
+      imposed = projector.impose(0, y.data());
+      CHECK(imposed.converged);
+    }
+}
+
+TEST(impose_leaves_points_that_do_not_converge_as_they_were) {
+  const Function sum_of_squares = [](double, const double* y, double* r) { r[0] = y[0] * y[0] + y[1] * y[1]; };
+  const Function logarithm = [](double, const double* y, double* r) { r[0] = std::log(y[0] - 1) + y[1]; };
+  const Weights weights(1e-3, {1e-3, 1e-3}, {});
+  for (const Function& function : {sum_of_squares, logarithm}) {
+    Function g = function;
+    Invariants invariants(2, {{as_callback(g), {}, 1}}, {-1}, weights);  // no such point, or NaN at this one
+    Projector projector(invariants, weights, 1);
+    const std::vector<double> before = {0.3, -0.4};
+    std::vector<double> y = before;
+    const Projector::Imposed imposed = projector.impose(0, y.data());
+    CHECK(imposed.outcome == Outcome::ok && !imposed.converged);
+    CHECK(same_bits(y, before));
+  }
+}
+
+TEST(an_invariant_or_jacobian_that_is_not_finite_fails_the_projection) {
+  for (const double bad : {NaN, infinity})
+    for (int place = 0; place < 2 + 4; ++place) {
+      Sample s(2, 4, 1);
+      Linear linear(s.J, s.value, s.weights);
+      const Function g = linear.g, jacobian = linear.jacobian;
+      linear.g = [&](double t, const double* y, double* r) {
+        g(t, y, r);
+        if (place < 2) r[place] = bad;
+      };
+      linear.jacobian = [&](double t, const double* y, double* J) {
+        jacobian(t, y, J);
+        if (place >= 2) J[place - 2] = bad;
+      };
+      Projector projector(linear.invariants, s.weights, 1);
+      Vector y = s.y;
+      CHECK(projector.project(0, s.from.data(), y.data()) == Outcome::not_finite);
+      CHECK(projector.onto(0, projector.weights(), s.value.data(), y.data(), 3) == Outcome::not_finite);
+    }
+}
+
+TEST(the_difference_jacobian_agrees_with_the_analytic_one) {
+  // Central differences with increment ε^{1/3} w: error ε^{2/3} ≈ 4e-11 of the terms, times third derivatives.
+  for (Problem problem : {harmonic(), kepler(0.3), pendulum(), rigid_body(), lotka_volterra()}) {
+    const check::Case label(problem.name);
+    const std::size_t n = problem.y0.size(), size = problem.m * n;
+    const Weights weights(1e-3, std::vector<double>(n, 1e-3), {});
+    Invariants invariants = make_invariants(problem, weights, true, {});
+    std::vector<double> y = problem.y0, exact(size), differences(size);
+    for (std::size_t i = 0; i < n; ++i) y[i] += 0.1 * static_cast<double>(i + 1);
+    CHECK(invariants.jacobian(0, y.data(), exact.data()) == Status::ok);
+    CHECK(invariants.difference_jacobian(0, y.data(), differences.data(), true) == Status::ok);
+    CHECK_CLOSE(distance(exact.data(), differences.data(), size), 0, 1e-9);
+  }
+}
+
+TEST(blocks_with_and_without_a_user_jacobian_stand_side_by_side) {
+  Problem with = harmonic(), without = harmonic();
+  without.g = [](double, const double* y, double* r) { r[0] = y[0] + y[1], r[1] = y[0] * y[1]; };
+  const Weights weights(1e-3, {1e-3, 1e-3}, {});
+  const InvariantBlock differences{as_callback(without.g), {}, 2};
+  const InvariantBlock analytic{as_callback(with.g), as_callback(with.jacobian), 1};
+  Invariants invariants(2, {differences, analytic, differences}, {1, 2, 3, 4, 5}, weights);
+  const double y[] = {3, 4};
+  double r[5], J[10];
+  CHECK(invariants.residual(0, y, r) == Status::ok);
+  CHECK(invariants.jacobian(0, y, J) == Status::ok);
+  const double residual[] = {7 - 1, 12 - 2, 12.5 - 3, 7 - 4, 12 - 5}, expected[] = {1, 1, 4, 3, 3, 4, 1, 1, 4, 3};
+  CHECK(same_bits(r, residual, 5));
+  CHECK_CLOSE(distance(J, expected, 10), 0, 1e-9);
+  for (std::size_t i = 0; i < 5; ++i) CHECK(invariants.by_differences(i) == (i != 2));
+}

@@ -1,0 +1,118 @@
+// A tableau is what it says, and no misprint passes.
+
+#include "tableaux.hpp"
+
+#include <algorithm>
+#include <cstddef>
+#include <set>
+
+#include "check.hpp"
+
+using namespace invariode;
+
+namespace {
+
+constexpr double misprint = 1e-6;  // relative: far above tableau_roundoff, far below a wrong digit that shows
+
+/// Calls each(table, name, row, column, coefficient) for every coefficient of A, c, E and B; b is the last row of A.
+template <class T, class Each>
+void for_each_coefficient(T& table, Each each) {
+  for (std::size_t i = 0; i < T::stages; ++i) {
+    each("c", i, 0, table.c[i]);
+    each("E", i, 0, table.E[i]);
+    for (std::size_t j = 0; j < T::stages; ++j) each("A", i, j, table.A[i][j]);
+    for (std::size_t j = 0; j < T::degree; ++j) each("B", i, j, table.B[i][j]);
+  }
+}
+
+template <class T>
+void check_misprints(const T& table) {
+  T changed = table;
+  int tried = 0;
+  for_each_coefficient(changed, [&](const char* name, std::size_t i, std::size_t j, double& coefficient) {
+    if (coefficient == 0) return;
+    const check::Case label(name, "[", i, "][", j, "]");
+    const double right = coefficient;
+    for (const double factor : {1 - misprint, 1 + misprint, -1.0, 0.0}) {
+      coefficient = right * factor;
+      CHECK(!consistent(changed));
+    }
+    coefficient = right;
+    ++tried;
+  });
+  CHECK(consistent(changed));
+  CHECK(tried >= 20);
+}
+
+/// The same for coefficients that are zero.
+template <class T>
+void check_intruders(const T& table) {
+  T changed = table;
+  for_each_coefficient(changed, [&](const char* name, std::size_t i, std::size_t j, double& coefficient) {
+    if (coefficient != 0) return;
+    const check::Case label(name, "[", i, "][", j, "]");
+    coefficient = misprint;
+    CHECK(!consistent(changed));
+    coefficient = 0;
+  });
+}
+
+/// All conditions up to the order hold, at least one of the next order does not.
+template <class T>
+void check_order_is_sharp(const T& table) {
+  auto lower = table.b();
+  for (std::size_t k = 0; k < T::stages; ++k) lower[k] -= table.E[k];
+  const auto middle = extension_weights(table, 0.5);
+  CHECK(order_defect(table.A, table.b(), table.order) < tableau_roundoff);
+  CHECK(order_defect(table.A, table.b(), table.order + 1) > 1e-5);
+  CHECK(order_defect(table.A, lower, table.order - 1) < tableau_roundoff);
+  CHECK(order_defect(table.A, lower, table.order) > 1e-5);
+  CHECK(order_defect(table.A, middle, table.extension_order, 0.5) < tableau_roundoff);
+  CHECK(order_defect(table.A, middle, table.extension_order + 1, 0.5) > 1e-5);
+}
+
+}  // namespace
+
+TEST(the_tableaux_are_consistent) {
+  CHECK(consistent(bogacki_shampine));
+  CHECK(consistent(dormand_prince));
+}
+
+TEST(a_misprint_in_any_single_coefficient_is_found) {
+  check_misprints(bogacki_shampine);
+  check_misprints(dormand_prince);
+}
+
+TEST(a_coefficient_in_the_place_of_any_zero_is_found) {
+  check_intruders(bogacki_shampine);
+  check_intruders(dormand_prince);
+}
+
+TEST(the_orders_claimed_are_the_orders_reached) {
+  check_order_is_sharp(bogacki_shampine);
+  check_order_is_sharp(dormand_prince);
+}
+
+TEST(every_rooted_tree_is_visited_once_with_its_density) {
+  // Numbers of rooted trees: Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.2 (OEIS A000081). The density is least for
+  // the bush, r, and largest for the chain, r!.
+  constexpr int expected[] = {1, 1, 2, 4, 9, 20, 48, 115};
+  double factorial = 1;
+  for (std::size_t r = 1; r <= 8; ++r) {
+    factorial *= static_cast<double>(r);
+    const check::Case label("trees with ", r, " nodes");
+    detail::RootedTree<8> tree(r);
+    std::set<decltype(tree.level)> seen;
+    double least = factorial, most = 0;
+    int count = 0;
+    do {
+      ++count;
+      seen.insert(tree.level);
+      least = std::min(least, tree.density());
+      most = std::max(most, tree.density());
+    } while (tree.next());
+    CHECK(count == expected[r - 1] && seen.size() == static_cast<std::size_t>(count));
+    CHECK(least == static_cast<double>(r));
+    CHECK(most == factorial);
+  }
+}
