@@ -1,5 +1,5 @@
 #pragma once
-// Location of events: zeros of functions of (t, y) along the solution (ALGORITHMS §7).
+// Location of events: zeros of functions of (t, y) along the solution (docs/algorithms.md, 'Events').
 
 #include <cstddef>
 #include <cstdint>

@@ -6,7 +6,7 @@
 namespace invariode {
 namespace {
 
-// Thresholds of ALGORITHMS §6, from 460 designed and 1260 random runs.
+// Thresholds from 460 designed and 1260 random runs (docs/algorithms.md, 'Guard').
 constexpr double suspicious_angle = 1e-6;              // ρ, with a Jacobian that is exact
 constexpr double suspicious_angle_differences = 1e-4;  // ρ, with one by differences
 constexpr double suspicious_drift = 0.01;              // D, in units of rtol

@@ -1,5 +1,5 @@
 #pragma once
-// Finds invariants that are none, without ever accusing a right one (ALGORITHMS §6, 'Guard'; beyond the paper).
+// Finds invariants that are none, without ever accusing a right one (docs/algorithms.md, 'Guard'; beyond the paper).
 
 #include <cstddef>
 #include <cstdint>

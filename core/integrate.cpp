@@ -8,10 +8,11 @@
 namespace invariode {
 namespace {
 
-constexpr double hmin_ulps = 16;            // hmin = 16 ulp(t) (ALGORITHMS §2)
-constexpr double stretch = 1.1;             // a step that comes this close to tf lands on it
-constexpr double largest_correction = 100;  // in units of rtol; right invariants stay below (ALGORITHMS §6, Guard 3)
-constexpr double expected_decrease = 3;     // of the correction by two halvings of h
+constexpr double hmin_ulps = 16;  // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
+constexpr double stretch = 1.1;   // a step that comes this close to tf lands on it
+constexpr double largest_correction =
+    100;                                 // in units of rtol; right invariants stay below (docs/algorithms.md, 'Guard')
+constexpr double expected_decrease = 3;  // of the correction by two halvings of h
 
 }  // namespace
 

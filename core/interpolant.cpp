@@ -5,7 +5,7 @@
 namespace invariode {
 namespace {
 
-constexpr int interpolation_iterations = 3;  // of the projection between steps (ALGORITHMS §6)
+constexpr int interpolation_iterations = 3;  // of the projection between steps (docs/algorithms.md, 'Between steps')
 
 }  // namespace
 

@@ -1,6 +1,6 @@
 #pragma once
 // The continuous solution over one accepted step: the method's raw extension, corrected so that it meets the stored
-// values at both ends, and projected so that it keeps the invariants (ALGORITHMS §6, 'End-corrected interpolants';
+// values at both ends, and projected so that it keeps the invariants (docs/algorithms.md, 'Between steps';
 // beyond the paper).
 
 #include <cstddef>

@@ -7,7 +7,7 @@ namespace invariode {
 namespace {
 
 const double cbrt_eps = std::cbrt(eps);    // optimal relative increment of a central difference
-constexpr double roundoff_units = 10;      // of ε: what an evaluation of g may be off (ALGORITHMS §6, impose)
+constexpr double roundoff_units = 10;      // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
 constexpr double smallest_scale = 1e-300;  // |y_i| and thr_i below this tell no scale
 
 }  // namespace

@@ -32,8 +32,8 @@ class Invariants {
 
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
-  /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (ALGORITHMS §6). `rows`: 0 fills those rows that have no
-  /// user Jacobian, 1 all of them.
+  /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (docs/algorithms.md, 'Projection'). Fills the rows that
+  /// have no user Jacobian, or all of them.
   Status difference_jacobian(double t, const double* y, double* J, bool all_rows);
   /// Central differences with increment ε^{1/3} max(|t|, |h|); what is below their roundoff counts as 0. J and y tell
   /// the size of the terms that g sums.

@@ -1,6 +1,6 @@
 #pragma once
-// Projection onto the manifold of the invariants in the weighted Euclidean norm (paper, sections 3 and 4; ALGORITHMS
-// §6).
+// Projection onto the manifold of the invariants in the weighted Euclidean norm (paper, sections 3 and 4;
+// docs/algorithms.md, 'Projection').
 
 #include <Eigen/Core>
 #include <cstddef>

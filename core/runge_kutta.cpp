@@ -157,7 +157,7 @@ class RungeKutta final : public Step {
     return f_(t, y, k_[k]) == Status::ok ? Outcome::ok : Outcome::stop;
   }
 
-  /// Stages 1 … last − 1, formed with h as it is (ALGORITHMS §2).
+  /// Stages 1 … last − 1, formed with h as it is (docs/algorithms.md, 'Every method').
   template <std::size_t... I>
   Outcome inner_stages(double h, std::index_sequence<I...>) {
     Outcome outcome = Outcome::ok;

@@ -1,5 +1,5 @@
 #pragma once
-// Explicit Runge-Kutta pairs with local extrapolation and FSAL, driven by tableaux (ALGORITHMS §3).
+// Explicit Runge-Kutta pairs with local extrapolation and FSAL, driven by tableaux (docs/algorithms.md, 'Runge-Kutta').
 
 #include <memory>
 

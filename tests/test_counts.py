@@ -96,7 +96,7 @@ def test_blow_up_ends_where_matlab_ends():
     assert f"smallest step allowed is {hmin}" in sol.message
 
 
-COUNTS = {  # ALGORITHMS §8: largest residual, steps, failed, nfev
+COUNTS = {  # docs/algorithms.md, 'The experiments': largest residual, steps, failed, nfev
     "Lotka-Volterra plain": ("ode23", False, {}, "9.1177", (391, 27, 1255)),
     "Lotka-Volterra projected": ("ode23", True, {}, "8.7976e-05", (389, 26, 1246)),
     "Lotka-Volterra projected, f evaluated again": ("ode23", True, {"fsal": "evaluate"}, "7.01e-05", None),

@@ -1,4 +1,4 @@
-"""A wrong invariant is refused at the start or ends the run, by name; a right one is never accused (ALGORITHMS §6)."""
+"""A wrong invariant is refused at the start or ends the run, by name; a right one is never accused."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_invariant_that_is_not_finite_at_the_start():
 
 
 def test_size_of_corrections_stays_in_the_range_known_for_right_invariants(method, problem):
-    """ALGORITHMS §6: below 100 rtol for rtol <= 1e-2."""
+    """Below 100 rtol for rtol <= 1e-2: where the guard draws the line."""
     for rtol in (1e-2, 1e-3, 1e-4, 1e-6):
         sol = problem.solve(method, rtol=rtol)
         assert sol.correction.max() < 100

@@ -75,7 +75,7 @@ def test_saving_costs_no_extra_f(method):
 
 
 def test_projection_is_more_than_cosmetic(method):
-    """The end state of a projected run is not that of the plain run projected afterwards: it is closer to the solution."""
+    """The end state of a projected run is not the projection of the plain run's: it is much closer to the solution."""
     tf = 20 * np.pi
     plain = iv.solve_ivp(kepler := ORBIT.fun, (0, tf), ORBIT.y0, method, rtol=1e-5, atol=1e-8)
     projected = iv.solve_ivp(kepler, (0, tf), ORBIT.y0, method, rtol=1e-5, atol=1e-8, invariants=ORBIT.invariants())

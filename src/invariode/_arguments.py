@@ -127,7 +127,7 @@ def tolerance(name: str, value: ArrayLike, n: int) -> Array:
 
 
 def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, Array, Array | None]:
-    """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y (ALGORITHMS §1)."""
+    """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y ('Tolerances')."""
     relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
     least = 100 * EPS
     if (relative < least).any():

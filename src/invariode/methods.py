@@ -47,6 +47,7 @@ class Method:
     source: str
 
 
+#: The methods by name.
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         method.name: method

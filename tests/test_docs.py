@@ -1,0 +1,50 @@
+"""What the documentation shows is what one gets: code blocks and docstring examples are executed."""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import importlib
+import io
+import pkgutil
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import invariode
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_code_blocks_print_what_the_page_says(page):
+    """Python blocks run one after the other in one namespace; a text block that follows is their output."""
+    namespace: dict[str, object] = {}
+    for code, shown in re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", page.read_text(), re.DOTALL):
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(code, page.name, "exec"), namespace)
+        assert printed.getvalue() == shown
+
+
+MODULES = [m.name for m in pkgutil.walk_packages(invariode.__path__, "invariode.") if not m.name.endswith("__main__")]
+
+
+@pytest.mark.parametrize("name", ["invariode", *MODULES])
+def test_docstring_examples(name):
+    module = importlib.import_module(name)
+    assert doctest.testmod(module, extraglobs={"np": np}).failed == 0
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_to_files_lead_somewhere(page):
+    for target in re.findall(r"\]\((?!https?://|#)([^)]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_every_public_name_is_documented():
+    for name in invariode.__all__:
+        assert name == "METHODS" or getattr(invariode, name).__doc__, name
