@@ -212,11 +212,11 @@ void Integration::explain_failure(Cause cause) {
 
 /// After the commitment: is the invariant one, what happened in the step, what is to be kept?
 State Integration::finish_step() {
-  ++counts_.steps;
   if (guard_ && settings_.check) {
-    const Finding finding = guard_->rate(*projector_, t1_, step_->slope(), h_, counts_.steps);
+    const Finding finding = guard_->rate(*projector_, t1_, step_->slope(), h_, counts_.steps + 1);
     if (finding.kind != Finding::Kind::none) return refuse(finding);
   }
+  ++counts_.steps;
   interpolant_.begin(t0_, y0_.data(), projector_ ? projector_->weights() : nullptr);
   double t = t1_;
   const double* y = step_->y();

@@ -74,6 +74,8 @@ def test_wrong_invariants_are_found(method, name, rtol):
         assert not sol.success
         assert "suspect is not conserved" in sol.message
         assert sol.t[-1] < 50
+        assert sol.steps is not None
+        assert len(sol.steps.t) == sol.stats.steps == len(sol.t) - 1
 
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])

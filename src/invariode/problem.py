@@ -175,17 +175,16 @@ class Problem:
             raise ValueError(f"event {self.events[run.event].__name__} returned NaN at t = {run.t}")
         if run.dropped:
             _warn_dropped(run, bound.names)
-        return self._solution(run, bound, rtol, atol, rmin)
+        return self._solution(run, bound, rtol, atol, rmin, save == "all")
 
     def _solution(
-        self, run: _core.Run, bound: BoundInvariants, rtol: ArrayLike, atol: ArrayLike, rmin: float
+        self, run: _core.Run, bound: BoundInvariants, rtol: ArrayLike, atol: ArrayLike, rmin: float, keep_steps: bool
     ) -> Solution:
         dtype = self.y0.dtype
         status, message = status_and_message(run, bound.names, rmin, dtype.kind == "c")
         dense = run.take_dense()
         t, rows = run.take_points()
         happened = run.take_events()
-        kept = Steps(*run.take_steps())
         return Solution(
             t=t,
             y=rows.view(dtype).T,
@@ -213,7 +212,7 @@ class Problem:
                 derivatives=_derivatives(bound),
                 projected_start=run.projected_start,
             ),
-            steps=kept if len(kept.t) == run.steps else None,
+            steps=Steps(*run.take_steps()) if keep_steps else None,
             _invariants=bound,
             _rtol=rtol,
             _atol=atol,
