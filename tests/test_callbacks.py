@@ -191,6 +191,7 @@ WRONG_RESULTS = [
     (lambda t, y: np.ones((2, 1)), r"returned shape \(2, 1\), expected shape \(2,\)"),
     (lambda t, y: 1.0, r"returned shape \(\), expected shape \(2,\)"),
     (lambda t, y: None, r"fun\(t, y\) returned None \(is a `return` missing\?\)"),
+    (lambda t, y: (v for v in y), "returned a generator that is no array of numbers"),
     (lambda t, y: [[1.0], [1.0, 2.0]], "returned a list that is no array of numbers"),
 ]
 

@@ -189,6 +189,12 @@ class TestImpose:
         assert not result.converged.any()
         np.testing.assert_array_equal(result.y, [[0.3, 0.5]])
 
+    def test_point_that_is_not_finite_is_reported_and_the_others_projected(self):
+        result = iv.impose(lambda t, y: y @ y, 0, np.array([[3.0, np.nan], [4.0, 1.0]]), value=1)
+        assert result.converged.tolist() == [True, False]
+        assert result.y[:, 0] @ result.y[:, 0] == pytest.approx(1, rel=1e-15)
+        assert np.isnan(result.y[0, 1])
+
     def test_scipy_result(self):
         scipy_integrate = pytest.importorskip("scipy.integrate")
         problem = PROBLEMS["Lotka-Volterra"]

@@ -98,15 +98,21 @@ def interval(t_span: object) -> tuple[float, float]:
     return t0, tf
 
 
+def numbers(name: str, value: ArrayLike) -> Array:
+    """A new array of float64 or complex128."""
+    array = np.asarray(value)
+    try:
+        return np.array(array, dtype=complex if np.issubdtype(array.dtype, np.complexfloating) else float)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must hold numbers, got {value!r}") from None
+
+
 def state(y0: ArrayLike) -> Array:
-    """The initial state as a new float64 or complex128 array of shape (n,)."""
+    """The initial state as a new array of shape (n,)."""
     y = np.asarray(y0)
     if y.ndim != 1:
         raise ValueError(f"y0 must be 1-dimensional, got shape {y.shape}")
-    try:
-        y = np.array(y, dtype=complex if np.issubdtype(y.dtype, np.complexfloating) else float)
-    except (TypeError, ValueError):
-        raise TypeError(f"y0 must hold numbers, got {y0!r}") from None
+    y = numbers("y0", y)
     if not np.isfinite(y).all():
         i = int(np.flatnonzero(~np.isfinite(y))[0])
         raise ValueError(f"y0 must be finite, got y0[{i}] = {y[i]}")

@@ -57,6 +57,7 @@ class PythonFunction {
       : callable_(nb::borrow(callable)),
         args_(args),
         name_(std::move(name)),
+        looks_for_signals_(PyFunction_Check(callable.ptr())),
         n_(n),
         complex_(complex),
         returns_(returns) {}
@@ -84,6 +85,7 @@ class PythonFunction {
   nb::object callable_;
   nb::tuple args_;
   std::string name_;
+  bool looks_for_signals_;  // a function written in Python does so itself when it is entered
   npy_intp n_;
   bool complex_;
   Returns returns_;
@@ -109,7 +111,7 @@ PyArrayObject* PythonFunction::array_for(const double* y) noexcept {
 }
 
 bool PythonFunction::call(double t, const double* y, double* out) noexcept {
-  if (PyErr_CheckSignals() != 0) return false;
+  if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
   PyArrayObject* array = array_for(y);
   if (array == nullptr) return false;
   PyObject* time = PyFloat_FromDouble(t);
@@ -147,7 +149,7 @@ bool PythonFunction::read(PyObject* result, double* out) noexcept {
     out[0] = truth;
     return truth >= 0;
   }
-  if (!returns_.matrix && read_sequence(result, out)) return true;
+  if ((!returns_.matrix || returns_.rows == 1) && read_sequence(result, out)) return true;
   if (PyArray_Check(result)) return read_array(reinterpret_cast<PyArrayObject*>(result), out);
   PyObject* array = result == Py_None ? nullptr : PyArray_FromAny(result, nullptr, 0, 0, 0, nullptr);
   if (array == nullptr) {
@@ -155,7 +157,10 @@ bool PythonFunction::read(PyObject* result, double* out) noexcept {
     complain(result);
     return false;
   }
-  const bool done = read_array(reinterpret_cast<PyArrayObject*>(array), out);
+  auto* values = reinterpret_cast<PyArrayObject*>(array);
+  const bool something_else = PyArray_NDIM(values) == 0 && PyArray_ISOBJECT(values);  // a generator, a dict
+  if (something_else) complain(result);
+  const bool done = !something_else && read_array(values, out);
   Py_DECREF(array);
   return done;
 }

@@ -16,8 +16,8 @@ from ._arguments import (
     call_name,
     extra_arguments,
     function,
+    numbers,
     positive_integer,
-    state,
     tolerances,
 )
 
@@ -276,8 +276,7 @@ def _points(t: Any, y: ArrayLike) -> tuple[Array, Array]:
     y = np.asarray(y)
     if y.ndim not in (1, 2):
         raise ValueError(f"y must have shape (n,) or (n, n_t), got {y.shape}")
-    flat = state(y.ravel())
-    points = flat.reshape(len(y), -1)
+    points = numbers("y", y).reshape(len(y), -1)
     try:
         times = np.array(t, dtype=float)
     except (TypeError, ValueError):
