@@ -14,6 +14,8 @@ constexpr double suspicious_drift = 0.01;              // D, in units of rtol
 // The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
 // much.
 constexpr double jacobian_tolerance = 1e-4;
+// A difference quotient tells nothing below this multiple of what halving its increment changes.
+constexpr double uncertainty = 10;
 const double cbrt_eps = std::cbrt(eps);
 
 /// Direction of the test: no component is 0 and no two are equal, so that errors do not cancel by symmetry.
@@ -49,7 +51,8 @@ Guard::Guard(Invariants& invariants, const Weights& weights, const Callback& f)
       gt_(invariants.m()),
       plus_(invariants.m()),
       minus_(invariants.m()),
-      differences_(invariants.m() * invariants.n()) {}
+      differences_(invariants.m() * invariants.n()),
+      halved_(invariants.m() * invariants.n()) {}
 
 Finding Guard::start_value(double t, double* y) {
   const Outcome outcome = projector_.linearize_at(t, y);
@@ -110,6 +113,7 @@ Finding Guard::start_jacobian(double t, const double* y) {
 Finding Guard::worst_entry(double t, const double* y) {
   const std::size_t n = invariants_.n(), m = invariants_.m();
   if (invariants_.difference_jacobian(t, y, differences_.data(), true) == Status::stop) return stopped();
+  if (invariants_.difference_jacobian(t, y, halved_.data(), true, 0.5) == Status::stop) return stopped();
   const double* J = projector_.jacobian();
   const double* w = projector_.weights();
   Finding worst;
@@ -120,9 +124,10 @@ Finding Guard::worst_entry(double t, const double* y) {
       terms = std::max({terms, std::abs(J[i * n + j] * w[j]), std::abs(differences_[i * n + j] * w[j])});
     const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
     for (std::size_t j = 0; j < n; ++j) {
-      const double given = J[i * n + j], quotient = differences_[i * n + j];
+      const double given = J[i * n + j], quotient = halved_[i * n + j];
       const double off = std::abs(given - quotient) * w[j];
-      if (!(off > jacobian_tolerance * terms + noise) || off / terms <= largest) continue;
+      const double doubt = uncertainty * std::abs(quotient - differences_[i * n + j]) * w[j];
+      if (!(off > jacobian_tolerance * terms + noise + doubt) || off / terms <= largest) continue;
       largest = off / terms;
       worst = {.kind = Finding::Kind::wrong_jacobian,
                .invariant = static_cast<int>(i),
@@ -193,7 +198,21 @@ Finding Guard::confirm(double t, const double* y, double h) {
     return stopped();
   const bool depends_on_t = std::any_of(gt_.begin(), gt_.end(), [](double g) { return g != 0; });
   time_dependent_ |= depends_on_t;
-  return suspect(projector_, t, slope_.data(), h, depends_on_t);
+  const Finding finding = suspect(projector_, t, slope_.data(), h, depends_on_t);
+  return finding.kind == Finding::Kind::none ? finding : unless_uncertain(finding, t, h);
+}
+
+/// The finding of `confirm`, or none where the differences behind it are too coarse to tell: they are, where increments
+/// as large as thr are not small for g.
+Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
+  const std::size_t n = invariants_.n();
+  const auto i = static_cast<std::size_t>(finding.invariant);
+  const double* J = projector_.jacobian();
+  std::copy(J, J + halved_.size(), halved_.begin());
+  if (invariants_.difference_jacobian(t, point_.data(), halved_.data(), false, 0.5) == Status::stop) return stopped();
+  if (invariants_.time_derivative(t, h, point_.data(), J, gt_.data(), 0.5) == Status::stop) return stopped();
+  const double rate = gt_[i] + dot(halved_.data() + i * n, slope_.data(), n);
+  return std::abs(rate) > uncertainty * std::abs(rate - finding.size) ? finding : Finding{};
 }
 
 /// The invariant with the largest angle ρ_i = |g_t + J_i f| / (|g_t| + ‖J_i W‖ ‖W⁻¹ f‖) among those whose drift

@@ -50,13 +50,14 @@ class Guard {
   Outcome detect_time_dependence(double t, const double* y, double h);
   Finding suspect(const Projector& at, double t, const double* f, double h, bool differences_in_t) const;
   Finding worst_entry(double t, const double* y);
+  Finding unless_uncertain(const Finding& finding, double t, double h);
   [[nodiscard]] Finding undefined(double t) const;
 
   Invariants& invariants_;
   const Weights& weights_;
   Callback f_;
   Projector projector_;  // of its own: the run's linearization stays as it is
-  std::vector<double> point_, slope_, gt_, plus_, minus_, differences_;
+  std::vector<double> point_, slope_, gt_, plus_, minus_, differences_, halved_;
   bool time_dependent_ = false;
   bool projected_start_ = false;
   std::int64_t quiet_until_ = 0;

@@ -68,29 +68,38 @@ double Invariants::increment(std::size_t j, const double* y) const {
   return cbrt_eps * scale;
 }
 
-Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows) {
+Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor) {
   std::copy(y, y + n_, point_.begin());
-  for (std::size_t j = 0; j < n_; ++j) {
-    const double delta = increment(j, y);
-    const double up = y[j] + delta, down = y[j] - delta;
-    std::size_t first = 0;
-    for (InvariantBlock& block : blocks_) {
-      if (all_rows || !block.jacobian) {
-        point_[j] = up;
-        if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
-        point_[j] = down;
-        if (block.g(t, point_.data(), minus_.data()) == Status::stop) return Status::stop;
-        for (std::size_t i = 0; i < block.m; ++i) J[(first + i) * n_ + j] = (plus_[i] - minus_[i]) / (up - down);
-      }
-      first += block.m;
-    }
-    point_[j] = y[j];
+  std::size_t first = 0;
+  for (InvariantBlock& block : blocks_) {
+    if (all_rows || !block.jacobian)
+      for (std::size_t j = 0; j < n_; ++j)
+        if (difference_column(block, t, y, j, factor, J + first * n_ + j) == Status::stop) return Status::stop;
+    first += block.m;
   }
   return Status::ok;
 }
 
-Status Invariants::time_derivative(double t, double h, const double* y, const double* J, double* gt) {
-  const double delta = cbrt_eps * std::max(std::abs(t), std::abs(h));
+/// Column j of a block's Jacobian, into entries n apart. Where g is not defined that far away (log y_j, with y_j below
+/// its thr_j), the increment is taken relative to y_j itself.
+Status Invariants::difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
+                                     double* column) {
+  for (const double delta : {factor * increment(j, y), factor * cbrt_eps * std::abs(y[j])}) {
+    if (delta == 0) break;
+    const double up = y[j] + delta, down = y[j] - delta;
+    point_[j] = up;
+    if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+    point_[j] = down;
+    if (block.g(t, point_.data(), minus_.data()) == Status::stop) return Status::stop;
+    point_[j] = y[j];
+    for (std::size_t i = 0; i < block.m; ++i) column[i * n_] = (plus_[i] - minus_[i]) / (up - down);
+    if (all_finite(plus_.data(), block.m) && all_finite(minus_.data(), block.m)) break;
+  }
+  return Status::ok;
+}
+
+Status Invariants::time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor) {
+  const double delta = factor * cbrt_eps * std::max(std::abs(t), std::abs(h));
   const double later = t + delta, earlier = t - delta;
   if (residual(later, y, plus_.data()) == Status::stop) return Status::stop;
   if (residual(earlier, y, minus_.data()) == Status::stop) return Status::stop;

@@ -32,17 +32,19 @@ class Invariants {
 
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
-  /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (docs/algorithms.md, 'Projection'). Fills the rows that
-  /// have no user Jacobian, or all of them.
-  Status difference_jacobian(double t, const double* y, double* J, bool all_rows);
-  /// Central differences with increment ε^{1/3} max(|t|, |h|); what is below their roundoff counts as 0. J and y tell
-  /// the size of the terms that g sums.
-  Status time_derivative(double t, double h, const double* y, const double* J, double* gt);
+  /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (docs/algorithms.md, 'Projection') times `factor`. Fills
+  /// the rows that have no user Jacobian, or all of them.
+  Status difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor = 1);
+  /// Central differences with increment ε^{1/3} max(|t|, |h|) times `factor`; what is below their roundoff counts as 0.
+  /// J and y tell the size of the terms that g sums.
+  Status time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor = 1);
 
   /// Size below which the residual of invariant i is roundoff: 10 ε (|value_i| + Σ_j |J_ij y_j|).
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
 
  private:
+  Status difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
+                           double* column);
   [[nodiscard]] double increment(std::size_t j, const double* y) const;
 
   std::size_t n_;

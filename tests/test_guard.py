@@ -106,6 +106,31 @@ HARD = {
 }
 
 
+def rates(t, y):
+    return [1.6 * y[0] * (1 - y[1]), -0.7 * y[1] * (1 - y[0])]
+
+
+def logarithms(t, y):
+    return 0.7 * (y[0] - np.log(y[0])) + 1.6 * (y[1] - np.log(y[1])) if min(y) > 0 else np.nan
+
+
+def test_difference_jacobian_close_to_where_g_ends(method):
+    """A population far below its absolute tolerance: increments of that size would leave the domain of the logarithm."""
+    sol = iv.solve_ivp(rates, (0, 40), [9.0, 3.0], method, rtol=1e-5, atol=1e-3, invariants=logarithms)
+    assert sol.success, sol.message
+    assert sol.y.min() < np.cbrt(np.finfo(float).eps) * 1e-3 / 1e-5  # the increment that atol suggests
+    plain = iv.solve_ivp(rates, (0, 40), [9.0, 3.0], method, rtol=1e-5, atol=1e-3)
+    drift = [logarithms(t, y) - logarithms(0, plain.y[:, 0]) for t, y in zip(plain.t, plain.y.T, strict=True)]
+    assert not np.abs(drift).max() < 2 * np.abs(sol.residual).max()  # NaN where the plain run leaves the domain
+
+
+def test_given_jacobian_is_not_accused_where_differences_are_coarse(method):
+    """With thr far above y the increments of the check are not small for g; the entries are then not judged by them."""
+    exact = iv.Invariants(logarithms, jac=lambda t, y: [0.7 * (1 - 1 / y[0]), 1.6 * (1 - 1 / y[1])])
+    sol = iv.solve_ivp(rates, (0, 1), [3e-3, 1.5], method, rtol=1e-5, atol=1e-3, invariants=exact)
+    assert sol.success, sol.message
+
+
 @pytest.mark.parametrize("name", HARD)
 def test_right_invariants_that_are_hard(method, name):
     fun, y0, g = HARD[name]
