@@ -71,7 +71,13 @@ Finding Guard::start_value(double t, double* y) {
   }
   if (worst.kind != Finding::Kind::none || !off) return worst;
   projected_start_ = true;
-  return projector_.impose(t, y).outcome == Outcome::stop ? stopped() : Finding{};
+  if (projector_.impose(t, y).outcome == Outcome::stop) return stopped();
+  switch (projector_.linearize_at(t, y)) {
+    case Outcome::stop: return stopped();
+    case Outcome::not_finite: return undefined(t);
+    case Outcome::ok: return {};
+  }
+  return {};
 }
 
 Finding Guard::undefined(double t) const {
@@ -85,8 +91,7 @@ Finding Guard::undefined(double t) const {
 
 Finding Guard::start_jacobian(double t, const double* y) {
   const std::size_t n = invariants_.n(), m = invariants_.m();
-  const Outcome outcome = projector_.linearize_at(t, y);
-  if (outcome == Outcome::stop) return stopped();
+  if (invariants_.all_by_differences()) return {};
   const double* J = projector_.jacobian();
   const double* w = projector_.weights();
   for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] + cbrt_eps * w[j] * direction(j);
@@ -162,11 +167,6 @@ Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
 
 Finding Guard::start_rate(double t, const double* y, const double* f, double h) {
   if (detect_time_dependence(t, y, h) == Outcome::stop) return stopped();
-  switch (projector_.linearize_at(t, y)) {
-    case Outcome::stop: return stopped();
-    case Outcome::not_finite: return {};
-    case Outcome::ok: break;
-  }
   return rate(projector_, t, f, h, 0);
 }
 

@@ -30,7 +30,7 @@ class Guard {
   Guard(Invariants& invariants, const Weights& weights, const Callback& f);
 
   /// The residual at (t0, y0): not finite is `undefined`, farther off a demanded value than rtol is `off_value`;
-  /// closer, y0 is projected in place.
+  /// closer, y0 is projected in place. Takes the linearization that the other two tests of the start use.
   Finding start_value(double t, double* y);
   /// The users' Jacobians at (t0, y0) against a directional difference; where that fails, entry by entry.
   Finding start_jacobian(double t, const double* y);

@@ -77,9 +77,9 @@ class Integration {
   [[nodiscard]] State state() const { return state_; }
   [[nodiscard]] const Report& report() const { return report_; }
   [[nodiscard]] const Counts& counts() const { return counts_; }
+  [[nodiscard]] const Step& step() const { return *step_; }
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
-  [[nodiscard]] const Step& step() const { return *step_; }
 
   /// The results, to be moved out when the run has ended.
   Trajectory points;

@@ -36,7 +36,6 @@ class Interpolant {
         projector_(projector),
         target_(m) {}
 
-  [[nodiscard]] Interpolation mode() const { return mode_; }
   [[nodiscard]] bool projects() const { return m_ > 0; }
   /// Doubles in a segment beyond its raw extension.
   [[nodiscard]] std::size_t overhead() const {
@@ -69,7 +68,6 @@ class StepInterpolant {
 
   Status value(double t, double* y);
   Status corrected(double t, double* y);
-  [[nodiscard]] Interpolation mode() const { return interpolant_.mode(); }
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }
   /// The segment, made if it was not yet; data is null if a user function stopped the run meanwhile.
   Segment segment();

@@ -1,5 +1,6 @@
 #include "invariants.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -34,6 +35,10 @@ std::int64_t Invariants::jacobian_calls() const {
   std::int64_t sum = 0;
   for (const InvariantBlock& block : blocks_) sum += block.jacobian.calls();
   return sum;
+}
+
+bool Invariants::all_by_differences() const {
+  return std::all_of(by_differences_.begin(), by_differences_.end(), [](char d) { return d != 0; });
 }
 
 Status Invariants::residual(double t, const double* y, double* r) {

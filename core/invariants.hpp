@@ -30,6 +30,8 @@ class Invariants {
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} only.
   [[nodiscard]] bool by_differences(std::size_t i) const { return by_differences_[i] != 0; }
 
+  [[nodiscard]] bool all_by_differences() const;
+
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
   /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (docs/algorithms.md, 'Projection') times `factor`. Fills

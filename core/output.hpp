@@ -41,7 +41,6 @@ class DenseOutput {
   void add(const Segment& segment, double t, const double* y);
 
   [[nodiscard]] std::size_t n() const { return n_; }
-  [[nodiscard]] std::size_t m() const { return m_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
   [[nodiscard]] const std::vector<double>& knots() const { return knots_.t; }
 

@@ -115,7 +115,7 @@ def logarithms(t, y):
 
 
 def test_difference_jacobian_close_to_where_g_ends(method):
-    """With thr far above y the increments of the check are not small for g: they do not judge the entries then."""
+    """A population far below its absolute tolerance: increments of that size would leave the domain of g."""
     sol = iv.solve_ivp(rates, (0, 40), [9.0, 3.0], method, rtol=1e-5, atol=1e-3, invariants=logarithms)
     assert sol.success, sol.message
     assert sol.y.min() < np.cbrt(np.finfo(float).eps) * 1e-3 / 1e-5  # the increment that atol suggests
