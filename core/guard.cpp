@@ -70,8 +70,9 @@ Finding Guard::start_value(double t, double* y) {
           .kind = Finding::Kind::off_value, .invariant = static_cast<int>(i), .t = t, .size = r, .distance = distance};
   }
   if (worst.kind != Finding::Kind::none || !off) return worst;
-  projected_start_ = true;
-  if (projector_.impose(t, y).outcome == Outcome::stop) return stopped();
+  const Projector::Imposed imposed = projector_.impose(t, y);
+  if (imposed.outcome == Outcome::stop) return stopped();
+  projected_start_ = imposed.converged;
   switch (projector_.linearize_at(t, y)) {
     case Outcome::stop: return stopped();
     case Outcome::not_finite: return undefined(t);

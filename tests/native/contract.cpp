@@ -119,6 +119,26 @@ TEST(a_retry_with_the_same_h_gives_bitwise_the_same_step) {
     }
 }
 
+TEST(after_a_projection_the_next_step_starts_with_the_slope_that_fsal_says) {
+  for (const Method& method : methods)
+    for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
+      const check::Case label(method.name, fsal == Fsal::reuse ? ", reuse" : ", evaluate");
+      Bench bench(method, fsal);
+      const std::vector<double> candidate = bench.candidate(h);
+      std::vector<double> y1 = candidate;
+      y1[0] += 1e-2;
+      CHECK(bench.step->accept(y1.data()) == Outcome::ok);
+      const std::int64_t calls = bench.callback.calls();
+      CHECK(bench.step->accept(bench.candidate(h).data()) == Outcome::ok);  // not projected: nothing to evaluate
+      CHECK(bench.callback.calls() - calls == (method.order == 3 ? 3 : 6));
+      // The coefficient of θ in the extension is h k₁.
+      const std::vector<double> data = extension_of(*bench.step);
+      double slope[4];
+      bench.problem.f(h, fsal == Fsal::reuse ? candidate.data() : y1.data(), slope);
+      for (int i = 0; i < 4; ++i) CHECK_CLOSE(data[4 + i], h * slope[i], 8 * eps * h * std::abs(slope[i]));
+    }
+}
+
 TEST(an_accept_that_fails_commits_nothing) {
   for (const Method& method : methods)
     for (const Outcome failure : {Outcome::not_finite, Outcome::stop}) {

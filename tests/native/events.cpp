@@ -150,24 +150,27 @@ TEST(a_terminal_event_ends_the_run_at_its_count) {
 
 TEST(ties_with_the_terminal_event_are_reported_and_later_events_are_dropped) {
   for (const Method& method : methods)
-    for (const bool terminal_first : {true, false}) {
-      const check::Case label(method.name, ", terminal first ", terminal_first);
-      Watch watch;
-      if (terminal_first) watch.at(0.6, 1);
-      watch.add([](double t, const double*, double* e) { e[0] = std::sin(t - 0.6); });
-      watch.add([](double t, const double*, double* e) { e[0] = std::exp(t) - std::exp(0.6); });
-      watch.at(0.61).at(0.3);
-      if (!terminal_first) watch.at(0.6, 1);
-      Run run(method, clock(1), watching(watch, {.hmax = infinity, .first_step = 1}));
-      CHECK(run.run() == State::terminal_event);
-      std::size_t at_end = 0, before = 0;
-      for (const Trajectory& found : run->occurrences)
-        for (const double t : found.t) {
-          CHECK_CLOSE(t, t < 0.5 ? 0.3 : 0.6, 4 * eps);
-          (t < 0.5 ? before : at_end) += 1;
-        }
-      CHECK(before == 1 && at_end == 3);
-    }
+    for (const double forward : {1.0, -1.0})
+      for (const bool terminal_first : {true, false}) {
+        const check::Case label(method.name, ", direction ", forward, ", terminal first ", terminal_first);
+        const double end = 0.6 * forward;
+        Watch watch;
+        if (terminal_first) watch.at(end, 1);
+        watch.add([end](double t, const double*, double* e) { e[0] = std::sin(t - end); });
+        watch.add([end](double t, const double*, double* e) { e[0] = std::exp(t) - std::exp(end); });
+        watch.at(0.61 * forward).at(0.3 * forward);
+        if (!terminal_first) watch.at(end, 1);
+        Run run(method, clock(forward), watching(watch, {.hmax = infinity, .first_step = 1}));
+        CHECK(run.run() == State::terminal_event);
+        std::size_t at_end = 0, before = 0;
+        for (const Trajectory& found : run->occurrences)
+          for (const double t : found.t) {
+            CHECK_CLOSE(t, (std::abs(t) < 0.5 ? 0.3 : 0.6) * forward, 4 * eps);
+            CHECK(forward * t <= forward * run->points.t.back());
+            (std::abs(t) < 0.5 ? before : at_end) += 1;
+          }
+        CHECK(before == 1 && at_end == 3);
+      }
 }
 
 TEST(ties_are_ties_at_time_zero_too) {
@@ -178,7 +181,8 @@ TEST(ties_are_ties_at_time_zero_too) {
       watch.add([rate](double t, const double*, double* e) { e[0] = std::expm1(rate * t); }, 1);
     Run run(method, clock(1), watching(watch, {.t0 = -0.9, .hmax = infinity, .first_step = 2}));
     CHECK(run.run() == State::terminal_event);
-    for (const Trajectory& found : run->occurrences) CHECK(found.t.size() == 1 && std::abs(found.t[0]) <= 2 * eps);
+    CHECK_CLOSE(run->points.t.back(), 0, 2 * eps);
+    for (const Trajectory& found : run->occurrences) CHECK(found.t == std::vector<double>{run->points.t.back()});
   }
 }
 

@@ -75,6 +75,20 @@ TEST(a_wrong_invariant_is_found) {
       }
 }
 
+TEST(with_an_exact_jacobian_a_slow_drift_is_found_too) {
+  Problem problem = harmonic();
+  problem.f = [](double, const double* y, double* out) { out[0] = y[1], out[1] = -y[0] - 1e-4 * y[1]; };
+  for (const Method& method : methods)
+    for (const double rtol : {1e-4, 1e-6, 1e-8}) {
+      const check::Case label(method.name, ", rtol ", rtol);
+      Run run(method, problem, {.rtol = rtol, .atol = 1e-3 * rtol});
+      CHECK(run.run() == State::invariant_convicted);
+      CHECK(run->points.t.back() < 1);
+      const double rate = -1e-4 * run->step().y()[1] * run->step().y()[1];  // of the energy
+      CHECK_CLOSE(run->report().finding.size, rate, 1e-3 * std::abs(rate));
+    }
+}
+
 TEST(a_wrong_invariant_among_right_ones_is_named) {
   Problem problem = kepler(0.3);
   const Function g = problem.g;

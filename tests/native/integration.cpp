@@ -21,6 +21,16 @@ TEST(the_end_is_reached_exactly) {
     }
 }
 
+TEST(the_end_is_assigned_and_not_added) {
+  const double t0 = -1e5 / 3, tf = 0.1;
+  CHECK(t0 + (tf - t0) != tf);
+  for (const Method& method : methods) {
+    Run run(method, clock(0), {.settings = {.t0 = t0, .tf = tf, .hmax = infinity, .first_step = 1e6}});
+    CHECK(run.run() == State::reached_end);
+    CHECK(run->points.t.back() == tf && run->step().t() == tf && run->counts().steps == 1);
+  }
+}
+
 TEST(backwards_is_the_mirror_image_of_forwards) {
   for (const Method& method : methods) {
     const check::Case label(method.name);

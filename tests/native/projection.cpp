@@ -111,6 +111,33 @@ TEST(one_iteration_is_the_correction_of_least_weighted_norm) {
   for_samples([](const Sample& s) { CHECK_CLOSE(s.difference(s.project(), s.reference()), 0, s.roundoff(2)); });
 }
 
+TEST(rows_that_nearly_depend_on_each_other_cost_their_condition_and_not_its_square) {
+  // The reference is the minimum-norm solution in long double, by an orthogonal factorisation.
+  for_samples([](const Sample& s) {
+    if (s.J.rows() < 2) return;
+    for (const double apart : {1e-1, 1e-3, 1e-5}) {
+      using Precise = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
+      Sample near = s;
+      near.J.row(1) = s.J.row(0) + apart * s.J.row(1);
+      near.value = near.J * near.from;
+      Vector w(near.y.size());
+      near.weights.fill(near.from.data(), near.y.data(), w.data());
+      const Precise JW = near.J.cast<long double>() * w.cast<long double>().asDiagonal();
+      const Precise r = near.J.cast<long double>() * near.y.cast<long double>() - near.value.cast<long double>();
+      const Precise scale = JW.rowwise().norm().cwiseInverse();
+      Eigen::CompleteOrthogonalDecomposition<Precise> reference;
+      reference.setThreshold(1e-15L);
+      reference.compute(scale.col(0).asDiagonal() * JW);
+      const Precise moved = w.cast<long double>().asDiagonal() * reference.solve(scale.cwiseProduct(r));
+      const Vector expected = near.y - moved.cast<double>();
+      const check::Case label("rows apart by ", apart);
+      std::vector<char> dropped;
+      CHECK_CLOSE(near.difference(near.project(near.J, near.value, &dropped), expected), 0, near.roundoff(1));
+      CHECK(count(dropped) == 0);
+    }
+  });
+}
+
 TEST(the_units_of_an_invariant_do_not_matter) {
   for_samples([](const Sample& s) {
     const Vector expected = s.project();
