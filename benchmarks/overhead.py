@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 import invariode as iv
 
 try:
-    from CyRK import pysolve_ivp  # type: ignore[import-untyped]
+    from CyRK import pysolve_ivp  # type: ignore[import-untyped]  # CyRK ships no types
 except ImportError:
     pysolve_ivp = None
 
