@@ -43,10 +43,10 @@ bool find_root(E&& e, double a, double ea, double b, double eb, double width, do
 
 }  // namespace
 
-Events::Events(std::vector<EventFunction> functions, std::size_t n, int interior_points)
+Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degree)
     : functions_(std::move(functions)),
       n_(n),
-      intervals_(static_cast<std::size_t>(interior_points) + 1),
+      intervals_(static_cast<std::size_t>(max_degree) + 1),
       times_(intervals_ + 1),
       values_(intervals_ + 1),
       last_(functions_.size()),
@@ -74,8 +74,9 @@ Events::Result Events::start(double t, const double* y) {
   return Result::ok;
 }
 
-Events::Result Events::search(double t0, double t1, const double* y1, StepInterpolant& interpolant) {
+Events::Result Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
   step_ = {t0, t1, y1, &interpolant};
+  intervals_ = static_cast<std::size_t>(degree) + 1;
   occurrences_.clear();
   terminal_ = false;
   points_known_[0] = points_known_[1] = false;

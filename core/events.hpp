@@ -29,7 +29,7 @@ class Events {
  public:
   enum class [[nodiscard]] Result { ok, stop, undefined };
 
-  Events(std::vector<EventFunction> functions, std::size_t n, int interior_points);
+  Events(std::vector<EventFunction> functions, std::size_t n, int max_degree);
 
   [[nodiscard]] bool empty() const { return functions_.empty(); }
   [[nodiscard]] std::size_t count() const { return functions_.size(); }
@@ -38,8 +38,8 @@ class Events {
   Result start(double t, const double* y);
 
   /// Finds the roots in the accepted step from t0 to (t1, y1), in the order of integration, and counts them. The first
-  /// one that is terminal ends the list, together with those that tie with it.
-  Result search(double t0, double t1, const double* y1, StepInterpolant& interpolant);
+  /// one that is terminal ends the list, together with those that tie with it. `degree`: of the extension of this step.
+  Result search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant);
 
   /// Of the last search.
   [[nodiscard]] const std::vector<Occurrence>& occurrences() const { return occurrences_; }

@@ -100,7 +100,7 @@ Finding Guard::start_jacobian(double t, const double* y) {
   for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] - cbrt_eps * w[j] * direction(j);
   if (invariants_.residual(t, point_.data(), minus_.data()) == Status::stop) return stopped();
   for (std::size_t i = 0; i < m; ++i) {
-    if (invariants_.by_differences(i)) continue;
+    if (invariants_.by_differences(i) || invariants_.certain(i)) continue;
     double expected = 0, terms = 0;
     for (std::size_t j = 0; j < n; ++j) {
       const double term = J[i * n + j] * w[j] * direction(j);
@@ -125,6 +125,7 @@ Finding Guard::worst_entry(double t, const double* y) {
   Finding worst;
   double largest = 0;
   for (std::size_t i = 0; i < m; ++i) {
+    if (invariants_.certain(i)) continue;
     double terms = 0;
     for (std::size_t j = 0; j < n; ++j)
       terms = std::max({terms, std::abs(J[i * n + j] * w[j]), std::abs(differences_[i * n + j] * w[j])});
@@ -223,6 +224,7 @@ Finding Guard::suspect(const Projector& at, double t, const double* f, double h,
   const double speed = weighted_norm(f, at.weights(), n);
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
+    if (invariants_.certain(i)) continue;
     const bool differences = differences_in_t || invariants_.by_differences(i);
     const double limit = differences ? suspicious_angle_differences : suspicious_angle;
     const double rate = gt_[i] + dot(at.jacobian() + i * n, f, n);

@@ -26,7 +26,7 @@ struct Finding {
 /// before it convicts.
 class Guard {
  public:
-  /// `f` is copied: the evaluations that the tests cost are counted apart from the method's.
+  /// `f`: y' as a function, copied, so that the evaluations that the tests cost are counted apart from the method's.
   Guard(Invariants& invariants, const Weights& weights, const Callback& f);
 
   /// The residual at (t0, y0): not finite is `undefined`, farther off a demanded value than rtol is `off_value`;
@@ -37,7 +37,8 @@ class Guard {
   /// The rate of change of the invariants at (t0, y0), where the slope is f and the first step h.
   Finding start_rate(double t, const double* y, const double* f, double h);
 
-  /// The same after accepted step number `steps`, with the linearization that `projector` has at hand.
+  /// The same after accepted step number `steps`, with the linearization that `projector` has at hand and the method's
+  /// slope f. (Where that is no more than what Newton's iteration left, suspicions are frequent, and rarely looked at.)
   Finding rate(const Projector& projector, double t, const double* f, double h, std::int64_t steps);
   /// Projects (t, y) to roundoff, evaluates f there and tests again. `none` also where that cannot be done.
   Finding confirm(double t, const double* y, double h);

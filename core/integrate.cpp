@@ -16,18 +16,18 @@ constexpr double expected_decrease = 3;  // of the correction by two halvings of
 
 }  // namespace
 
-Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const Callback& f, Invariants* invariants,
+Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
                          std::vector<EventFunction> events, Callback callback, Settings settings)
     : step_(std::move(step)),
       weights_(weights),
-      invariants_(invariants),
+      invariants_(manifold.steps),
       settings_(std::move(settings)),
       callback_(callback),
       n_(weights.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
-      events_(std::move(events), n_, step_->degree()),
-      interpolant_(*step_, settings_.interpolation, invariants,
-                   invariants ? &between_.emplace(*invariants, weights, 1) : nullptr),
+      events_(std::move(events), n_, step_->max_degree()),
+      interpolant_(*step_, settings_.interpolation, manifold.between,
+                   manifold.between ? &between_.emplace(*manifold.between, weights, 1) : nullptr),
       y0_(n_),
       y1_(n_),
       point_(n_),
@@ -35,10 +35,10 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
   occurrences.resize(events_.count());
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations);
-    guard_.emplace(*invariants_, weights_, f);
+    guard_.emplace(*invariants_, weights_, manifold.slope);
   }
   if (settings_.dense)
-    dense.emplace(n_, invariants_ ? invariants_->m() : 0, settings_.interpolation, step_->interpolate());
+    dense.emplace(n_, manifold.between ? manifold.between->m() : 0, settings_.interpolation, step_->interpolate());
 }
 
 State Integration::end(State state) { return state_ = state; }
@@ -78,7 +78,10 @@ State Integration::inspect_start(double* y0) {
 State Integration::start_method(const double* y0) {
   switch (step_->start(t0_, y0, {settings_.tf, settings_.hmax, hmin_ulps * ulp(t0_)})) {
     case Outcome::stop: return end(State::interrupted);
-    case Outcome::not_finite: report_.component = step_->undefined_component(); return end(State::start_undefined);
+    case Outcome::not_finite:
+      report_.component = step_->undefined_component();
+      report_.linear = step_->linear_work();
+      return end(State::start_undefined);
     case Outcome::ok: break;
   }
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
@@ -130,6 +133,7 @@ Integration::Verdict Integration::attempt() {
     return Verdict::ended;
   }
   error_ = proposal.error;
+  if (!proposal.converged) return reject(Cause::newton);
   if (proposal.outcome == Outcome::not_finite || !std::isfinite(error_)) return reject(Cause::not_finite);
   if (!(error_ <= weights_.rtol())) return reject(Cause::error);
 
@@ -201,7 +205,8 @@ void Integration::explain_failure(Cause cause) {
   report_.t = t0_;
   report_.h = h_;
   report_.cause = cause;
-  if (cause == Cause::not_finite) report_.component = step_->undefined_component();
+  report_.linear = step_->linear_work();
+  if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
   if (cause != Cause::error) return;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && y0_[i] == 0) {
@@ -256,7 +261,7 @@ State Integration::finish_step() {
 
 /// Finds the events of the step and keeps them with their states; the last one's is left in `point_`.
 State Integration::locate_events() {
-  switch (events_.search(t0_, t1_, step_->y(), interpolant_)) {
+  switch (events_.search(t0_, t1_, step_->y(), step_->degree(), interpolant_)) {
     case Events::Result::stop: return end(State::interrupted);
     case Events::Result::undefined:
       report_.event = events_.undefined().event;

@@ -54,6 +54,7 @@ struct Report {
   Cause cause = Cause::error;
   int component = -1;          ///< of y, that is not finite, or that pure relative control cannot resolve
   bool pure_relative = false;  ///< y_i = 0 and atol_i = 0 made the error test fail
+  LinearWork linear;           ///< of an implicit method, in the attempt that failed
   std::size_t event = 0;
   Finding finding;
 };
@@ -66,8 +67,16 @@ struct Counts {
 /// both can be called again after `advance` returned `running`.
 class Integration {
  public:
-  /// `invariants` and the callbacks belong to the caller and outlive this. `invariants` may be null, `callback` empty.
-  Integration(std::unique_ptr<Step> step, const Weights& weights, const Callback& f, Invariants* invariants,
+  /// What the solution is kept on: `steps` by projection after each step, `between` in the output between them, `slope`
+  /// is y' as a function, with which invariants are tested. Null: nothing.
+  struct Manifold {
+    Invariants* steps = nullptr;
+    Invariants* between = nullptr;
+    Callback slope;
+  };
+
+  /// The manifold's invariants and the callbacks belong to the caller and outlive this. `callback` may be empty.
+  Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
               std::vector<EventFunction> events, Callback callback, Settings settings);
 
   State start(const double* y0);

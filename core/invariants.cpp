@@ -22,7 +22,10 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
       point_(n),
       plus_(value_.size()),
       minus_(value_.size()) {
-  for (const InvariantBlock& block : blocks_) by_differences_.insert(by_differences_.end(), block.m, !block.jacobian);
+  for (const InvariantBlock& block : blocks_) {
+    by_differences_.insert(by_differences_.end(), block.m, !block.jacobian);
+    certain_.insert(certain_.end(), block.m, block.certain);
+  }
 }
 
 std::int64_t Invariants::calls() const {

@@ -15,6 +15,7 @@ struct InvariantBlock {
   Callback g;
   Callback jacobian;
   std::size_t m = 0;
+  bool certain = false;  ///< true of every solution, as algebraic equations are: not tested
 };
 
 /// All invariants of a run: r(t, y) = g(t, y) − value, J = ∂g/∂y, g_t.
@@ -25,12 +26,14 @@ class Invariants {
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] std::size_t m() const { return value_.size(); }
   [[nodiscard]] const std::vector<double>& value() const { return value_; }
+  [[nodiscard]] const std::vector<InvariantBlock>& blocks() const { return blocks_; }
   [[nodiscard]] std::int64_t calls() const;
   [[nodiscard]] std::int64_t jacobian_calls() const;
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} only.
   [[nodiscard]] bool by_differences(std::size_t i) const { return by_differences_[i] != 0; }
 
   [[nodiscard]] bool all_by_differences() const;
+  [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
 
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
@@ -53,7 +56,7 @@ class Invariants {
   std::vector<InvariantBlock> blocks_;
   std::vector<double> value_;
   const Weights& weights_;
-  std::vector<char> by_differences_;
+  std::vector<char> by_differences_, certain_;
   std::vector<double> point_, plus_, minus_;
 };
 

@@ -46,7 +46,7 @@ class RungeKutta final : public Step {
     if (!all_finite(k_[0], n())) return Outcome::not_finite;
     MaxNorm norm;
     for (std::size_t i = 0; i < n(); ++i) norm.add(k_[0][i] / weights_.at(i, y[i]));
-    h_ = first_step(norm.value() / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    h_ = first_h(norm.value() / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
     return Outcome::ok;
   }
 
@@ -119,13 +119,6 @@ class RungeKutta final : public Step {
 
  private:
   static constexpr double exponent = 1.0 / T.order;
-
-  static double first_step(double reciprocal, double t, const Span& span) {
-    double h = std::min(span.hmax, std::abs(span.tf - t));
-    if (h * reciprocal > 1) h = 1 / reciprocal;
-    if (std::isinf(h)) h = 1e-3 * std::max(1.0, std::abs(t));  // infinite interval and f0 = 0: no scale is known
-    return std::max(h, span.hmin);
-  }
 
   /// The last stage of the accepted step is the first of the next one (FSAL).
   void advance_memory() {

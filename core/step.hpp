@@ -2,7 +2,10 @@
 // The step contract: five operations that every method obeys, so that the loop, the projection, the events and the
 // output exist once.
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "callback.hpp"
@@ -12,6 +15,14 @@ namespace invariode {
 
 /// How an operation of a step ended. `not_finite`: a needed value of f is NaN or infinite.
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
+
+/// Jacobians, factorisations and solves so far; whether the last attempt met a singular iteration matrix, or a Jacobian
+/// that is not finite.
+struct LinearWork {
+  std::int64_t jacobians = 0, factorizations = 0, solves = 0;
+  bool singular = false;
+  bool undefined_jacobian = false;
+};
 
 /// Why an attempt was rejected.
 enum class Cause { error, newton, projection, not_finite };
@@ -34,11 +45,13 @@ class Step {
     double hmin;
   };
 
-  /// A proposal: the candidate y* at t1 and its error in the norm of the error test (NaN or infinite if f was).
+  /// A proposal: the candidate y* at t1 and its error in the norm of the error test (NaN or infinite if f was), unless
+  /// the iteration for an implicit formula did not converge.
   struct Attempt {
     Outcome outcome;
     double error;
     const double* y;
+    bool converged = true;
   };
 
   Step(Callback& f, const Weights& weights) : f_(f), weights_(weights), y_(weights.size()) {}
@@ -65,14 +78,18 @@ class Step {
   virtual void extension(double* data) const = 0;
   [[nodiscard]] virtual std::size_t extension_size() const = 0;
   [[nodiscard]] virtual std::size_t max_extension_size() const = 0;
-  /// Its degree: so many roots inside a step has a linear event function at the most.
+  /// Its degree, in this step and at most: so many roots inside a step has a linear event function.
   [[nodiscard]] virtual int degree() const = 0;
+  [[nodiscard]] virtual int max_degree() const { return degree(); }
 
   [[nodiscard]] virtual int order() const = 0;
-  /// f at the end of the accepted step as the method has it, without another evaluation.
+  /// y' at the end of the accepted step as the method has it, without another evaluation; after an implicit step only
+  /// to the accuracy of its iteration.
   [[nodiscard]] virtual const double* slope() const = 0;
   /// The first component of f that was not finite in the last attempt (or at the start), or -1.
   [[nodiscard]] virtual int undefined_component() const = 0;
+  /// What the linear algebra of an implicit method did, and what went wrong with it in the last attempt.
+  [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
 
   [[nodiscard]] std::size_t n() const { return y_.size(); }
   [[nodiscard]] double t() const { return t_; }
@@ -82,6 +99,14 @@ class Step {
   void set_h(double h) { h_ = h; }
 
  protected:
+  /// The first |h|: 1 / reciprocal, as far as the span allows.
+  static double first_h(double reciprocal, double t, const Span& span) {
+    double h = std::min(span.hmax, std::abs(span.tf - t));
+    if (h * reciprocal > 1) h = 1 / reciprocal;
+    if (std::isinf(h)) h = 1e-3 * std::max(1.0, std::abs(t));  // infinite interval and f0 = 0: no scale is known
+    return std::max(h, span.hmin);
+  }
+
   Callback& f_;
   const Weights& weights_;
   double t_ = 0;

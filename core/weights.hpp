@@ -56,6 +56,7 @@ class Weights {
 
   [[nodiscard]] double rtol() const { return rtol_; }
   [[nodiscard]] std::size_t size() const { return threshold_.size(); }
+  [[nodiscard]] double absolute_tolerance(std::size_t i) const { return rtol_ * threshold_[i]; }
   [[nodiscard]] bool pure_relative(std::size_t i) const { return threshold_[i] == std::numeric_limits<double>::min(); }
 
   [[nodiscard]] double at(std::size_t i, double y) const {

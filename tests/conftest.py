@@ -18,6 +18,12 @@ def method(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.fixture(params=[name for name, method in iv.METHODS.items() if method.fixed_order])
+def pair(request: pytest.FixtureRequest) -> str:
+    """The methods of fixed order: Runge-Kutta pairs."""
+    return str(request.param)
+
+
 @pytest.fixture(params=list(PROBLEMS))
 def problem(request: pytest.FixtureRequest) -> TestProblem:
     return PROBLEMS[request.param]

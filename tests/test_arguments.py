@@ -35,14 +35,13 @@ CALLS = {
     "refine 0": (dict(refine=0), ValueError, "refine must be a positive integer"),
     "refine float": (dict(refine=2.5), TypeError, "refine must be a positive integer"),
     "interpolation": (dict(interpolation="projcted"), ValueError, "did you mean 'projected'"),
-    "fsal": (dict(fsal=True), ValueError, "fsal must be one of 'reuse', 'evaluate', got True"),
+    "fsal": (dict(fsal=True, method="ode45"), ValueError, "fsal must be one of 'reuse', 'evaluate', got True"),
     "save": (dict(save="last"), ValueError, "save must be one of 'all', 'end'"),
     "save and t_eval": (dict(save="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
     "save and dense": (dict(save="end", dense_output=True), ValueError, "t_eval and dense_output need"),
     "callback": (dict(callback=3), TypeError, "callback must be a function"),
     "unknown option": (dict(rtoll=1e-3), TypeError, "unknown option 'rtoll'; did you mean 'rtol'"),
     "far unknown option": (dict(zzz=1), TypeError, "unknown option 'zzz'$"),
-    "mass": (dict(mass=np.eye(2)), ValueError, "explicit and cannot use a mass matrix"),
     "method": (dict(method="ode46"), ValueError, "unknown method 'ode46'; did you mean 'ode45'"),
     "method type": (dict(method=45), TypeError, "method must be the name of a method"),
     "events": (dict(events={}), TypeError, "events must be a function"),
@@ -84,6 +83,14 @@ def test_sizes_that_show_only_with_the_problem():
         iv.solve_ivp(decay, (0, 1), [1, 2], invariants=iv.Invariants(energy, value=[1, 2]))
     with pytest.raises(ValueError, match="returns 1 values and has 2 names"):
         iv.solve_ivp(decay, (0, 1), [1, 2], invariants=iv.Invariants(energy, names=["a", "b"]))
+
+
+def test_mass_needs_a_method_that_can_use_it(method):
+    if "mass" in iv.METHODS[method].options:
+        assert iv.solve_ivp(decay, (0, 2), [1, 2], method, mass=np.eye(2)).success
+    else:
+        with pytest.raises(ValueError, match="explicit and cannot use a mass matrix; use ode15s"):
+            iv.solve_ivp(decay, (0, 2), [1, 2], method, mass=np.eye(2))
 
 
 def test_problem():
@@ -151,8 +158,10 @@ def test_registry():
     for name, method in iv.METHODS.items():
         assert name == method.name
         assert method.source
+        assert getattr(iv, name)(decay, (0, 1), [1, 2]).success
         sol = iv.solve_ivp(decay, (0, 1), [1, 2], name)
-        assert sol.nfev == 1 + method.stages * (sol.stats.steps + sol.stats.failed)
-        assert set(sol.steps.order) == {method.order}
+        if method.stages:
+            assert sol.nfev == 1 + method.stages * (sol.stats.steps + sol.stats.failed)
+        assert method.min_order <= sol.steps.order.min() <= sol.steps.order.max() <= method.order
     with pytest.raises(TypeError):
         iv.METHODS["new"] = None

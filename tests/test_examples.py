@@ -1,4 +1,4 @@
-"""Each example runs as it stands, writes its plot, and shows that projection reduces the drift."""
+"""Each example runs as it stands, writes its plot, and shows that projection reduces the drift, if it is about that."""
 
 from __future__ import annotations
 
@@ -31,5 +31,9 @@ def test_example_runs_and_writes_its_plot(example, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert plot.read_bytes().startswith(PNG)
-    plain, projected = (float(re.search(r"\d\.\de-\d+", line)[0]) for line in done.stdout.splitlines())
-    assert projected < 1e-3 * plain
+    drifts = [float(re.search(r"\d(\.\d)?e-\d+", line)[0]) for line in done.stdout.splitlines()]
+    if done.stdout.lstrip().startswith("plain"):
+        plain, projected = drifts
+        assert projected < 1e-3 * plain
+    else:
+        assert max(drifts) < 1e-8

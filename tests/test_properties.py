@@ -30,8 +30,10 @@ def test_reversing_time_is_reversing_velocities(method, e):
     x, z, u, v = orbit(e)
     forward = iv.solve_ivp(kepler, (0, 7), [x, z, u, v], method, invariants=invariants())
     backward = iv.solve_ivp(kepler, (0, -7), [x, z, -u, -v], method, invariants=invariants())
-    np.testing.assert_array_equal(backward.t, -forward.t)
-    np.testing.assert_allclose(backward.y * [[1], [1], [-1], [-1]], forward.y, rtol=1e-12, atol=1e-12)
+    # difference Jacobians take their increments in the direction of f, which is another one
+    roundoff = 1e-5 if method == "ode15s" else 1e-12
+    np.testing.assert_allclose(backward.t, -forward.t, rtol=roundoff if method == "ode15s" else 0)
+    np.testing.assert_allclose(backward.y * [[1], [1], [-1], [-1]], forward.y, rtol=roundoff, atol=roundoff)
 
 
 @LIMITS

@@ -11,7 +11,7 @@ from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .methods import METHODS, Method
 from .problem import Problem
 from .solution import DenseSolution, Solution, Stats, Steps
-from .suite import ode23, ode45, solve_ivp
+from .suite import ode15s, ode23, ode45, ode113, solve_ivp
 
 __all__ = [
     "METHODS",
@@ -26,8 +26,10 @@ __all__ = [
     "Stats",
     "Steps",
     "impose",
+    "ode15s",
     "ode23",
     "ode45",
+    "ode113",
     "solve_ivp",
 ]
 

@@ -20,7 +20,11 @@
 #include <utility>
 #include <vector>
 
+#include "adams.hpp"
 #include "integrate.hpp"
+#include "jacobian.hpp"
+#include "mass.hpp"
+#include "ndf.hpp"
 #include "runge_kutta.hpp"
 
 namespace nb = nanobind;
@@ -29,7 +33,7 @@ using namespace invariode;
 namespace {
 
 using Vector = nb::ndarray<double, nb::numpy, nb::ndim<1>, nb::c_contig>;
-using Matrix = nb::ndarray<double, nb::numpy, nb::ndim<2>, nb::c_contig>;
+using Table = nb::ndarray<double, nb::numpy, nb::ndim<2>, nb::c_contig>;
 using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
@@ -289,6 +293,54 @@ void PythonFunction::complain(PyObject* returned) const noexcept {
   Py_XDECREF(traceback);
 }
 
+/// A Python function of (t, y), or of t alone, as a core function that fills a matrix. It returns what `read` takes:
+/// the values as a float64 array in the matrix's layout, for a sparse one (starts, rows, values). Python's own layer
+/// has brought what the user's function returned into this form.
+class PythonMatrix {
+ public:
+  PythonMatrix(nb::object function, bool complex) : function_(std::move(function)), complex_(complex) {}
+
+  [[nodiscard]] MatrixFunction callback() { return {&PythonMatrix::entry, this}; }
+
+  static void read(nb::handle values, Matrix& out) {
+    if (out.structure.kind == Structure::Kind::sparse) {
+      using Indices = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+      const auto [starts, rows, entries] = nb::cast<std::tuple<Indices, Indices, ConstVector>>(values);
+      out.starts.assign(starts.data(), starts.data() + starts.size());
+      out.rows.assign(rows.data(), rows.data() + rows.size());
+      out.values.assign(entries.data(), entries.data() + entries.size());
+    } else {
+      const auto entries = nb::cast<ConstMatrix>(values);
+      out.values.assign(entries.data(), entries.data() + entries.size());
+    }
+  }
+
+ private:
+  static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
+    auto* me = static_cast<PythonMatrix*>(self);
+    try {
+      read(y == nullptr ? me->function_(t) : me->function_(t, me->state(y, out.n())), out);
+      return Status::ok;
+    } catch (nb::python_error& error) {
+      error.restore();
+    } catch (const std::exception& error) {
+      PyErr_SetString(PyExc_RuntimeError, error.what());
+    }
+    return Status::stop;
+  }
+
+  [[nodiscard]] nb::object state(const double* y, std::size_t size) const {
+    auto n = static_cast<npy_intp>(complex_ ? size / 2 : size);
+    PyObject* array = PyArray_SimpleNew(1, &n, complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
+    if (array == nullptr) throw nb::python_error();
+    std::memcpy(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array)), y, size * sizeof(double));
+    return nb::steal(array);
+  }
+
+  nb::object function_;
+  bool complex_;
+};
+
 // ---------------------------------------------------------------------------------------------------------------------
 // The problem as the core sees it
 
@@ -305,6 +357,16 @@ using InvariantSpec = std::tuple<nb::object, nb::object, std::size_t, std::strin
 /// (fun, terminal count, direction, name)
 using EventSpec = std::tuple<nb::object, std::int64_t, int, std::string>;
 
+/// What `Linear` of Python's layer says of ∂f/∂y and M.
+struct LinearSpec {
+  Structure structure;
+  std::string kind;       // of the Jacobian: "constant", "function", "differences"
+  nb::object jacobian;    // its values, its function, or for sparse differences its pattern
+  nb::object mass;        // None, the values of a constant one, or M(t)
+  nb::object null_basis;  // (starts, rows, values, r) of Z
+  nb::object lapack;      // None, or capsules by name
+};
+
 /// Owns the Python functions of a call and makes callbacks of them.
 class Functions {
  public:
@@ -316,6 +378,10 @@ class Functions {
   Callback scalar(nb::handle f, const std::string& name) { return add(f, args_, name, {}); }
   Callback truth(nb::handle f, const std::string& name) {
     return add(f, nb::tuple(), name, {.kind = Returns::Kind::truth});
+  }
+  MatrixFunction matrix(const nb::object& function) {
+    matrices_.push_back(std::make_unique<PythonMatrix>(function, space_.complex));
+    return matrices_.back()->callback();
   }
   std::vector<InvariantBlock> invariants(const std::vector<InvariantSpec>& specs) {
     std::vector<InvariantBlock> blocks;
@@ -340,6 +406,7 @@ class Functions {
   Space space_;
   nb::tuple args_;
   std::vector<std::unique_ptr<PythonFunction>> owned_;
+  std::vector<std::unique_ptr<PythonMatrix>> matrices_;
 };
 
 std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
@@ -395,6 +462,18 @@ const char* name_of(Finding::Kind kind) {
   return "";
 }
 
+const char* name_of(Consistency verdict) {
+  switch (verdict) {
+    case Consistency::consistent: return "consistent";
+    case Consistency::corrected: return "corrected";
+    case Consistency::not_found: return "not_found";
+    case Consistency::index_too_high: return "index_too_high";
+    case Consistency::undefined: return "undefined";
+    case Consistency::stop: return "stop";
+  }
+  return "";
+}
+
 template <class Names>
 auto find_name(const Names& names, const std::string& name, const char* what) {
   for (const auto& [key, value] : names)
@@ -402,8 +481,85 @@ auto find_name(const Names& names, const std::string& name, const char* what) {
   throw nb::value_error((std::string("unknown ") + what + " '" + name + "'").c_str());
 }
 
-using MakeStep = std::unique_ptr<Step> (*)(Callback&, const Weights&, Fsal);
-constexpr std::pair<const char*, MakeStep> steps[] = {{"ode23", ode23_step}, {"ode45", ode45_step}};
+/// ∂f/∂y, M and the linear algebra of an implicit method, from their description.
+class LinearProblem {
+ public:
+  LinearProblem(const LinearSpec& spec, Functions& functions, const Weights& weights)
+      : jacobian_(make_jacobian(spec, functions, weights)) {
+    if (!spec.lapack.is_none()) take_lapack(spec.lapack);
+    if (spec.mass.is_none()) return;
+    Matrix mass(spec.structure);
+    MatrixFunction function;
+    if (PyCallable_Check(spec.mass.ptr()) != 0)
+      function = functions.matrix(spec.mass);
+    else
+      PythonMatrix::read(spec.mass, mass);
+    mass_.emplace(std::move(mass), function, make_basis(spec.null_basis, spec.structure.n));
+  }
+
+  [[nodiscard]] Jacobian& jacobian() { return jacobian_; }
+  [[nodiscard]] Mass* mass() { return mass_ ? &*mass_ : nullptr; }
+  [[nodiscard]] const Lapack* lapack() const { return lapack_ ? &*lapack_ : nullptr; }
+
+ private:
+  static Jacobian make_jacobian(const LinearSpec& spec, Functions& functions, const Weights& weights) {
+    Matrix matrix(spec.structure);
+    if (spec.kind == "function") return {Jacobian::Kind::function, matrix, functions.matrix(spec.jacobian), weights};
+    const bool differences = spec.kind == "differences";
+    if (!spec.jacobian.is_none()) PythonMatrix::read(spec.jacobian, matrix);
+    return {differences ? Jacobian::Kind::differences : Jacobian::Kind::constant, std::move(matrix), {}, weights};
+  }
+
+  static Mass::Basis make_basis(const nb::object& basis, std::size_t n) {
+    using Indices = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+    const auto [starts, rows, values] = nb::cast<std::tuple<Indices, Indices, ConstVector>>(basis);
+    return Eigen::Map<const Mass::Basis>(static_cast<Eigen::Index>(n), static_cast<Eigen::Index>(starts.size()) - 1,
+                                         static_cast<Eigen::Index>(values.size()), starts.data(), rows.data(),
+                                         values.data());
+  }
+
+  template <class Routine>
+  static void take(const nb::object& capsules, const char* name, Routine*& to) {
+    PyObject* capsule = nb::object(capsules[name]).ptr();
+    to = reinterpret_cast<Routine*>(PyCapsule_GetPointer(capsule, PyCapsule_GetName(capsule)));
+    if (to == nullptr) throw nb::python_error();
+  }
+  void take_lapack(const nb::object& capsules) {
+    lapack_.emplace();
+    take(capsules, "dgetrf", lapack_->dgetrf);
+    take(capsules, "dgetrs", lapack_->dgetrs);
+    take(capsules, "dgbtrf", lapack_->dgbtrf);
+    take(capsules, "dgbtrs", lapack_->dgbtrs);
+  }
+
+  Jacobian jacobian_;
+  std::optional<Mass> mass_;
+  std::optional<Lapack> lapack_;
+};
+
+struct MethodOptions {
+  Fsal fsal;
+  int max_order;
+  bool bdf;
+  bool projected;
+  LinearProblem* linear;
+};
+
+using MakeStep = std::unique_ptr<Step> (*)(Callback&, const Weights&, const MethodOptions&);
+constexpr std::pair<const char*, MakeStep> steps[] = {
+    {"ode23", [](Callback& f, const Weights& w, const MethodOptions& o) { return ode23_step(f, w, o.fsal); }},
+    {"ode45", [](Callback& f, const Weights& w, const MethodOptions& o) { return ode45_step(f, w, o.fsal); }},
+    {"ode113",
+     [](Callback& f, const Weights& w, const MethodOptions& o) -> std::unique_ptr<Step> {
+       return std::make_unique<Adams>(f, w, o.max_order);
+     }},
+    {"ode15s", [](Callback& f, const Weights& w, const MethodOptions& o) -> std::unique_ptr<Step> {
+       const Ndf::Options options{
+           .max_order = o.max_order, .bdf = o.bdf, .renew_on_error = o.projected, .lapack = o.linear->lapack()};
+       return std::make_unique<Ndf>(f, w, o.linear->jacobian(), o.linear->mass(), options);
+     }}};
+constexpr std::pair<const char*, Structure::Kind> structures[] = {
+    {"dense", Structure::Kind::dense}, {"banded", Structure::Kind::banded}, {"sparse", Structure::Kind::sparse}};
 constexpr std::pair<const char*, Fsal> fsals[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
 constexpr std::pair<const char*, Interpolation> interpolations[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
@@ -417,8 +573,8 @@ struct Dense {
   Weights weights;
   bool complex;
 
-  Matrix evaluate(const ConstVector& t, const std::vector<InvariantSpec>& invariants, const ConstVector& value,
-                  const nb::tuple& args) const {
+  Table evaluate(const ConstVector& t, const std::vector<InvariantSpec>& invariants, const ConstVector& value,
+                 const nb::tuple& args) const {
     Functions functions({output.n(), complex}, args);
     std::optional<Invariants> g;
     std::optional<Projector> projector;
@@ -429,7 +585,7 @@ struct Dense {
     std::vector<double> y(t.size() * output.n());
     if (output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr) == Status::stop)
       throw nb::python_error();
-    return to_array<Matrix>(std::move(y), t.size(), output.n());
+    return to_array<Table>(std::move(y), t.size(), output.n());
   }
 };
 
@@ -443,22 +599,24 @@ struct Run {
   State state;
   Report report;
   Counts counts;
+  LinearWork linear;
   std::int64_t nfev, nfev_check, ng, ngjac;
   bool projected_start = false;
   std::vector<int> dropped;
   double dropped_at = 0;
 
-  static std::pair<Vector, Matrix> arrays(Trajectory&& points, std::size_t n) {
+  static std::pair<Vector, Table> arrays(Trajectory&& points, std::size_t n) {
     const std::size_t size = points.t.size();
-    return {to_array<Vector>(std::move(points.t), size), to_array<Matrix>(std::move(points.y), size, n)};
+    return {to_array<Vector>(std::move(points.t), size), to_array<Table>(std::move(points.y), size, n)};
   }
 };
 
 Run integrate(const std::string& method, const nb::object& fun, const nb::tuple& args, double t0, double tf,
               const ConstVector& y0, bool complex, double rtol, const ConstVector& threshold,
               const std::optional<ConstVector>& scale, double max_step, double first_step, const std::string& fsal,
-              const std::string& interpolation, int refine, const std::optional<ConstVector>& times, bool dense,
-              bool save_all, bool check, const std::vector<EventSpec>& events, const nb::object& callback,
+              int max_order, bool bdf, const std::optional<LinearSpec>& linear, const std::string& interpolation,
+              int refine, const std::optional<ConstVector>& times, bool dense, bool save_all, bool check,
+              const std::vector<EventSpec>& events, const nb::object& callback,
               const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations) {
   const std::size_t n = y0.size();
   const Weights weights = to_weights(rtol, threshold, scale);
@@ -468,8 +626,29 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
   for (const auto& [function, terminal, direction, name] : events)
     event_functions.push_back({functions.scalar(function, "event " + name), terminal, direction});
   const Callback notify = callback.is_none() ? Callback() : functions.truth(callback, "callback(t, y)");
-  std::optional<Invariants> g;
-  if (!invariants.empty()) g.emplace(n, functions.invariants(invariants), to_vector(value), weights);
+  std::optional<LinearProblem> implicit;
+  if (linear) implicit.emplace(*linear, functions, weights);
+  Mass* mass = implicit ? implicit->mass() : nullptr;
+
+  // With a singular mass matrix the invariants are imposed together with the algebraic equations.
+  std::optional<Invariants> g, between;
+  std::optional<AlgebraicConstraints> algebraic;
+  std::optional<MassSlope> slope;
+  Integration::Manifold manifold{.slope = f};
+  if (!invariants.empty()) {
+    std::vector<InvariantBlock> blocks = functions.invariants(invariants);
+    std::vector<double> values = to_vector(value);
+    if (mass) manifold.slope = slope.emplace(f, implicit->jacobian(), *mass, weights, implicit->lapack()).callback();
+    if (mass && mass->singular()) {
+      manifold.between = &between.emplace(n, blocks, values, weights);
+      algebraic.emplace(f, implicit->jacobian(), *mass);
+      blocks.push_back(
+          {.g = algebraic->residual(), .jacobian = algebraic->jacobian(), .m = algebraic->count(), .certain = true});
+      values.resize(values.size() + algebraic->count());
+    }
+    manifold.steps = &g.emplace(n, std::move(blocks), std::move(values), weights);
+    if (!between) manifold.between = manifold.steps;
+  }
 
   Settings settings{.t0 = t0,
                     .tf = tf,
@@ -483,8 +662,13 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
                     .dense = dense,
                     .save_all = save_all,
                     .check = check};
-  Integration integration(find_name(steps, method, "method")(f, weights, find_name(fsals, fsal, "fsal")), weights, f,
-                          g ? &*g : nullptr, std::move(event_functions), notify, std::move(settings));
+  const MethodOptions options{.fsal = find_name(fsals, fsal, "fsal"),
+                              .max_order = max_order,
+                              .bdf = bdf,
+                              .projected = g.has_value(),
+                              .linear = implicit ? &*implicit : nullptr};
+  Integration integration(find_name(steps, method, "method")(f, weights, options), weights, manifold,
+                          std::move(event_functions), notify, std::move(settings));
   if (integration.start(y0.data()) == State::running) integration.run();
   if (integration.state() == State::interrupted) throw nb::python_error();
 
@@ -496,11 +680,18 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
           .state = integration.state(),
           .report = integration.report(),
           .counts = integration.counts(),
+          .linear = integration.step().linear_work(),
           .nfev = f.calls(),
-          .nfev_check = g ? integration.guard()->calls() : 0,
+          .nfev_check = slope ? slope->evaluations()
+                        : g   ? integration.guard()->calls()
+                              : 0,
           .ng = g ? g->calls() : 0,
           .ngjac = g ? g->jacobian_calls() : 0,
           .dropped = {}};
+  if (between) {  // the block of the algebraic equations is none of the user's functions
+    run.ng += between->calls() - g->blocks().back().g.calls();
+    run.ngjac += between->jacobian_calls() - g->blocks().back().jacobian.calls();
+  }
   if (integration.dense) run.dense.emplace(Dense{std::move(*integration.dense), weights, complex});
   if (g) {
     run.projected_start = integration.guard()->projected_start();
@@ -510,6 +701,24 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
     run.dropped_at = projector.dropped_at();
   }
   return run;
+}
+
+/// y0 moved until the algebraic equations of a singular mass matrix hold, and how that ended.
+std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, const nb::tuple& args, double t0,
+                                                     const ConstVector& y0, bool complex, double rtol,
+                                                     const ConstVector& threshold,
+                                                     const std::optional<ConstVector>& scale,
+                                                     const LinearSpec& linear) {
+  const std::size_t n = y0.size();
+  const Weights weights = to_weights(rtol, threshold, scale);
+  Functions functions({n, complex}, args);
+  Callback f = functions.state_valued(fun, "fun(t, y)");
+  LinearProblem problem(linear, functions, weights);
+  std::vector<double> y = to_vector(y0);
+  const Consistency verdict =
+      make_consistent(f, problem.jacobian(), *problem.mass(), weights, problem.lapack(), t0, y.data());
+  if (verdict == Consistency::stop) throw nb::python_error();
+  return {to_array<Vector>(std::move(y), n), name_of(verdict)};
 }
 
 /// Projects each row of y, at the time in t, to roundoff: (y, converged, residual, iterations).
@@ -531,14 +740,14 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
     iterations[p] = imposed.iterations;
   }
   using Integers = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
-  return std::make_tuple(to_array<Matrix>(std::move(points), count, n), to_array<Integers>(std::move(converged), count),
-                         to_array<Matrix>(std::move(residual), count, m),
+  return std::make_tuple(to_array<Table>(std::move(points), count, n), to_array<Integers>(std::move(converged), count),
+                         to_array<Table>(std::move(residual), count, m),
                          to_array<Integers>(std::move(iterations), count));
 }
 
 /// g(t, y) − value of each row of y: (count, m).
-Matrix residual(const ConstVector& t, const ConstMatrix& y, bool complex, const std::vector<InvariantSpec>& invariants,
-                const ConstVector& value, const nb::tuple& args) {
+Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const std::vector<InvariantSpec>& invariants,
+               const ConstVector& value, const nb::tuple& args) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights(1, std::vector<double>(n), {});
   Functions functions({n, complex}, args);
@@ -546,7 +755,7 @@ Matrix residual(const ConstVector& t, const ConstMatrix& y, bool complex, const 
   std::vector<double> r(count * m);
   for (std::size_t p = 0; p < count; ++p)
     if (g.residual(t.data()[p], y.data() + p * n, &r[p * m]) == Status::stop) throw nb::python_error();
-  return to_array<Matrix>(std::move(r), count, m);
+  return to_array<Table>(std::move(r), count, m);
 }
 
 }  // namespace
@@ -562,12 +771,30 @@ NB_MODULE(_core, module) {
         return to_array<Vector>(std::vector<double>(d.output.knots()), d.output.knots().size());
       });
 
+  nb::class_<LinearSpec>(module, "Linear", "What is known of the Jacobian of f and of the mass matrix.")
+      .def(
+          "__init__",
+          [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
+             std::string kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack) {
+            new (self) LinearSpec{{find_name(structures, structure, "structure"), n, lower, upper},
+                                  std::move(kind),
+                                  std::move(jacobian),
+                                  std::move(mass),
+                                  std::move(null_basis),
+                                  std::move(lapack)};
+          },
+          nb::kw_only(), nb::arg("structure"), nb::arg("n"), nb::arg("lower"), nb::arg("upper"), nb::arg("kind"),
+          nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none())
+      .def_prop_ro(
+          "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },
+          "Number of algebraic equations: the dimension of the left null space of M.");
+
   using Integers = nb::ndarray<std::int32_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
   nb::class_<Run>(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.")
       .def("take_points", [](Run& r) { return Run::arrays(std::move(r.points), r.n); })
       .def("take_events",
            [](Run& r) {
-             std::vector<std::pair<Vector, Matrix>> all;
+             std::vector<std::pair<Vector, Table>> all;
              for (Trajectory& one : r.occurrences) all.push_back(Run::arrays(std::move(one), r.n));
              return all;
            })
@@ -598,6 +825,11 @@ NB_MODULE(_core, module) {
       .def_prop_ro("failed", [](const Run& r) { return r.counts.failed; })
       .def_prop_ro("projections", [](const Run& r) { return r.counts.projections; })
       .def_prop_ro("skipped", [](const Run& r) { return r.counts.skipped; })
+      .def_prop_ro("singular", [](const Run& r) { return r.report.linear.singular; })
+      .def_prop_ro("undefined_jacobian", [](const Run& r) { return r.report.linear.undefined_jacobian; })
+      .def_prop_ro("njev", [](const Run& r) { return r.linear.jacobians; })
+      .def_prop_ro("nlu", [](const Run& r) { return r.linear.factorizations; })
+      .def_prop_ro("nsolve", [](const Run& r) { return r.linear.solves; })
       .def_ro("nfev", &Run::nfev)
       .def_ro("nfev_check", &Run::nfev_check)
       .def_ro("ng", &Run::ng)
@@ -608,10 +840,15 @@ NB_MODULE(_core, module) {
 
   module.def("integrate", &integrate, nb::kw_only(), nb::arg("method"), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
              nb::arg("tf"), nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"),
-             nb::arg("scale").none(), nb::arg("max_step"), nb::arg("first_step"), nb::arg("fsal"),
-             nb::arg("interpolation"), nb::arg("refine"), nb::arg("times").none(), nb::arg("dense"),
-             nb::arg("save_all"), nb::arg("check"), nb::arg("events"), nb::arg("callback").none(),
-             nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"), "Integrates one problem with one method.");
+             nb::arg("scale").none(), nb::arg("max_step"), nb::arg("first_step"), nb::arg("fsal"), nb::arg("max_order"),
+             nb::arg("bdf"), nb::arg("linear").none(), nb::arg("interpolation"), nb::arg("refine"),
+             nb::arg("times").none(), nb::arg("dense"), nb::arg("save_all"), nb::arg("check"), nb::arg("events"),
+             nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"),
+             "Integrates one problem with one method.");
+  module.def("consistent_start", &make_consistent_start, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
+             nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(),
+             nb::arg("linear"),
+             "y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.");
   module.def("impose", &impose, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"), nb::arg("rtol"),
              nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
              "Projects each row of y to roundoff: (y, converged, residual, iterations).");

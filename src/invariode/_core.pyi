@@ -13,6 +13,17 @@ class Dense:
 
     def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
+class Linear:
+    """What is known of the Jacobian of f and of the mass matrix."""
+
+    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None) -> None: ...
+
+    @property
+    def algebraic(self) -> int:
+        """
+        Number of algebraic equations: the dimension of the left null space of M.
+        """
+
 class Run:
     """
     Results of `integrate`. Arrays are handed over: each `take_…` works once.
@@ -78,6 +89,21 @@ class Run:
     def skipped(self) -> int: ...
 
     @property
+    def singular(self) -> bool: ...
+
+    @property
+    def undefined_jacobian(self) -> bool: ...
+
+    @property
+    def njev(self) -> int: ...
+
+    @property
+    def nlu(self) -> int: ...
+
+    @property
+    def nsolve(self) -> int: ...
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -98,8 +124,13 @@ class Run:
     @property
     def dropped_at(self) -> float: ...
 
-def integrate(*, method: str, fun: object, args: tuple, t0: float, tf: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str]], callback: object | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int) -> Run:
+def integrate(*, method: str, fun: object, args: tuple, t0: float, tf: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str]], callback: object | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int) -> Run:
     """Integrates one problem with one method."""
+
+def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
+    """
+    y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
+    """
 
 def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
     """

@@ -18,6 +18,8 @@ def status_and_message(run: Run, names: list[str], rtol: float, pairs: bool) -> 
         return _MESSAGES[run.state]
     if run.state == "invariant_convicted":
         return -2, _not_conserved(run, names)
+    if run.state == "start_undefined" and run.singular:
+        return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
     if run.state == "start_undefined":
         return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
     return -1, _step_failed(run, pairs)
@@ -32,6 +34,8 @@ def _step_failed(run: Run, pairs: bool) -> str:
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
         return f"{what} NaN or infinite also with the smallest step, {where}."
+    if run.cause == "newton":
+        return f"{_newton_failed(run, pairs)} {where}."
     if run.cause == "projection":
         return (
             f"The projection onto the invariants fails also with the smallest step, {where}: "
@@ -44,6 +48,33 @@ def _step_failed(run: Run, pairs: bool) -> str:
             "impossible there. Give an atol > 0."
         )
     return text
+
+
+def _newton_failed(run: Run, pairs: bool) -> str:
+    if run.undefined_jacobian:
+        return "The Jacobian of fun is NaN or infinite, also with the smallest step,"
+    if run.singular:
+        return "The iteration matrix M - h c J is singular also with the smallest step,"
+    if run.component >= 0:
+        return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration also with the smallest step,"
+    return (
+        "Newton's iteration does not converge also with the smallest step (a wrong Jacobian, or a jac_sparsity or band "
+        "that misses entries, shows like this),"
+    )
+
+
+def inconsistent_start(verdict: str, t0: float) -> str:
+    """The text of the ValueError for a start that satisfies no algebraic equations."""
+    if verdict == "index_too_high":
+        return (
+            f"the equations with this mass matrix are no differential-algebraic system of index 1 at t = {t0}: its "
+            "algebraic equations do not determine the components that mass leaves free. Differentiate the constraints "
+            "until they do"
+        )
+    return (
+        f"y0 does not satisfy the algebraic equations of the singular mass matrix at t = {t0}, and no consistent "
+        "values were found near it: give a y0 for which the algebraic components of fun are zero"
+    )
 
 
 def _not_conserved(run: Run, names: list[str]) -> str:

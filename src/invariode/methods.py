@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 __all__ = ["METHODS", "Method", "find_method"]
@@ -20,31 +20,42 @@ class Method:
         The name in the MATLAB ODE Suite.
     family : str
         What kind of method it is.
-    order : int
-        Order of the solution that is propagated.
+    min_order, order : int
+        Lowest and highest order of the formulas; equal where the order is fixed.
     extension_order : int
-        Order of the continuous extension.
-    stages : int
-        Evaluations of f per attempted step.
+        Order of the continuous extension, of the formula of highest order.
+    stages : int or None
+        Evaluations of f per attempted step of a Runge-Kutta pair; None where they are not a fixed number.
     iterations : int
         Projection iterations per step when invariants are imposed (paper, section 4).
     refine : int
         Points per step that the function of this name returns by default.
-    scipy_name : str
+    scipy_name : str or None
         The name of the corresponding method of `scipy.integrate.solve_ivp`, accepted too.
+    scipy_options : mapping
+        What that name implies.
+    options : tuple of str
+        Options that not every method can use, and this one can.
     source : str
         Where the formulas come from.
     """
 
     name: str
     family: str
+    min_order: int
     order: int
     extension_order: int
-    stages: int
+    stages: int | None
     iterations: int
     refine: int
-    scipy_name: str
+    scipy_name: str | None
     source: str
+    options: tuple[str, ...]
+    scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def fixed_order(self) -> bool:
+        return self.min_order == self.order
 
 
 #: The methods by name.
@@ -55,6 +66,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             Method(
                 name="ode23",
                 family="explicit Runge-Kutta pair",
+                min_order=3,
                 order=3,
                 extension_order=3,
                 stages=3,
@@ -63,10 +75,12 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 scipy_name="RK23",
                 source="P. Bogacki, L. F. Shampine, A 3(2) pair of Runge-Kutta formulas, "
                 "Appl. Math. Lett. 2 (1989) 321-325",
+                options=("fsal",),
             ),
             Method(
                 name="ode45",
                 family="explicit Runge-Kutta pair",
+                min_order=5,
                 order=5,
                 extension_order=4,
                 stages=6,
@@ -76,6 +90,36 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 source="J. R. Dormand, P. J. Prince, A family of embedded Runge-Kutta formulae, "
                 "J. Comput. Appl. Math. 6 (1980) 19-26; extension: L. F. Shampine, M. W. Reichelt, "
                 "The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22",
+                options=("fsal",),
+            ),
+            Method(
+                name="ode113",
+                family="Adams PECE, variable order",
+                min_order=1,
+                order=12,
+                extension_order=12,
+                stages=None,
+                iterations=1,
+                refine=1,
+                scipy_name=None,
+                source="L. F. Shampine, M. K. Gordon, Computer Solution of Ordinary Differential Equations: The "
+                "Initial Value Problem, Freeman, San Francisco, 1975, chapters 5 and 10",
+                options=("max_order",),
+            ),
+            Method(
+                name="ode15s",
+                family="NDF (or BDF), variable order, for stiff problems and M y' = f",
+                min_order=1,
+                order=5,
+                extension_order=5,
+                stages=None,
+                iterations=1,
+                refine=1,
+                scipy_name="BDF",
+                source="L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22, "
+                "section 2",
+                options=("max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass"),
+                scipy_options=MappingProxyType({"bdf": True}),
             ),
         )
     }
@@ -83,28 +127,29 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 
 #: What to use instead of the methods of SciPy that have no counterpart here.
 _INSTEAD = {
-    "DOP853": "use method='ode45' with a tight rtol for smooth problems at high accuracy",
-    "Radau": "stiff problems need an implicit method, which this version does not have",
-    "BDF": "stiff problems need an implicit method, which this version does not have",
-    "LSODA": "use method='ode45' if the problem is not stiff; this version has no method for stiff problems",
+    "DOP853": "use method='ode113' for smooth problems at high accuracy, or 'ode45'",
+    "Radau": "use method='ode15s' for stiff problems and index-1 algebraic equations",
+    "LSODA": "use method='ode15s' if the problem is stiff, 'ode113' if it is not",
 }
 
 
-def find_method(method: object) -> Method:
-    """The registered method of that name, of that name in SciPy, or named as that class of SciPy's."""
+def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
+    """The method of that name, of that name in SciPy, or of that class of SciPy's; and what SciPy's name implies."""
     name = method.__name__ if isinstance(method, type) else method
     if not isinstance(name, str):
         raise TypeError(f"method must be the name of a method, one of {_names()}; got {method!r}")
     for candidate in METHODS.values():
-        if name in (candidate.name, candidate.scipy_name):
-            return candidate
+        if name == candidate.name:
+            return candidate, {}
+        if name == candidate.scipy_name:
+            return candidate, candidate.scipy_options
     if name in _INSTEAD:
         raise ValueError(f"method {name!r} of SciPy is not available: {_INSTEAD[name]}. Methods: {_names()}")
-    known = [n for m in METHODS.values() for n in (m.name, m.scipy_name)]
+    known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise ValueError(f"unknown method {name!r}{hint} Methods: {_names()}")
 
 
 def _names() -> str:
-    return ", ".join(f"{m.name!r} (or {m.scipy_name!r})" for m in METHODS.values())
+    return ", ".join(f"{m.name!r}" + (f" (or {m.scipy_name!r})" if m.scipy_name else "") for m in METHODS.values())

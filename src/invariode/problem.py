@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from ._arguments import (
     unknown_option,
     warn,
 )
-from ._outcome import refusal, status_and_message
+from ._outcome import inconsistent_start, refusal, status_and_message
 from .events import direction_sign, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
 from .methods import Method, find_method
@@ -33,8 +34,10 @@ from .solution import DenseSolution, Solution, Stats, Steps
 
 __all__ = ["Problem"]
 
-#: Options of other methods of the suite and of SciPy: harmless here, but said.
-_OTHER_METHODS = ("jac", "jac_sparsity", "lband", "uband", "max_order", "bdf", "min_step")
+#: Options of SciPy's methods that no method here can use: harmless, but said.
+_OTHER_METHODS = ("min_step",)
+
+_DESCRIBING = ("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass")
 
 _OPTIONS = (
     "rtol",
@@ -44,18 +47,31 @@ _OPTIONS = (
     "refine",
     "interpolation",
     "fsal",
+    "max_order",
+    "bdf",
     "callback",
     "save",
     "check",
     "t_eval",
     "dense_output",
-    "mass",
+    *_DESCRIBING,
     *_OTHER_METHODS,
 )
 
 
+@dataclass(frozen=True)
+class Matrices:
+    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure."""
+
+    jac: Any
+    jac_sparsity: Any
+    lband: Any
+    uband: Any
+    mass: Any
+
+
 class Problem:
-    """An initial value problem y' = f(t, y), y(t0) = y0, with what is known of its solution.
+    """An initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, with what is known of its solution.
 
     Parameters
     ----------
@@ -72,6 +88,18 @@ class Problem:
         What the solution keeps. See `Invariants`.
     events : callable, Event, or list of these, optional
         Functions whose zeros are located. See `Event`.
+    jac : callable, (n, n) array_like or sparse matrix, optional
+        The Jacobian of f, for implicit methods: ``jac(t, y, *args)``, or a constant. Where it is (or returns) a sparse
+        matrix, the linear algebra is sparse. Default: differences.
+    jac_sparsity : (n, n) array_like or sparse matrix, optional
+        Which entries of the Jacobian can differ from zero, for differences and sparse linear algebra. An entry that is
+        missing here is taken for zero: Newton's iteration then converges slowly or not at all, and the steps are small.
+    lband, uband : int, optional
+        The Jacobian is zero but for ``i - lband <= j <= i + uband``. `jac` then has, or returns, the bands as an array
+        (lband + uband + 1, n) with ``[uband + i - j, j]`` for entry (i, j).
+    mass : (n, n) array_like or sparse matrix, or callable, optional
+        M of M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic (index 1); y0
+        is then moved to consistent values.
     name : str, optional
         For tables and plots.
     labels : sequence of n str, optional
@@ -87,6 +115,11 @@ class Problem:
         args: Iterable[Any] | None = (),
         invariants: Any = None,
         events: Any = None,
+        jac: Any = None,
+        jac_sparsity: Any = None,
+        lband: int | None = None,
+        uband: int | None = None,
+        mass: Any = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
@@ -98,6 +131,7 @@ class Problem:
         self.events = to_events(events)
         for event in self.events:
             terminal_count(event), direction_sign(event)
+        self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
         self.name = call_name(self.fun, "problem") if name is None else name
         self.labels = [f"y{i}" for i in range(len(self.y0))] if labels is None else list(labels)
         if len(self.labels) != len(self.y0):
@@ -119,14 +153,22 @@ class Problem:
         refine: int = 1,
         interpolation: str = "projected",
         fsal: str = "reuse",
+        max_order: int | None = None,
+        bdf: bool | None = None,
         callback: Callable[[float, Array], object] | None = None,
         save: str = "all",
         check: bool = True,
         **options: Any,
     ) -> Solution:
         """Solves the problem. The options are those of `solve_ivp`."""
-        chosen = find_method(method)
-        _foreign_options(chosen, options)
+        chosen, implied = find_method(method)
+        _foreign_options(chosen, {**options, "fsal": fsal != "reuse", "max_order": max_order, "bdf": bdf})
+        bdf = implied.get("bdf", False) if bdf is None else flag("bdf", bdf)
+        if self.matrices.mass is not None and "mass" not in chosen.options:
+            raise ValueError(
+                f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s, or solve M y' = f for y' "
+                "in fun"
+            )
         t0, tf = self.t_span
         span = abs(tf - t0)
         rmin, threshold, scale = tolerances(rtol, atol, self.y0)
@@ -141,7 +183,15 @@ class Problem:
         first = 0.0 if first_step is None else positive("first_step", first_step)
         if first > span:
             raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first_step!r}")
-        bound = bind(self.invariants, t0, self.y0, self.args)
+        y0, linear = self.y0, None
+        if "jac" in chosen.options:
+            from ._linear import prepare  # SciPy's sparse matrices take longer to import than all the rest
+
+            linear = prepare(self.matrices, t0, y0, self.args)
+            if self.matrices.mass is not None:
+                y0 = self._consistent_start(linear, rmin, threshold, scale)
+        bound = bind(self.invariants, t0, y0, self.args)
+        names = [*bound.names, *(f"algebraic equation {i + 1}" for i in range(linear.algebraic if linear else 0))]
 
         run = _core.integrate(
             method=chosen.name,
@@ -149,14 +199,17 @@ class Problem:
             args=self.args,
             t0=t0,
             tf=tf,
-            y0=self.y0.view(float),
-            complex=np.iscomplexobj(self.y0),
+            y0=y0.view(float),
+            complex=np.iscomplexobj(y0),
             rtol=rmin,
             threshold=threshold,
             scale=scale,
             max_step=span / 10 if max_step is None else positive("max_step", max_step),
             first_step=first,
             fsal=choice("fsal", fsal, ("reuse", "evaluate")),
+            max_order=_highest_order(chosen, max_order),
+            bdf=bdf,
+            linear=linear,
             interpolation=choice("interpolation", interpolation, ("projected", "corrected", "raw")),
             refine=refine,
             times=times,
@@ -170,18 +223,46 @@ class Problem:
             iterations=bound.iterations or chosen.iterations,
         )
         if run.state == "invariant_refused":
-            raise InvariantError(refusal(run, bound.names, rmin, np.iscomplexobj(self.y0)))
+            raise InvariantError(refusal(run, names, rmin, np.iscomplexobj(y0)))
         if run.state == "event_undefined":
             raise ValueError(f"event {self.events[run.event].__name__} returned NaN at t = {run.t}")
         if run.dropped:
-            _warn_dropped(run, bound.names)
-        return self._solution(run, bound, rtol, atol, rmin, save == "all")
+            _warn_dropped(run, names)
+        moved = y0 is not self.y0
+        return self._solution(run, bound, names, rtol, atol, rmin, save == "all", moved)
+
+    def _consistent_start(self, linear: _core.Linear, rtol: float, threshold: Array, scale: Array | None) -> Array:
+        """y0, moved where the algebraic equations of a singular mass matrix ask for it."""
+        if not linear.algebraic:
+            return self.y0
+        y, verdict = _core.consistent_start(
+            fun=self.fun,
+            args=self.args,
+            t0=self.t_span[0],
+            y0=self.y0.view(float),
+            complex=np.iscomplexobj(self.y0),
+            rtol=rtol,
+            threshold=threshold,
+            scale=scale,
+            linear=linear,
+        )
+        if verdict in ("index_too_high", "not_found"):
+            raise ValueError(inconsistent_start(verdict, self.t_span[0]))
+        return y.view(self.y0.dtype) if verdict == "corrected" else self.y0
 
     def _solution(
-        self, run: _core.Run, bound: BoundInvariants, rtol: ArrayLike, atol: ArrayLike, rmin: float, keep_steps: bool
+        self,
+        run: _core.Run,
+        bound: BoundInvariants,
+        names: list[str],
+        rtol: ArrayLike,
+        atol: ArrayLike,
+        rmin: float,
+        keep_steps: bool,
+        moved: bool,
     ) -> Solution:
         dtype = self.y0.dtype
-        status, message = status_and_message(run, bound.names, rmin, dtype.kind == "c")
+        status, message = status_and_message(run, names, rmin, dtype.kind == "c")
         dense = run.take_dense()
         t, rows = run.take_points()
         happened = run.take_events()
@@ -192,8 +273,8 @@ class Problem:
             t_events=[times for times, _ in happened] if self.events else None,
             y_events=[points.view(dtype) for _, points in happened] if self.events else None,
             nfev=run.nfev,
-            njev=0,
-            nlu=0,
+            njev=run.njev,
+            nlu=run.nlu,
             status=status,
             message=message,
             success=status >= 0,
@@ -202,15 +283,15 @@ class Problem:
                 failed=run.failed,
                 nfev=run.nfev,
                 nfev_check=run.nfev_check,
-                njev=0,
-                nlu=0,
-                nsolve=0,
+                njev=run.njev,
+                nlu=run.nlu,
+                nsolve=run.nsolve,
                 projections=run.projections,
                 skipped=run.skipped,
                 ng=run.ng + len(bound.specs),
                 ngjac=run.ngjac,
                 derivatives=_derivatives(bound),
-                projected_start=run.projected_start,
+                projected_start=run.projected_start or moved,
             ),
             steps=Steps(*run.take_steps()) if keep_steps else None,
             _invariants=bound,
@@ -222,17 +303,26 @@ class Problem:
 def _foreign_options(method: Method, options: dict[str, Any]) -> None:
     """An option that this method cannot use is a warning, an unknown one an error."""
     for name, given in options.items():
-        if name == "mass":
-            if given is not None:
-                raise ValueError(
-                    f"mass: {method.name} is explicit and cannot use a mass matrix; solve M y' = f for y' in fun"
-                )
-        elif name in ("args", "invariants", "events"):
+        if name in _DESCRIBING:
             raise TypeError(f"{name} describes the problem: it is an argument of Problem or solve_ivp, not an option")
-        elif name not in _OTHER_METHODS:
+        if name not in _OPTIONS:
             raise unknown_option(name, _OPTIONS)
-        elif given is not None and given is not False:
-            warn(f"option {name!r} has no effect on {method.name}")
+        if name not in method.options:
+            warn_unused(method, name, given)
+
+
+def warn_unused(method: Method, name: str, given: object) -> None:
+    if given is not None and given is not False:
+        warn(f"option {name!r} has no effect on {method.name}")
+
+
+def _highest_order(method: Method, max_order: int | None) -> int:
+    if max_order is None or "max_order" not in method.options:
+        return method.order
+    order = positive_integer("max_order", max_order)
+    if order > method.order:
+        raise ValueError(f"max_order must be from {method.min_order} to {method.order} for {method.name}, got {order}")
+    return order
 
 
 def _warn_dropped(run: _core.Run, names: list[str]) -> None:

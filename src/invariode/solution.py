@@ -57,7 +57,8 @@ class Stats(Record):
     derivatives : str or None
         How the Jacobians of the invariants were had: 'given', 'central differences', both, or None.
     projected_start : bool
-        y0 was off a demanded value by less than the tolerance, and was projected.
+        y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
+        equations of a singular mass matrix, and was moved.
     """
 
     steps: int

@@ -7,10 +7,11 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from .problem import Problem
+from .methods import find_method
+from .problem import Problem, warn_unused
 from .solution import Solution
 
-__all__ = ["ode23", "ode45", "solve_ivp"]
+__all__ = ["ode15s", "ode23", "ode45", "ode113", "solve_ivp"]
 
 
 def solve_ivp(
@@ -25,9 +26,14 @@ def solve_ivp(
     args: Iterable[Any] | None = None,
     *,
     invariants: Any = None,
+    jac: Any = None,
+    jac_sparsity: Any = None,
+    lband: int | None = None,
+    uband: int | None = None,
+    mass: Any = None,
     **options: Any,
 ) -> Solution:
-    """Solves an initial value problem y' = f(t, y), y(t0) = y0, keeping its invariants.
+    """Solves an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
 
     The positional arguments, the fields of the result and the attributes of events are those of
     `scipy.integrate.solve_ivp`.
@@ -41,7 +47,7 @@ def solve_ivp(
     y0 : array_like of shape (n,)
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'
-        A name in `METHODS`, or SciPy's name of the same pair ('RK23', 'RK45').
+        A name in `METHODS`, or SciPy's name of the same method ('RK23', 'RK45', 'BDF').
     t_eval : array_like, optional
         Times of the output, sorted in the direction of integration. Default: the ends of the steps.
     dense_output : bool, default False
@@ -51,12 +57,19 @@ def solve_ivp(
     vectorized : bool, default False
         Whether `fun` takes y of shape (n, k). It is called with k = 1.
     args : tuple, optional
-        Extra arguments of `fun`, invariants and events.
+        Extra arguments of `fun`, `jac`, `mass`, invariants and events.
     invariants : callable, Invariants, or list of these, optional
         What the solution keeps: each accepted step is projected onto it (paper, sections 3 and 4).
 
     Other Parameters
     ----------------
+    jac, jac_sparsity, lband, uband, mass
+        For ode15s: what is known of the Jacobian of f, and the mass matrix. See `Problem`.
+    max_order : int, optional
+        Highest order of the formulas of ode113 (12) and ode15s (5).
+    bdf : bool, default False
+        ode15s with backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5
+        are stable in wider sectors.
     rtol, atol : float or array_like of shape (n,), defaults 1e-3 and 1e-6
         The estimated error of component i is kept below max(rtol_i |y_i|, atol_i). rtol below 100 ε is raised to it.
     first_step : float, optional
@@ -114,8 +127,21 @@ def solve_ivp(
     >>> bool(abs(sol.residual).max() < 1e-6)
     True
     """
+    for name, given in (("jac", jac), ("jac_sparsity", jac_sparsity), ("lband", lband), ("uband", uband)):
+        if name not in (chosen := find_method(method)[0]).options:
+            warn_unused(chosen, name, given)
     problem = Problem(
-        _one_column(fun) if vectorized else fun, t_span, y0, args=args, invariants=invariants, events=events
+        _one_column(fun) if vectorized else fun,
+        t_span,
+        y0,
+        args=args,
+        invariants=invariants,
+        events=events,
+        jac=jac,
+        jac_sparsity=jac_sparsity,
+        lband=lband,
+        uband=uband,
+        mass=mass,
     )
     return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **options)
 
@@ -139,3 +165,13 @@ def ode45(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **opt
     if options.get("t_eval") is None and options.get("save", "all") == "all":
         options.setdefault("refine", 4)
     return solve_ivp(fun, t_span, y0, "ode45", **options)
+
+
+def ode113(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+    """`solve_ivp` with Adams PECE formulas of order 1 to 12, for tight tolerances and costly f. Options as there."""
+    return solve_ivp(fun, t_span, y0, "ode113", **options)
+
+
+def ode15s(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+    """`solve_ivp` with NDFs of order 1 to 5, for stiff problems and M y' = f. Options as there."""
+    return solve_ivp(fun, t_span, y0, "ode15s", **options)

@@ -1,0 +1,285 @@
+#include "adams.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+/// γ*_1, γ*_2, …: coefficients of the error of the Adams-Moulton formulas, as the book rounds them. (Exact ones change
+/// the course of sensitive runs.)
+constexpr double gamma_star[] = {0,      0.5,     0.0833,  0.0417,  0.0264,  0.0188,  0.0143,
+                                 0.0114, 0.00936, 0.00789, 0.00679, 0.00592, 0.00524, 0.00468};
+
+constexpr double starting_fraction = 0.25;  // of √rtol: what the first step may change y by
+
+/// The polynomial of [SG] 'INTRP': y₁ + (t − t₁) Σ_{i≤k+1} g_i(t) φ_i, the integral of the polynomial that interpolates
+/// f at t₁ and at the k points before it. data = [y₁ | φ_1 … φ_{k+1} | ψ_1 … ψ_k | h].
+void integrate_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+  const std::size_t terms = (size - n) / (n + 1);
+  const double* phi = data + n;
+  const double* psi = phi + terms * n;
+  const double distance = (theta - 1) * psi[terms - 1];
+  double w[Adams::highest_order + 1];
+  for (std::size_t i = 0; i < terms; ++i) w[i] = 1 / static_cast<double>(i + 1);
+  std::copy(data, data + n, out);
+  double before = 0;  // ψ_{j−1}
+  for (std::size_t j = 0; j < terms; ++j) {
+    if (j > 0) {
+      const double grow = (distance + before) / psi[j - 1], shrink = distance / psi[j - 1];
+      for (std::size_t i = 0; i + j < terms; ++i) w[i] = grow * w[i] - shrink * w[i + 1];
+      before = psi[j - 1];
+    }
+    const double weight = distance * w[0];
+    for (std::size_t i = 0; i < n; ++i) out[i] += weight * phi[j * n + i];
+  }
+}
+
+}  // namespace
+
+Adams::Adams(Callback& f, const Weights& weights, int max_order)
+    : Step(f, weights),
+      max_order_(max_order),
+      phi_(static_cast<std::size_t>(max_order + 2) * weights.size()),
+      values_(6 * weights.size()) {
+  double* next = values_.data();
+  for (double** v : {&weight_, &predictor_, &d_, &candidate_, &slope_, &fresh_}) *v = std::exchange(next, next + n());
+}
+
+Outcome Adams::start(double t, const double* y, const Span& span) {
+  restart(t, y, 1);
+  if (const Outcome outcome = evaluate(t, y, slope_); outcome != Outcome::ok) return outcome;
+  std::copy(slope_, slope_ + n(), phi(1));
+  weights_.fill(y, weight_);
+  h_ = first_h(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
+  return Outcome::ok;
+}
+
+/// Memory as it is before any step.
+void Adams::restart(double t, const double* y, int order) {
+  t_ = t;
+  std::copy(y, y + n(), y_.begin());
+  std::fill(phi_.begin(), phi_.end(), 0);
+  order_ = previous_order_ = order;
+  previous_h_ = 0;
+  steps_at_h_ = 0;
+  phase1_ = order == 1;
+  predicted_ = false;
+  failures_ = 0;
+  g_[1] = 1;
+  g_[2] = 0.5;
+  sigma_[1] = 1;
+}
+
+Outcome Adams::evaluate(double t, const double* y, double* out) {
+  if (!all_finite(y, n())) return Outcome::not_finite;
+  const Status status = f_(t, y, out);
+  if (out != fresh_) std::copy(out, out + n(), fresh_);
+  if (status == Status::stop) return Outcome::stop;
+  return all_finite(out, n()) ? Outcome::ok : Outcome::not_finite;
+}
+
+double Adams::norm(const double* v) const {
+  MaxNorm norm;
+  for (std::size_t i = 0; i < n(); ++i) norm.add(v[i] / weight_[i]);
+  return norm.value();
+}
+
+double Adams::norm_of_sum(const double* a, const double* b) const {
+  MaxNorm norm;
+  for (std::size_t i = 0; i < n(); ++i) norm.add((a[i] + b[i]) / weight_[i]);
+  return norm.value();
+}
+
+Step::Attempt Adams::attempt(double h, double t1) {
+  signed_h_ = h;
+  h_ = std::abs(h);
+  t1_ = t1;
+  weights_.fill(y(), weight_);
+  update_coefficients();
+  predict();
+  const Outcome outcome = evaluate(t1, predictor_, d_);
+  if (outcome != Outcome::ok) {
+    lower_ = order_;
+    return {outcome, std::numeric_limits<double>::quiet_NaN(), candidate_};
+  }
+  for (std::size_t i = 0; i < n(); ++i) d_[i] -= phi(1)[i];
+  estimate_errors();
+  const auto k = static_cast<std::size_t>(order_);
+  for (std::size_t i = 0; i < n(); ++i) candidate_[i] = predictor_[i] + h * (g_[k + 1] * d_[i]);
+  return {Outcome::ok, h_ * norm(d_) * (g_[k] - g_[k + 1]), candidate_};
+}
+
+/// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
+void Adams::update_coefficients() {
+  const double h = signed_h_;
+  const auto k = static_cast<std::size_t>(order_);
+  if (h != previous_h_) steps_at_h_ = 0;
+  if (steps_at_h_ <= previous_order_) ++steps_at_h_;
+  const auto ns = static_cast<std::size_t>(steps_at_h_);
+  if (k < ns) return;
+
+  beta_[ns] = 1;
+  alpha_[ns] = 1 / static_cast<double>(ns);
+  sigma_[ns + 1] = 1;
+  double sum = h * static_cast<double>(ns);
+  for (std::size_t i = ns + 1; i <= k; ++i) {
+    const double before = std::exchange(psi_[i - 1], sum);
+    beta_[i] = beta_[i - 1] * psi_[i - 1] / before;
+    sum = before + h;
+    alpha_[i] = h / sum;
+    sigma_[i + 1] = static_cast<double>(i) * alpha_[i] * sigma_[i];
+  }
+  psi_[k] = sum;
+
+  const auto diagonal = [](std::size_t i) { return 1 / static_cast<double>(i * (i + 1)); };
+  if (ns == 1) {
+    for (std::size_t i = 1; i <= k; ++i) v_[i] = w_[i] = diagonal(i);
+  } else {
+    if (order_ > previous_order_) {  // v has no entry k yet, and those before lack what it would have given them
+      v_[k] = diagonal(k);
+      for (std::size_t j = 1; j + 2 <= ns; ++j) v_[k - j] -= alpha_[j + 1] * v_[k - j + 1];
+    }
+    for (std::size_t i = 1; i <= k + 1 - ns; ++i) w_[i] = v_[i] -= alpha_[ns] * v_[i + 1];
+    g_[ns + 1] = w_[1];
+  }
+  for (std::size_t i = ns + 2; i <= k + 1; ++i) {
+    for (std::size_t l = 1; l <= k + 2 - i; ++l) w_[l] -= alpha_[i - 1] * w_[l + 1];
+    g_[i] = w_[1];
+  }
+}
+
+/// φ becomes the predicted differences at t₁; p = y + h Σ g_i φ_i.
+void Adams::predict() {
+  const auto k = order_;
+  for (int i = steps_at_h_ + 1; i <= k; ++i)
+    for (std::size_t c = 0; c < n(); ++c) phi(i)[c] *= beta_[static_cast<std::size_t>(i)];
+  std::copy(phi(k + 1), phi(k + 1) + n(), phi(k + 2));
+  std::fill(phi(k + 1), phi(k + 1) + n(), 0);
+  std::fill(predictor_, predictor_ + n(), 0);
+  for (int i = k; i >= 1; --i) {
+    const double g = g_[static_cast<std::size_t>(i)];
+    double* here = phi(i);
+    const double* above = phi(i + 1);
+    for (std::size_t c = 0; c < n(); ++c) {
+      predictor_[c] += g * here[c];
+      here[c] += above[c];
+    }
+  }
+  for (std::size_t c = 0; c < n(); ++c) predictor_[c] = y_[c] + signed_h_ * predictor_[c];
+  predicted_ = true;
+}
+
+/// Takes the prediction back.
+void Adams::restore() {
+  if (!std::exchange(predicted_, false)) return;
+  for (int i = 1; i <= order_; ++i) {
+    const double beta = beta_[static_cast<std::size_t>(i)];
+    for (std::size_t c = 0; c < n(); ++c) phi(i)[c] = (phi(i)[c] - phi(i + 1)[c]) / beta;
+  }
+  for (std::size_t i = 2; i <= static_cast<std::size_t>(order_); ++i) psi_[i - 1] = psi_[i] - signed_h_;
+}
+
+/// Errors that the orders k, k − 1 and k − 2 would make, and whether they ask for a lower order.
+void Adams::estimate_errors() {
+  const auto k = static_cast<std::size_t>(order_);
+  const auto error = [&](std::size_t order, double size) { return h_ * sigma_[order + 1] * gamma_star[order] * size; };
+  erk_ = error(k, norm(d_));
+  lower_ = order_;
+  if (k == 1) return;
+  erkm1_ = error(k - 1, norm_of_sum(phi(order_), d_));
+  const bool lower =
+      k == 2 ? erkm1_ <= 0.5 * erk_ : std::max(erkm1_, error(k - 2, norm_of_sum(phi(order_ - 1), d_))) <= erk_;
+  if (lower) lower_ = order_ - 1;
+}
+
+bool Adams::reject(Cause, double hmin) {
+  restore();
+  previous_h_ = 0;
+  phase1_ = false;
+  if (h_ <= hmin) return false;
+  ++failures_;
+  order_ = failures_ >= 3 ? 1 : lower_;
+  const double goal = 0.5 * weights_.rtol();
+  const double factor = failures_ > 3 && goal < 0.25 * erk_ ? std::sqrt(goal / erk_) : 0.5;
+  h_ = std::max(hmin, h_ * factor);
+  return true;
+}
+
+Outcome Adams::accept(const double* y1) {
+  if (const Outcome outcome = evaluate(t1_, y1, fresh_); outcome != Outcome::ok) return outcome;
+  std::swap(slope_, fresh_);
+  t_ = t1_;
+  std::copy(y1, y1 + n(), y_.begin());
+  for (std::size_t c = 0; c < n(); ++c) {
+    const double correction = slope_[c] - phi(1)[c];
+    phi(order_ + 1)[c] = correction;
+    phi(order_ + 2)[c] = correction - phi(order_ + 2)[c];
+  }
+  for (int i = 1; i <= order_; ++i)
+    for (std::size_t c = 0; c < n(); ++c) phi(i)[c] += phi(order_ + 1)[c];
+  previous_order_ = order_;
+  previous_h_ = signed_h_;
+  predicted_ = false;
+  failures_ = 0;
+  choose_order_and_step();
+  return Outcome::ok;
+}
+
+void Adams::choose_order_and_step() {
+  const int k = previous_order_;
+  if (lower_ < k || k == max_order_) phase1_ = false;
+  if (phase1_) {
+    order_ = k + 1;
+    h_ *= 2;
+    return;
+  }
+  double error = erk_;  // that the chosen order would have made
+  const auto choose = [&](int order, double its_error) {
+    order_ = order;
+    error = its_error;
+  };
+  if (lower_ < k) {
+    choose(k - 1, erkm1_);
+  } else if (k + 1 <= steps_at_h_) {
+    const double erkp1 = h_ * gamma_star[k + 1] * norm(phi(k + 2));
+    if (k > 1 && erkm1_ <= std::min(erk_, erkp1))
+      choose(k - 1, erkm1_);
+    else if (k < max_order_ && erkp1 < (k > 1 ? 1 : 0.5) * erk_)
+      choose(k + 1, erkp1);
+  }
+  const double goal = 0.5 * weights_.rtol();
+  if (goal >= error * std::exp2(order_ + 1))
+    h_ *= 2;
+  else if (goal < error)
+    h_ *= std::max(0.5, std::min(0.9, std::pow(goal / error, 1.0 / (order_ + 1))));
+}
+
+Interpolate Adams::interpolate() const { return integrate_polynomial; }
+
+std::size_t Adams::extension_size() const {
+  const auto terms = static_cast<std::size_t>(previous_order_ + 1);
+  return n() + terms * (n() + 1);
+}
+
+std::size_t Adams::max_extension_size() const {
+  const auto terms = static_cast<std::size_t>(max_order_ + 1);
+  return n() + terms * (n() + 1);
+}
+
+void Adams::extension(double* data) const {
+  data = std::copy(y(), y() + n(), data);
+  data = std::copy(phi(1), phi(previous_order_ + 2), data);
+  data = std::copy(&psi_[1], &psi_[1] + previous_order_, data);
+  *data = previous_h_;
+}
+
+int Adams::undefined_component() const {
+  for (std::size_t i = 0; i < n(); ++i)
+    if (!std::isfinite(fresh_[i])) return static_cast<int>(i);
+  return -1;
+}
+
+}  // namespace invariode

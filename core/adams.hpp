@@ -1,0 +1,81 @@
+#pragma once
+// Adams-Bashforth-Moulton PECE methods of order 1 to 12 with local extrapolation, in the variable-step form of modified
+// divided differences (docs/algorithms.md, 'Adams'; Shampine & Gordon, Computer Solution of ODEs, 1975, chapter 10).
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "step.hpp"
+
+namespace invariode {
+
+/// The code ode113. Projection comes between the corrector and the last evaluation, so that everything stored is data
+/// of the projected solution.
+class Adams : public Step {
+ public:
+  static constexpr int highest_order = 12;
+
+  Adams(Callback& f, const Weights& weights, int max_order = highest_order);
+
+  Outcome start(double t, const double* y, const Span& span) override;
+  Attempt attempt(double h, double t1) override;
+  bool reject(Cause cause, double hmin) override;
+  Outcome accept(const double* y1) override;
+
+  [[nodiscard]] Interpolate interpolate() const override;
+  [[nodiscard]] std::size_t extension_size() const override;
+  [[nodiscard]] std::size_t max_extension_size() const override;
+  [[nodiscard]] int degree() const override { return previous_order_ + 1; }
+  [[nodiscard]] int max_degree() const override { return max_order_ + 1; }
+  void extension(double* data) const override;
+
+  [[nodiscard]] int order() const override { return previous_order_; }
+  [[nodiscard]] const double* slope() const override { return slope_; }
+  [[nodiscard]] int undefined_component() const override;
+
+ protected:
+  // Indices are those of the book: they start at 1.
+  static constexpr std::size_t most = highest_order + 3;
+  using Coefficients = std::array<double, most>;
+
+  void restart(double t, const double* y, int order);
+  double* phi(int i) { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
+  [[nodiscard]] const double* phi(int i) const { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
+
+  int max_order_;
+  int order_ = 1;           ///< k of the next attempt
+  int previous_order_ = 1;  ///< of the accepted step
+  double previous_h_ = 0;   ///< signed; 0: forgotten
+  Coefficients psi_{};      ///< ψ_i = h_n + … + h_{n+1−i}
+
+ private:
+  void update_coefficients();
+  void predict();
+  void restore();
+  void estimate_errors();
+  void choose_order_and_step();
+  [[nodiscard]] double norm(const double* v) const;
+  [[nodiscard]] double norm_of_sum(const double* a, const double* b) const;
+  Outcome evaluate(double t, const double* y, double* out);
+
+  double signed_h_ = 0;
+  double t1_ = 0;
+  int steps_at_h_ = 0;  // ns: steps in a row with the present h, so many coefficients stay what they are
+  bool phase1_ = true;  // the start: order and step are raised in every step
+  bool predicted_ = false;
+  int failures_ = 0;  // in this step
+  Coefficients alpha_{}, beta_{}, sigma_{}, g_{}, v_{}, w_{};
+  double erk_ = 0, erkm1_ = 0;  // estimated errors of orders k and k − 1
+  int lower_ = 1;               // order that these estimates ask for: k, or less
+  std::vector<double> phi_;     // φ_i, one after the other
+  std::vector<double> values_;
+  double* weight_ = nullptr;     // w, of the start of the step
+  double* predictor_ = nullptr;  // p
+  double* d_ = nullptr;          // f(t₁, p) − φ₁ (predicted)
+  double* candidate_ = nullptr;  // y*
+  double* slope_ = nullptr;      // f at the last point reached
+  double* fresh_ = nullptr;      // f as last evaluated
+};
+
+}  // namespace invariode

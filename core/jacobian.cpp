@@ -1,0 +1,141 @@
+#include "jacobian.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+// Salane's thresholds for |Δf| / |f| (docs/algorithms.md, 'Jacobians').
+const double lost = std::pow(eps, 7.0 / 8);   // the difference is roundoff: try a larger increment at once
+const double small = std::pow(eps, 3.0 / 4);  // next time a larger one
+const double large = std::pow(eps, 1.0 / 4);  // next time a smaller one
+const double first_factor = std::sqrt(eps);
+constexpr double least_factor = 1000 * eps;
+constexpr double greatest_factor = 0.1;
+constexpr double factor_step = 10;
+constexpr double smallest_scale = 1e-300;  // |y_j| and atol_j below this tell no scale
+
+}  // namespace
+
+Jacobian::Jacobian(Kind kind, Matrix matrix, MatrixFunction function, const Weights& weights)
+    : kind_(kind), matrix_(std::move(matrix)), function_(function), weights_(weights) {
+  if (kind_ != Kind::differences) return;
+  factor_.assign(matrix_.n(), first_factor);
+  columns_.resize(matrix_.n());
+  point_.resize(matrix_.n());
+  moved_.resize(matrix_.n());
+  group_columns();
+}
+
+/// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th. Sparse:
+/// the first group that fits.
+void Jacobian::group_columns() {
+  const auto& [kind, n, lower, upper] = matrix_.structure;
+  if (kind != Structure::Kind::sparse) {
+    const std::size_t count = kind == Structure::Kind::dense ? n : std::min(n, lower + upper + 1);
+    groups_.resize(count);
+    for (std::size_t j = 0; j < n; ++j) groups_[j % count].push_back(j);
+    return;
+  }
+  std::vector<std::vector<std::size_t>> groups_of_row(n);
+  std::vector<std::size_t> taken_for;  // of each group: the last column that could not join it, plus 1
+  for (std::size_t j = 0; j < n; ++j) {
+    const auto first = matrix_.rows.begin() + matrix_.starts[j], last = matrix_.rows.begin() + matrix_.starts[j + 1];
+    for (auto i = first; i != last; ++i)
+      for (const std::size_t g : groups_of_row[static_cast<std::size_t>(*i)]) taken_for[g] = j + 1;
+    std::size_t group = 0;
+    while (group < groups_.size() && taken_for[group] == j + 1) ++group;
+    if (group == groups_.size()) {
+      groups_.emplace_back();
+      taken_for.push_back(0);
+    }
+    groups_[group].push_back(j);
+    for (auto i = first; i != last; ++i) groups_of_row[static_cast<std::size_t>(*i)].push_back(group);
+  }
+}
+
+Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
+  switch (kind_) {
+    case Kind::constant: return Status::ok;
+    case Kind::function: ++count_; return function_(t, y, matrix_);
+    case Kind::differences: ++count_; return difference(f, t, y, slope);
+  }
+  return Status::ok;
+}
+
+Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
+  std::copy(y, y + matrix_.n(), point_.begin());
+  for (const std::vector<std::size_t>& group : groups_) {
+    if (difference_group(f, t, y, slope, group) == Status::stop) return Status::stop;
+    doubtful_.clear();
+    for (const std::size_t j : group)
+      if (columns_[j].change <= lost * columns_[j].size && factor_[j] < greatest_factor) doubtful_.push_back(j);
+    if (doubtful_.empty()) continue;
+    for (const std::size_t j : doubtful_) factor_[j] = std::min(std::sqrt(factor_[j]), greatest_factor);
+    if (difference_group(f, t, y, slope, doubtful_) == Status::stop) return Status::stop;
+  }
+  for (std::size_t j = 0; j < matrix_.n(); ++j) {
+    const Column& column = columns_[j];
+    if (column.change <= small * column.size) factor_[j] = std::min(factor_step * factor_[j], greatest_factor);
+    if (column.change > large * column.size) factor_[j] = std::max(factor_[j] / factor_step, least_factor);
+  }
+  return Status::ok;
+}
+
+/// y_j changes by factor · max(|y_j|, atol_j), in the direction in which f moves it.
+double Jacobian::increment(std::size_t j, const double* y, double slope, double factor) const {
+  double scale = std::max(std::abs(y[j]), weights_.absolute_tolerance(j));
+  if (scale < smallest_scale) {
+    for (std::size_t i = 0; i < matrix_.n(); ++i) scale = std::max(scale, std::abs(y[i]));
+    if (scale < smallest_scale) scale = 1;
+  }
+  const double moved = y[j] + (slope >= 0 ? factor : -factor) * scale;
+  return moved - y[j];
+}
+
+/// The columns together, with one evaluation of f; where it is not finite, once more to the other side.
+Status Jacobian::difference_group(Callback& f, double t, const double* y, const double* slope,
+                                  const std::vector<std::size_t>& columns) {
+  for (const double side : {1, -1}) {
+    for (const std::size_t j : columns) {
+      columns_[j].increment = increment(j, y, side * slope[j], factor_[j]);
+      point_[j] = y[j] + columns_[j].increment;
+    }
+    const Status status = f(t, point_.data(), moved_.data());
+    for (const std::size_t j : columns) point_[j] = y[j];
+    if (status == Status::stop) return Status::stop;
+    if (all_finite(moved_.data(), moved_.size())) break;
+  }
+  for (const std::size_t j : columns) {
+    Column& column = columns_[j];
+    column.change = column.size = 0;
+    for_each_in_column(j, [&](std::size_t i, double& value) {
+      const double change = moved_[i] - slope[i];
+      value = change / column.increment;
+      if (std::abs(change) <= column.change) return;
+      column.change = std::abs(change);
+      column.size = std::max(std::abs(slope[i]), std::abs(moved_[i]));
+    });
+  }
+  return Status::ok;
+}
+
+template <class Visit>
+void Jacobian::for_each_in_column(std::size_t j, Visit&& visit) {
+  const auto& [kind, n, lower, upper] = matrix_.structure;
+  if (kind == Structure::Kind::dense) {
+    for (std::size_t i = 0; i < n; ++i) visit(i, matrix_.values[i * n + j]);
+  } else if (kind == Structure::Kind::banded) {
+    for (std::size_t i = j > upper ? j - upper : 0; i <= std::min(n - 1, j + lower); ++i)
+      visit(i, matrix_.values[(upper + i - j) * n + j]);
+  } else {
+    for (int p = matrix_.starts[j]; p < matrix_.starts[j + 1]; ++p) {
+      const auto q = static_cast<std::size_t>(p);
+      visit(static_cast<std::size_t>(matrix_.rows[q]), matrix_.values[q]);
+    }
+  }
+}
+
+}  // namespace invariode

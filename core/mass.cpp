@@ -1,0 +1,215 @@
+#include "mass.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+constexpr double singular_growth = 1e13;  // of a solution over its right-hand side, with rows and columns scaled
+constexpr int consistency_iterations = 25;
+constexpr int consistency_halvings = 10;
+constexpr double consistent_to = 1e-11;  // weighted size of a last correction: what it leaves is of its square
+
+Eigen::Map<const Eigen::VectorXd> as_vector(const double* v, Eigen::Index n) { return {v, n}; }
+Eigen::Map<Eigen::VectorXd> as_vector(double* v, Eigen::Index n) { return {v, n}; }
+
+Mass::Basis to_sparse(const Matrix& A) {
+  std::vector<Eigen::Triplet<double>> entries;
+  A.for_each([&](std::size_t i, std::size_t j, double a) {
+    if (a != 0) entries.emplace_back(static_cast<int>(i), static_cast<int>(j), a);
+  });
+  const auto n = static_cast<Eigen::Index>(A.n());
+  Mass::Basis S(n, n);
+  S.setFromTriplets(entries.begin(), entries.end());
+  return S;
+}
+
+}  // namespace
+
+Mass::Mass(Matrix matrix, MatrixFunction function, Basis null_basis)
+    : matrix_(std::move(matrix)), function_(function), Z_(std::move(null_basis)) {}
+
+void Mass::algebraic_part(const double* f, double* r) const {
+  as_vector(r, Z_.cols()) = Z_.transpose() * as_vector(f, Z_.rows());
+}
+
+void Mass::algebraic_part(const Matrix& J, double* out) const {
+  const std::size_t n = J.n();
+  std::fill(out, out + equations() * n, 0);
+  const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(Z_);
+  J.for_each([&](std::size_t i, std::size_t j, double value) {
+    for (decltype(rows)::InnerIterator z(rows, static_cast<Eigen::Index>(i)); z; ++z)
+      out[static_cast<std::size_t>(z.col()) * n + j] += z.value() * value;
+  });
+}
+
+void Mass::keep_algebraic_part(double* v) const {
+  const Eigen::VectorXd part = Z_.transpose() * as_vector(v, Z_.rows());
+  as_vector(v, Z_.rows()) = Z_ * part;
+}
+
+void Mass::remove_algebraic_part(double* v) const {
+  const Eigen::VectorXd part = Z_.transpose() * as_vector(v, Z_.rows());
+  as_vector(v, Z_.rows()) -= Z_ * part;
+}
+
+Matrix Mass::completed(const Matrix& J) const {
+  const Basis projected = Z_ * Basis(Z_.transpose() * to_sparse(J));
+  const Basis sum = to_sparse(matrix_) + projected;
+  Matrix out(
+      {.kind = matrix_.structure.kind == Structure::Kind::dense ? Structure::Kind::dense : Structure::Kind::sparse,
+       .n = matrix_.n()});
+  if (out.structure.kind == Structure::Kind::dense) {
+    for (Eigen::Index j = 0; j < sum.cols(); ++j)
+      for (Basis::InnerIterator e(sum, j); e; ++e)
+        out.values[static_cast<std::size_t>(e.row()) * out.n() + static_cast<std::size_t>(j)] = e.value();
+  } else {
+    out.starts.assign(sum.outerIndexPtr(), sum.outerIndexPtr() + sum.cols() + 1);
+    out.rows.assign(sum.innerIndexPtr(), sum.innerIndexPtr() + sum.nonZeros());
+    out.values.assign(sum.valuePtr(), sum.valuePtr() + sum.nonZeros());
+  }
+  return out;
+}
+
+bool MassSolver::factor(const Mass& mass, const Matrix& J, const double* w, const Lapack* lapack) {
+  Matrix A = mass.completed(J);
+  const std::size_t n = A.n();
+  column_scale_.assign(w, w + n);
+  row_scale_.assign(n, 0);
+  A.for_each([&](std::size_t i, std::size_t j, double& a) {
+    a *= w[j];
+    row_scale_[i] = std::max(row_scale_[i], std::abs(a));
+  });
+  for (double& scale : row_scale_) {
+    if (scale == 0) return false;
+    scale = 1 / scale;
+  }
+  A.for_each([&](std::size_t i, std::size_t, double& a) { a *= row_scale_[i]; });
+  lu_ = make_factorization(A.structure, lapack);
+  if (!lu_->factor(&A, 0, Matrix(A.structure))) return false;
+  std::vector<double> probe(n);
+  for (std::size_t i = 0; i < n; ++i) probe[i] = (i * i + i / 2) % 2 == 0 ? 1 : -1;
+  lu_->solve(probe.data());
+  MaxNorm growth;
+  for (const double x : probe) growth.add(x);
+  return growth.value() < singular_growth;
+}
+
+void MassSolver::solve(double* b) {
+  for (std::size_t i = 0; i < row_scale_.size(); ++i) b[i] *= row_scale_[i];
+  lu_->solve(b);
+  for (std::size_t i = 0; i < row_scale_.size(); ++i) b[i] *= column_scale_[i];
+}
+
+void MassSolver::slope(const Mass& mass, const double* ft, double* f) {
+  if (mass.singular()) {
+    mass.remove_algebraic_part(f);
+    if (ft) {
+      std::vector<double> rate(ft, ft + row_scale_.size());
+      mass.keep_algebraic_part(rate.data());
+      for (std::size_t i = 0; i < rate.size(); ++i) f[i] -= rate[i];
+    }
+  }
+  solve(f);
+}
+
+void MassSolver::correction(const Mass& mass, double* f) {
+  mass.keep_algebraic_part(f);
+  for (std::size_t i = 0; i < row_scale_.size(); ++i) f[i] = -f[i];
+  solve(f);
+}
+
+Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const Weights& weights, const Lapack* lapack,
+                            double t, double* y) {
+  const std::size_t n = weights.size();
+  std::vector<double> slope(n), w(n), delta(n), trial(n), beyond(n);
+  MassSolver solver;
+  if (mass.evaluate(t) == Status::stop) return Consistency::stop;
+  if (f(t, y, slope.data()) == Status::stop) return Consistency::stop;
+  if (!all_finite(slope.data(), n)) return Consistency::undefined;
+  const auto size = [&](const std::vector<double>& v) {
+    MaxNorm norm;
+    for (std::size_t i = 0; i < n; ++i) norm.add(v[i] / w[i]);
+    return norm.value();
+  };
+  for (int iteration = 0; iteration < consistency_iterations; ++iteration) {
+    weights.fill(y, w.data());
+    if (jacobian.evaluate(f, t, y, slope.data()) == Status::stop) return Consistency::stop;
+    if (!solver.factor(mass, jacobian.matrix(), w.data(), lapack)) return Consistency::index_too_high;
+    delta = slope;
+    solver.correction(mass, delta.data());
+    const double distance = size(delta);
+    if (distance <= consistent_to) return iteration == 0 ? Consistency::consistent : Consistency::corrected;
+    // A step of Newton's method, halved until the same linearization finds the next distance smaller.
+    double fraction = 1;
+    for (int halving = 0;; ++halving, fraction /= 2) {
+      if (halving > consistency_halvings || !std::isfinite(distance)) return Consistency::not_found;
+      for (std::size_t i = 0; i < n; ++i) trial[i] = y[i] + fraction * delta[i];
+      if (f(t, trial.data(), slope.data()) == Status::stop) return Consistency::stop;
+      beyond = slope;
+      solver.correction(mass, beyond.data());
+      if (size(beyond) <= (1 - fraction / 4) * distance) break;
+    }
+    std::copy(trial.begin(), trial.end(), y);
+  }
+  return Consistency::not_found;
+}
+
+AlgebraicConstraints::AlgebraicConstraints(Callback& f, const Jacobian& jacobian, const Mass& mass)
+    : f_(f), jacobian_(jacobian), mass_(mass), slope_(mass.matrix().n()) {}
+
+Status AlgebraicConstraints::residual_entry(void* self, double t, const double* y, double* out) noexcept {
+  auto& me = *static_cast<AlgebraicConstraints*>(self);
+  if (me.f_(t, y, me.slope_.data()) == Status::stop) return Status::stop;
+  me.mass_.algebraic_part(me.slope_.data(), out);
+  return Status::ok;
+}
+
+/// Projection asks for the Jacobian where it has just asked for the residual: f is at hand.
+Status AlgebraicConstraints::jacobian_entry(void* self, double t, const double* y, double* out) noexcept {
+  auto& me = *static_cast<AlgebraicConstraints*>(self);
+  if (me.jacobian_.evaluate(me.f_, t, y, me.slope_.data()) == Status::stop) return Status::stop;
+  me.mass_.algebraic_part(me.jacobian_.matrix(), out);
+  return Status::ok;
+}
+
+MassSlope::MassSlope(const Callback& f, const Jacobian& jacobian, const Mass& mass, const Weights& weights,
+                     const Lapack* lapack)
+    : f_(f),
+      jacobian_(jacobian),
+      mass_(mass),
+      weights_(weights),
+      lapack_(lapack),
+      w_(weights.size()),
+      later_(weights.size()) {}
+
+Status MassSlope::entry(void* self, double t, const double* y, double* out) noexcept {
+  return static_cast<MassSlope*>(self)->evaluate(t, y, out);
+}
+
+Status MassSlope::evaluate(double t, const double* y, double* out) {
+  if (f_(t, y, out) == Status::stop) return Status::stop;
+  const double* ft = nullptr;
+  if (mass_.singular()) {
+    if (jacobian_.evaluate(f_, t, y, out) == Status::stop) return Status::stop;
+    const double step = std::sqrt(eps) * std::max(std::abs(t), 1.0);
+    if (f_(t + step, y, later_.data()) == Status::stop) return Status::stop;
+    for (std::size_t i = 0; i < later_.size(); ++i) later_[i] = (later_[i] - out[i]) / step;
+    ft = later_.data();
+  }
+  if (!factored_ || mass_.singular() || !mass_.constant()) {
+    if (mass_.evaluate(t) == Status::stop) return Status::stop;
+    weights_.fill(y, w_.data());
+    factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
+  }
+  if (factored_)
+    solver_.slope(mass_, ft, out);
+  else
+    std::fill(out, out + later_.size(), std::numeric_limits<double>::quiet_NaN());
+  return Status::ok;
+}
+
+}  // namespace invariode

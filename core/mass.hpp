@@ -1,0 +1,119 @@
+#pragma once
+// The mass matrix M of M y' = f(t, y). Singular, it makes some of the equations algebraic: Zᵀ f(t, y) = 0, where the
+// columns of Z span the left null space (docs/algorithms.md, 'Mass matrices').
+
+#include <Eigen/SparseCore>
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "callback.hpp"
+#include "jacobian.hpp"
+#include "matrix.hpp"
+#include "step.hpp"
+#include "weights.hpp"
+
+namespace invariode {
+
+class Mass {
+ public:
+  using Basis = Eigen::SparseMatrix<double>;
+
+  /// A constant M, or, with a function, M(t), whose first argument is its structure. `null_basis`: Z (n, r), with
+  /// orthonormal columns, the same for all t; r = 0 for a regular M.
+  Mass(Matrix matrix, MatrixFunction function, Basis null_basis);
+
+  /// Takes M at t, if it depends on t.
+  Status evaluate(double t) { return function_ ? function_(t, nullptr, matrix_) : Status::ok; }
+
+  [[nodiscard]] const Matrix& matrix() const { return matrix_; }
+  [[nodiscard]] bool constant() const { return !function_; }
+  [[nodiscard]] bool singular() const { return Z_.cols() > 0; }
+  /// r, the number of algebraic equations.
+  [[nodiscard]] std::size_t equations() const { return static_cast<std::size_t>(Z_.cols()); }
+
+  /// Zᵀ f into r (r,).
+  void algebraic_part(const double* f, double* r) const;
+  /// Zᵀ J into out (r, n), row-major.
+  void algebraic_part(const Matrix& J, double* out) const;
+  /// v − Z Zᵀ v and Z Zᵀ v, in place.
+  void remove_algebraic_part(double* v) const;
+  void keep_algebraic_part(double* v) const;
+  /// M + Z Zᵀ J: regular where the index is 1. Dense if M is, else sparse.
+  [[nodiscard]] Matrix completed(const Matrix& J) const;
+
+ private:
+  Matrix matrix_;
+  MatrixFunction function_;
+  Basis Z_;
+};
+
+/// Solves M y' = f for y', with Zᵀ f = 0 kept along it: (M + Z Zᵀ J) y' = (I − Z Zᵀ) f − Z Zᵀ f_t.
+class MassSolver {
+ public:
+  /// Factorises M + Z Zᵀ J, its rows and columns scaled by the weights w. False: singular, so M y' = f has no unique
+  /// y', or the index is above 1.
+  [[nodiscard]] bool factor(const Mass& mass, const Matrix& J, const double* w, const Lapack* lapack);
+  /// y' from f, in place. ft may be null: 0.
+  void slope(const Mass& mass, const double* ft, double* f);
+  /// The change of y that solves the linearised algebraic equations, δ = −(M + Z Zᵀ J)⁻¹ Z Zᵀ f, from f, in place.
+  void correction(const Mass& mass, double* f);
+
+ private:
+  void solve(double* b);
+
+  std::unique_ptr<Factorization> lu_;
+  std::vector<double> row_scale_, column_scale_;
+};
+
+/// How the search for consistent initial values ended.
+enum class Consistency { consistent, corrected, not_found, index_too_high, undefined, stop };
+
+/// Moves y, in its components that M leaves undetermined, until the algebraic equations hold to roundoff.
+Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const Weights& weights, const Lapack* lapack,
+                            double t, double* y);
+
+/// The algebraic equations as constraints that projection imposes together with the invariants.
+class AlgebraicConstraints {
+ public:
+  AlgebraicConstraints(Callback& f, const Jacobian& jacobian, const Mass& mass);
+
+  [[nodiscard]] std::size_t count() const { return mass_.equations(); }
+  Callback residual() { return {&AlgebraicConstraints::residual_entry, this}; }
+  Callback jacobian() { return {&AlgebraicConstraints::jacobian_entry, this}; }
+
+ private:
+  static Status residual_entry(void* self, double t, const double* y, double* out) noexcept;
+  static Status jacobian_entry(void* self, double t, const double* y, double* out) noexcept;
+
+  Callback& f_;
+  Jacobian jacobian_;
+  const Mass& mass_;
+  std::vector<double> slope_;
+};
+
+/// y'(t, y) of M y' = f as a function of its own, for tests that ask whether invariants are conserved.
+class MassSlope {
+ public:
+  MassSlope(const Callback& f, const Jacobian& jacobian, const Mass& mass, const Weights& weights,
+            const Lapack* lapack);
+
+  Callback callback() { return {&MassSlope::entry, this}; }
+  [[nodiscard]] std::int64_t evaluations() const { return f_.calls(); }
+
+ private:
+  static Status entry(void* self, double t, const double* y, double* out) noexcept;
+  Status evaluate(double t, const double* y, double* out);
+
+  Callback f_;
+  Jacobian jacobian_;
+  Mass mass_;
+  MassSolver solver_;
+  const Weights& weights_;
+  const Lapack* lapack_;
+  std::vector<double> w_, later_;
+  bool factored_ = false;
+};
+
+}  // namespace invariode

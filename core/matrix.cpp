@@ -1,0 +1,225 @@
+#include "matrix.hpp"
+
+#include <Eigen/LU>
+#include <Eigen/SparseCore>
+#include <Eigen/SparseLU>
+#include <algorithm>
+#include <cmath>
+
+#include "weights.hpp"
+
+namespace invariode {
+namespace {
+
+constexpr std::size_t dense_by_lapack = 64;  // from this n on LAPACK's blocked LU is the faster one
+constexpr double least_diagonal = 0.1;       // of the largest entry in its column, to be taken as a sparse pivot
+
+Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
+
+/// LU by Eigen, whose small matrices cost no call.
+class DenseByEigen final : public Factorization {
+ public:
+  explicit DenseByEigen(std::size_t n) : A_(index(n), index(n)), lu_(index(n)), x_(index(n)) {}
+
+  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+    if (mass)
+      mass->for_each([this](std::size_t i, std::size_t j, double m) { A_(index(i), index(j)) = m; });
+    else
+      A_.setIdentity();
+    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { A_(index(i), index(j)) -= c * value; });
+    lu_.compute(A_);
+    return lu_.matrixLU().allFinite() && (lu_.matrixLU().diagonal().array() != 0).all();
+  }
+
+  void solve(double* b) override {
+    Eigen::Map<Eigen::VectorXd> x(b, x_.size());
+    x_.noalias() = lu_.permutationP() * x;
+    lu_.matrixLU().triangularView<Eigen::UnitLower>().solveInPlace(x_);
+    lu_.matrixLU().triangularView<Eigen::Upper>().solveInPlace(x_);
+    x = x_;
+  }
+
+ private:
+  Eigen::MatrixXd A_;
+  Eigen::PartialPivLU<Eigen::MatrixXd> lu_;
+  Eigen::VectorXd x_;
+};
+
+class DenseByLapack final : public Factorization {
+ public:
+  DenseByLapack(std::size_t n, const Lapack& lapack)
+      : lapack_(lapack), n_(static_cast<int>(n)), lu_(n * n), pivots_(n) {}
+
+  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+    const auto n = static_cast<std::size_t>(n_);
+    const auto at = [&](std::size_t i, std::size_t j) -> double& { return lu_[j * n + i]; };
+    std::fill(lu_.begin(), lu_.end(), 0);
+    if (mass)
+      mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
+    else
+      for (std::size_t i = 0; i < n; ++i) at(i, i) = 1;
+    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
+    if (!all_finite(lu_.data(), lu_.size())) return false;
+    int info = 0;
+    lapack_.dgetrf(&n_, &n_, lu_.data(), &n_, pivots_.data(), &info);
+    return info == 0;
+  }
+
+  void solve(double* b) override {
+    char as_it_is = 'N';
+    int one = 1, info = 0;
+    lapack_.dgetrs(&as_it_is, &n_, &one, lu_.data(), &n_, pivots_.data(), b, &n_, &info);
+  }
+
+ private:
+  Lapack lapack_;
+  int n_;
+  std::vector<double> lu_;
+  std::vector<int> pivots_;
+};
+
+class BandedByLapack final : public Factorization {
+ public:
+  BandedByLapack(const Structure& s, const Lapack& lapack)
+      : lapack_(lapack),
+        n_(static_cast<int>(s.n)),
+        lower_(static_cast<int>(s.lower)),
+        upper_(static_cast<int>(s.upper)),
+        rows_(2 * lower_ + upper_ + 1),
+        lu_(static_cast<std::size_t>(rows_) * s.n),
+        pivots_(s.n) {}
+
+  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+    const auto rows = static_cast<std::size_t>(rows_), top = static_cast<std::size_t>(lower_ + upper_);
+    const auto at = [&](std::size_t i, std::size_t j) -> double& { return lu_[j * rows + top + i - j]; };
+    std::fill(lu_.begin(), lu_.end(), 0);
+    if (mass)
+      mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
+    else
+      for (std::size_t j = 0; j < pivots_.size(); ++j) at(j, j) = 1;
+    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
+    if (!all_finite(lu_.data(), lu_.size())) return false;
+    int info = 0;
+    lapack_.dgbtrf(&n_, &n_, &lower_, &upper_, lu_.data(), &rows_, pivots_.data(), &info);
+    return info == 0;
+  }
+
+  void solve(double* b) override {
+    char as_it_is = 'N';
+    int one = 1, info = 0;
+    lapack_.dgbtrs(&as_it_is, &n_, &lower_, &upper_, &one, lu_.data(), &rows_, pivots_.data(), b, &n_, &info);
+  }
+
+ private:
+  Lapack lapack_;
+  int n_, lower_, upper_;
+  int rows_;  // of the band with room for the fill-in
+  std::vector<double> lu_;
+  std::vector<int> pivots_;
+};
+
+/// LU by Eigen on the union of the patterns of M and J, analysed again only when that changes. Rows and columns are put
+/// into the minimum degree order of A + Aᵀ (these matrices have a full diagonal and are nearly symmetric in pattern:
+/// half the fill-in of a column ordering), and pivots are taken from the diagonal where they are not small.
+class SparseByEigen final : public Factorization {
+ public:
+  explicit SparseByEigen(std::size_t n) : A_(index(n), index(n)), x_(index(n)) {
+    lu_.isSymmetric(true);
+    lu_.setPivotThreshold(least_diagonal);
+  }
+
+  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+    if (!analysed_ || !jacobian.same_pattern(jacobian_) || (mass && !mass->same_pattern(mass_)))
+      analyse(mass, jacobian);
+    std::fill(A_.valuePtr(), A_.valuePtr() + A_.nonZeros(), 0);
+    std::size_t p = 0;
+    if (mass)
+      mass->for_each([&](std::size_t, std::size_t, double m) { A_.valuePtr()[of_mass_[p++]] += m; });
+    else
+      for (; p < of_mass_.size(); ++p) A_.valuePtr()[of_mass_[p]] += 1;
+    p = 0;
+    jacobian.for_each([&](std::size_t, std::size_t, double v) { A_.valuePtr()[of_jacobian_[p++]] -= c * v; });
+    if (!all_finite(A_.valuePtr(), static_cast<std::size_t>(A_.nonZeros()))) return false;
+    lu_.factorize(A_);
+    return lu_.info() == Eigen::Success;
+  }
+
+  void solve(double* b) override {
+    for (std::size_t i = 0; i < place_.size(); ++i) x_[place_[i]] = b[i];
+    x_ = lu_.solve(x_);
+    for (std::size_t i = 0; i < place_.size(); ++i) b[i] = x_[place_[i]];
+  }
+
+ private:
+  void analyse(const Matrix* mass, const Matrix& jacobian) {
+    const std::size_t n = jacobian.n();
+    std::vector<Eigen::Triplet<double>> entries;
+    const auto add = [&](std::size_t i, std::size_t j, double) {
+      entries.emplace_back(static_cast<int>(i), static_cast<int>(j), 0.0);
+    };
+    const auto visit_mass = [&](auto&& visit) {
+      if (mass)
+        mass->for_each(visit);
+      else
+        for (std::size_t i = 0; i < n; ++i) visit(i, i, 1.0);
+    };
+    jacobian.for_each(add);
+    visit_mass(add);
+    A_.setFromTriplets(entries.begin(), entries.end());
+
+    Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> order;
+    Eigen::AMDOrdering<int>()(A_, order);  // order.indices()[k]: which row comes k-th
+    place_.resize(n);
+    for (std::size_t k = 0; k < n; ++k)
+      place_[static_cast<std::size_t>(order.indices()[index(k)])] = static_cast<int>(k);
+    for (Eigen::Triplet<double>& e : entries)
+      e = {place_[static_cast<std::size_t>(e.row())], place_[static_cast<std::size_t>(e.col())], 0.0};
+    A_.setFromTriplets(entries.begin(), entries.end());
+    A_.makeCompressed();
+    const auto find = [this](std::size_t i, std::size_t j) {
+      const int* first = A_.innerIndexPtr() + A_.outerIndexPtr()[place_[j]];
+      const int* last = A_.innerIndexPtr() + A_.outerIndexPtr()[place_[j] + 1];
+      return std::lower_bound(first, last, place_[i]) - A_.innerIndexPtr();
+    };
+    of_jacobian_.clear();
+    of_mass_.clear();
+    jacobian.for_each([&](std::size_t i, std::size_t j, double) { of_jacobian_.push_back(find(i, j)); });
+    visit_mass([&](std::size_t i, std::size_t j, double) { of_mass_.push_back(find(i, j)); });
+    jacobian_.starts = jacobian.starts, jacobian_.rows = jacobian.rows;
+    if (mass) mass_.starts = mass->starts, mass_.rows = mass->rows;
+    lu_.analyzePattern(A_);
+    analysed_ = true;
+  }
+
+  Eigen::SparseMatrix<double> A_;
+  Eigen::SparseLU<Eigen::SparseMatrix<double>, Eigen::NaturalOrdering<int>> lu_;
+  Eigen::VectorXd x_;
+  std::vector<int> place_;                             // of each row and column in A
+  std::vector<std::ptrdiff_t> of_jacobian_, of_mass_;  // where their entries go among those of A
+  Matrix jacobian_, mass_;                             // the patterns that were analysed
+  bool analysed_ = false;
+};
+
+}  // namespace
+
+Matrix::Matrix(const Structure& of) : structure(of) {
+  if (of.kind == Structure::Kind::dense) values.resize(of.n * of.n);
+  if (of.kind == Structure::Kind::banded) values.resize((of.lower + of.upper + 1) * of.n);
+  if (of.kind == Structure::Kind::sparse) starts.resize(of.n + 1);
+}
+
+void Matrix::multiply(const double* x, double* y) const {
+  std::fill(y, y + n(), 0);
+  for_each([&](std::size_t i, std::size_t j, double a) { y[i] += a * x[j]; });
+}
+
+std::unique_ptr<Factorization> make_factorization(const Structure& structure, const Lapack* lapack) {
+  if (structure.kind == Structure::Kind::dense) {
+    if (lapack && structure.n >= dense_by_lapack) return std::make_unique<DenseByLapack>(structure.n, *lapack);
+    return std::make_unique<DenseByEigen>(structure.n);
+  }
+  if (structure.kind == Structure::Kind::banded && lapack) return std::make_unique<BandedByLapack>(structure, *lapack);
+  return std::make_unique<SparseByEigen>(structure.n);
+}
+
+}  // namespace invariode

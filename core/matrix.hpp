@@ -1,0 +1,116 @@
+#pragma once
+// Square matrices as implicit methods meet them: Jacobian, mass matrix, and the LU factors of M − c J.
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "callback.hpp"
+
+namespace invariode {
+
+/// How a matrix is stored.
+struct Structure {
+  enum class Kind { dense, banded, sparse } kind = Kind::dense;
+  std::size_t n = 0;
+  std::size_t lower = 0, upper = 0;  ///< bandwidths of a banded one
+};
+
+/// An n × n matrix. Dense: (n, n), row-major. Banded: (lower + upper + 1, n), row-major, with A(i, j) at
+/// [upper + i − j, j], LAPACK's layout. Sparse: compressed columns, row indices ascending.
+struct Matrix {
+  Structure structure;
+  std::vector<double> values;
+  std::vector<int> starts, rows;  ///< of a sparse one: where column j starts, row indices
+
+  explicit Matrix(const Structure& of = {});
+
+  [[nodiscard]] std::size_t n() const { return structure.n; }
+  [[nodiscard]] bool same_pattern(const Matrix& other) const { return starts == other.starts && rows == other.rows; }
+
+  /// Calls visit(i, j, value&) for each stored entry.
+  template <class Visit>
+  void for_each(Visit&& visit) {
+    for_each_of(*this, visit);
+  }
+  template <class Visit>
+  void for_each(Visit&& visit) const {
+    for_each_of(*this, visit);
+  }
+  /// y = A x
+  void multiply(const double* x, double* y) const;
+
+ private:
+  template <class Self, class Visit>
+  static void for_each_of(Self& self, Visit&& visit) {
+    const auto& [kind, n, lower, upper] = self.structure;
+    if (kind == Structure::Kind::dense) {
+      for (std::size_t i = 0; i < n; ++i)
+        for (std::size_t j = 0; j < n; ++j) visit(i, j, self.values[i * n + j]);
+    } else if (kind == Structure::Kind::banded) {
+      for (std::size_t d = 0; d <= lower + upper; ++d)  // diagonal i − j = d − upper
+        for (std::size_t j = d < upper ? upper - d : 0; j < n && j + d < n + upper; ++j)
+          visit(j + d - upper, j, self.values[d * n + j]);
+    } else {
+      for (std::size_t j = 0; j < n; ++j)
+        for (int p = self.starts[j]; p < self.starts[j + 1]; ++p) {
+          const auto q = static_cast<std::size_t>(p);
+          visit(static_cast<std::size_t>(self.rows[q]), j, self.values[q]);
+        }
+    }
+  }
+};
+
+/// A user function that fills a matrix: the values of its structure; of a sparse one it may replace the pattern too.
+class MatrixFunction {
+ public:
+  using Function = Status(void* context, double t, const double* y, Matrix& out) noexcept;
+
+  MatrixFunction() = default;
+  MatrixFunction(Function* function, void* context) : function_(function), context_(context) {}
+
+  Status operator()(double t, const double* y, Matrix& out) noexcept {
+    ++calls_;
+    return function_(context_, t, y, out);
+  }
+  explicit operator bool() const noexcept { return function_ != nullptr; }
+  [[nodiscard]] std::int64_t calls() const noexcept { return calls_; }
+
+ private:
+  Function* function_ = nullptr;
+  void* context_ = nullptr;
+  std::int64_t calls_ = 0;
+};
+
+/// LAPACK's routines for LU factors, which the binding takes from the copy that SciPy ships.
+struct Lapack {
+  using Factor = void(int* m, int* n, double* a, int* lda, int* pivots, int* info);
+  using Solve = void(char* trans, int* n, int* nrhs, double* a, int* lda, int* pivots, double* b, int* ldb, int* info);
+  using FactorBand = void(int* m, int* n, int* kl, int* ku, double* ab, int* ldab, int* pivots, int* info);
+  using SolveBand = void(char* trans, int* n, int* kl, int* ku, int* nrhs, double* ab, int* ldab, int* pivots,
+                         double* b, int* ldb, int* info);
+  Factor* dgetrf = nullptr;
+  Solve* dgetrs = nullptr;
+  FactorBand* dgbtrf = nullptr;
+  SolveBand* dgbtrs = nullptr;
+};
+
+/// LU factors of A = M − c J, and solutions of A x = b with them.
+class Factorization {
+ public:
+  Factorization() = default;
+  Factorization(const Factorization&) = delete;
+  Factorization& operator=(const Factorization&) = delete;
+  virtual ~Factorization() = default;
+
+  /// `mass` null: the identity. False: A is singular, or not finite.
+  [[nodiscard]] virtual bool factor(const Matrix* mass, double c, const Matrix& jacobian) = 0;
+  virtual void solve(double* b) = 0;
+};
+
+/// For matrices of that structure. `lapack` may be null: dense ones are then left to Eigen, and banded ones are treated
+/// as sparse.
+std::unique_ptr<Factorization> make_factorization(const Structure& structure, const Lapack* lapack);
+
+}  // namespace invariode

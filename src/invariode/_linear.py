@@ -1,0 +1,283 @@
+"""The matrices of an implicit method, ∂f/∂y and M, brought into the form that the core takes."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
+
+from . import _core
+from ._arguments import EPS, Array, warn
+
+if TYPE_CHECKING:
+    from .problem import Matrices
+
+__all__ = ["prepare"]
+
+_DENSE_LIMIT = 2**30  # bytes: above, a dense Jacobian is worth a word
+_NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
+_SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
+
+
+@dataclass(frozen=True)
+class _Storage:
+    """How matrices of n components are stored: dense, banded or sparse; complex ones as 2 × 2 blocks of reals."""
+
+    kind: str
+    n: int
+    complex: bool
+    lower: int = 0
+    upper: int = 0
+
+    @property
+    def given_shape(self) -> tuple[int, int]:
+        return (self.lower + self.upper + 1 if self.kind == "banded" else self.n, self.n)
+
+    def values(self, name: str, given: Any) -> Any:
+        """What a user gave, checked, as the core reads it: an array, or (starts, rows, values)."""
+        matrix = _matrix(name, given, self.complex)
+        if matrix.shape != self.given_shape:
+            packed = " (the bands, packed as [uband + i - j, j])" if self.kind == "banded" else ""
+            raise ValueError(f"{name} has shape {matrix.shape}, expected shape {self.given_shape}{packed}")
+        if self.kind == "sparse":
+            return _columns(_real_blocks(sp.csc_array(matrix)) if self.complex else sp.csc_array(matrix))
+        dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+        if self.complex:
+            dense = _real_bands(dense, self.lower, self.upper) if self.kind == "banded" else _real_dense(dense)
+        return np.ascontiguousarray(dense, dtype=float)
+
+    def mass_values(self, given: Any) -> Any:
+        """The same of a mass matrix, which is given whole also where the Jacobian is banded."""
+        matrix = _matrix("mass", given, self.complex)
+        if matrix.shape != (self.n, self.n):
+            raise ValueError(f"mass has shape {matrix.shape}, expected shape {(self.n, self.n)}")
+        if self.kind != "banded":
+            return self.values("mass", matrix)
+        entries = sp.coo_array(matrix)
+        row = self.upper + entries.row - entries.col
+        if ((row < 0) | (row > self.lower + self.upper)).any():
+            raise ValueError(
+                f"mass has entries outside of the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
+                "give a band that holds both"
+            )
+        packed = np.zeros(self.given_shape, dtype=entries.dtype)
+        packed[row, entries.col] = entries.data
+        return self.values("mass", packed)
+
+
+def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...]) -> _core.Linear:
+    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns."""
+    storage, kind, jacobian = _jacobian(given, t0, y0, args)
+    mass = None if given.mass is None else _mass(given.mass, storage, args)
+    reals = 2 if storage.complex else 1
+    banded = storage.kind == "banded"
+    n = reals * storage.n
+    return _core.Linear(
+        structure=storage.kind,
+        n=n,
+        lower=reals * storage.lower + (reals - 1) * banded,
+        upper=reals * storage.upper + (reals - 1) * banded,
+        kind=kind,
+        jacobian=jacobian,
+        mass=mass,
+        null_basis=_columns(sp.csc_array((n, 0)) if mass is None else _null_basis(storage, mass, t0)),
+        lapack=_lapack(),
+    )
+
+
+def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...]) -> tuple[_Storage, str, Any]:
+    """How it is stored, of which kind it is, and its values or its function."""
+    n, is_complex = len(y0), np.iscomplexobj(y0)
+    bands = _bands(given.lband, given.uband, n)
+    if bands is not None and given.jac_sparsity is not None:
+        raise ValueError("give either jac_sparsity or lband and uband, not both")
+    if given.jac is not None and given.jac_sparsity is not None:
+        warn("jac_sparsity has no effect together with jac")
+
+    def storage(is_sparse: bool) -> _Storage:
+        if bands is not None:
+            return _Storage("banded", n, is_complex, *bands)
+        return _Storage("sparse" if is_sparse else "dense", n, is_complex)
+
+    if callable(given.jac):
+        first = given.jac(t0, y0.copy(), *args)
+        held = storage(sp.issparse(first))
+        return held, "function", _JacobianFunction(given.jac, args, held, t0, y0, first)
+    if given.jac is not None:
+        held = storage(sp.issparse(given.jac))
+        return held, "constant", held.values("jac", given.jac)
+    held = storage(given.jac_sparsity is not None)
+    if held.kind == "sparse":
+        return held, "differences", held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
+    bytes_needed = 8 * (n * (2 if is_complex else 1)) ** 2
+    if held.kind == "dense" and bytes_needed > _DENSE_LIMIT:
+        warn(
+            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: say what is zero in it by "
+            "jac_sparsity, or by lband and uband"
+        )
+    return held, "differences", None
+
+
+def _mass(mass: Any, storage: _Storage, args: tuple[Any, ...]) -> Any:
+    return (lambda t: storage.mass_values(mass(t, *args))) if callable(mass) else storage.mass_values(mass)
+
+
+def _null_basis(storage: _Storage, mass: Any, t0: float) -> sp.csc_array:
+    return null_basis(_whole(storage, mass(t0) if callable(mass) else mass))
+
+
+class _JacobianFunction:
+    """The user's Jacobian, with its values as the core reads them. The first ones are at hand already."""
+
+    def __init__(
+        self, jac: Callable[..., Any], args: tuple[Any, ...], storage: _Storage, t0: float, y0: Array, first: Any
+    ) -> None:
+        self._jac, self._args, self._storage = jac, args, storage
+        self._first: tuple[float, Array, Any] | None = (t0, y0, storage.values("jac(t, y)", first))
+
+    def __call__(self, t: float, y: Array) -> Any:
+        if self._first is not None:
+            (t0, y0, values), self._first = self._first, None
+            if t == t0 and np.array_equal(y, y0):
+                return values
+        return self._storage.values("jac(t, y)", self._jac(t, y, *self._args))
+
+
+def null_basis(mass: sp.csc_array) -> sp.csc_array:
+    """An orthonormal basis Z (n, r) of the left null space of M: Zᵀ M = 0. r = 0 where M is regular.
+
+    Rows of zeros are evident. If what remains is singular too, the null space is computed, by a dense factorisation.
+    """
+    n = mass.shape[0]
+    rows = sp.csr_array(mass)
+    rows.data[np.abs(rows.data) < np.finfo(float).tiny] = 0
+    rows.eliminate_zeros()
+    scale = abs(rows).max(axis=1).toarray().ravel() if n else np.zeros(0)
+    empty_rows = np.flatnonzero(scale == 0)
+    empty_columns = np.flatnonzero(abs(rows).max(axis=0).toarray().ravel() == 0) if n else empty_rows
+    units = sp.csc_array((np.ones(len(empty_rows)), (empty_rows, np.arange(len(empty_rows)))), (n, len(empty_rows)))
+    if len(empty_rows) == len(empty_columns):
+        kept_rows, kept_columns = np.delete(np.arange(n), empty_rows), np.delete(np.arange(n), empty_columns)
+        if _regular(sp.csc_array(rows[kept_rows][:, kept_columns])):
+            return units
+    if n > _NULL_SPACE_LIMIT:
+        raise ValueError(
+            f"mass is singular beyond its rows of zeros, and its {n} rows are too many to find its null space: "
+            "transform the system so that each algebraic equation has a row of zeros in mass"
+        )
+    safe = np.where(scale == 0, 1, scale)
+    left, sizes, _ = np.linalg.svd(rows.toarray() / safe[:, None])
+    null = left[:, sizes <= n * EPS * max(sizes[0], 1e-300)] / safe[:, None]
+    return sp.csc_array(np.linalg.qr(null)[0])
+
+
+def _regular(A: sp.csc_array) -> bool:
+    """Whether a square matrix is regular, once its rows and columns are scaled."""
+    if A.shape[0] == 0:
+        return True
+    for axis in (1, 0):
+        size = abs(A).max(axis=axis).toarray().ravel()
+        if (size == 0).any():
+            return False
+        factors = sp.diags_array(1 / size)
+        A = sp.csc_array(factors @ A if axis == 1 else A @ factors)
+    try:
+        probe = splu(A).solve(np.where(np.arange(A.shape[0]) % 3 == 0, -1.0, 1.0))
+    except RuntimeError:  # SuperLU: exactly singular
+        return False
+    return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
+
+
+def _matrix(name: str, given: Any, is_complex: bool) -> Any:
+    """A 2-d array or sparse matrix of numbers of the right kind, its values not checked."""
+    matrix: Any = given if sp.issparse(given) else np.asarray(given)
+    if matrix.ndim == 0 and not sp.issparse(matrix):  # one component
+        matrix = matrix.reshape(1, 1)
+    if matrix.dtype == object or not (np.issubdtype(matrix.dtype, np.number) or matrix.dtype == bool):
+        raise TypeError(f"{name} must hold numbers, got {given!r}")
+    if np.issubdtype(matrix.dtype, np.complexfloating) and not is_complex:
+        raise TypeError(f"{name} is complex, expected real numbers (for a complex problem give a complex y0)")
+    if matrix.ndim != 2:
+        raise ValueError(f"{name} must be 2-dimensional, got shape {matrix.shape}")
+    return matrix
+
+
+def _bands(lband: Any, uband: Any, n: int) -> tuple[int, int] | None:
+    if lband is None and uband is None:
+        return None
+    widths = []
+    for name, width in (("lband", lband), ("uband", uband)):
+        try:
+            value = 0 if width is None else operator.index(width)
+        except TypeError:
+            raise TypeError(f"{name} must be a bandwidth, an integer from 0 to {n - 1}, got {width!r}") from None
+        if not 0 <= value < max(n, 1):
+            raise ValueError(f"{name} must be a bandwidth, an integer from 0 to {n - 1}, got {width!r}")
+        widths.append(value)
+    return widths[0], widths[1]
+
+
+def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
+    pattern = sp.csc_array(_matrix("jac_sparsity", given, is_complex) != 0).astype(float)
+    # A complex f need not be analytic: real and imaginary parts may depend on both.
+    return sp.csc_array(pattern * (1 + 1j)) if is_complex else pattern
+
+
+def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
+    """(starts, rows, values) of compressed columns with ascending rows."""
+    A = sp.csc_array(A)
+    A.sum_duplicates()
+    return A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data.astype(float)
+
+
+def _real_blocks(A: sp.csc_array) -> sp.csc_array:
+    """z -> A z of complex z as a map of pairs of reals."""
+    turn = sp.csc_array([[0.0, -1.0], [1.0, 0.0]])
+    real, imaginary = sp.kron(A.real, sp.eye_array(2)), sp.kron(A.imag, turn)
+    return sp.csc_array(real + imaginary)
+
+
+def _real_dense(A: Array) -> Array:
+    out = np.empty((2 * A.shape[0], 2 * A.shape[1]))
+    out[0::2, 0::2] = out[1::2, 1::2] = A.real
+    out[1::2, 0::2] = A.imag
+    out[0::2, 1::2] = -A.imag
+    return out
+
+
+def _real_bands(A: Array, lower: int, upper: int) -> Array:
+    """The same for packed bands, which become 2 lower + 1 and 2 upper + 1 wide."""
+    out = np.zeros((2 * (lower + upper) + 3, 2 * A.shape[1]))
+    for d in range(lower + upper + 1):
+        out[2 * d + 1, 0::2] = out[2 * d + 1, 1::2] = A[d].real
+        out[2 * d + 2, 0::2] = A[d].imag
+        out[2 * d, 1::2] = -A[d].imag
+    return out
+
+
+def _whole(storage: _Storage, values: Any) -> sp.csc_array:
+    """The matrix behind the core's values."""
+    n = storage.n * (2 if storage.complex else 1)
+    if storage.kind == "sparse":
+        starts, rows, data = values
+        return sp.csc_array((data, rows, starts), (n, n))
+    if storage.kind == "dense":
+        return sp.csc_array(values)
+    width = len(values)
+    upper = 2 * storage.upper + 1 if storage.complex else storage.upper
+    return sp.csc_array(sp.dia_array((values, upper - np.arange(width)), (n, n)))
+
+
+@functools.cache
+def _lapack() -> dict[str, Any]:
+    """LAPACK as SciPy ships it."""
+    from scipy.linalg import cython_lapack
+
+    return {name: cython_lapack.__pyx_capi__[name] for name in ("dgetrf", "dgetrs", "dgbtrf", "dgbtrs")}

@@ -1,0 +1,435 @@
+"""What is known of the Jacobian and of the mass matrix: every form gives the same solution, every error is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import invariode as iv
+from stiff import PROBLEMS
+
+ROBERTSON = PROBLEMS["Robertson"]
+BRUSSELATOR = PROBLEMS["Brusselator"]
+N = 40
+
+
+def diffusion(t, u):
+    """u' = u_xx + u (1 − u), of bandwidth 1."""
+    right, left = np.append(u[1:], u[-1]), np.append(u[0], u[:-1])
+    return (right - 2 * u + left) * N + u * (1 - u)
+
+
+def diffusion_jacobian(t, u):
+    main = np.full(N, -2.0 * N)
+    main[0] = main[-1] = -N
+    return np.diag(main + 1 - 2 * u) + np.diag(np.full(N - 1, N), 1) + np.diag(np.full(N - 1, N), -1)
+
+
+def packed(J: np.ndarray) -> np.ndarray:
+    return np.array([np.append(0, np.diag(J, 1)), np.diag(J), np.append(np.diag(J, -1), 0)])
+
+
+U0 = np.sin(np.linspace(0, 3, N)) ** 2
+PATTERN = np.abs(np.subtract.outer(np.arange(N), np.arange(N))) <= 1
+FORMS = {
+    "differences": {},
+    "dense": {"jac": diffusion_jacobian},
+    "list of lists": {"jac": lambda t, u: diffusion_jacobian(t, u).tolist()},
+    "sparse csr": {"jac": lambda t, u: sparse.csr_array(diffusion_jacobian(t, u))},
+    "sparse coo matrix": {"jac": lambda t, u: sparse.coo_matrix(diffusion_jacobian(t, u))},
+    "banded": {"jac": lambda t, u: packed(diffusion_jacobian(t, u)), "lband": 1, "uband": 1},
+    "banded differences": {"lband": 1, "uband": 1},
+    "wider band": {"lband": 3, "uband": 2},
+    "pattern": {"jac_sparsity": PATTERN},
+    "sparse pattern": {"jac_sparsity": sparse.coo_array(PATTERN)},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("bdf", [False, True])
+def test_every_form_of_the_jacobian_gives_the_same_run(form, bdf):
+    expected = iv.ode15s(diffusion, (0, 5), U0, jac=diffusion_jacobian, rtol=1e-6, bdf=bdf)
+    sol = iv.ode15s(diffusion, (0, 5), U0, rtol=1e-6, bdf=bdf, **FORMS[form])
+    assert sol.success
+    assert (sol.stats.steps, sol.stats.failed, sol.nlu) == (expected.stats.steps, expected.stats.failed, expected.nlu)
+    np.testing.assert_allclose(sol.y, expected.y, rtol=1e-5, atol=1e-8)
+
+
+def test_grouped_differences_cost_as_many_f_as_there_are_groups():
+    one = iv.ode15s(diffusion, (0, 5), U0, jac=diffusion_jacobian)
+    for options, groups in (({}, N), (FORMS["banded differences"], 3), (FORMS["pattern"], 3), (FORMS["wider band"], 6)):
+        sol = iv.ode15s(diffusion, (0, 5), U0, **options)
+        # each Jacobian but the first needs f at its point, too
+        assert sol.nfev == one.nfev + sol.njev * (groups + 1) - 1
+
+
+def test_constant_jacobian_is_never_evaluated():
+    matrix = np.array([[-1.0, 100], [0, -200]])
+    runs = [
+        iv.ode15s(lambda t, y: matrix @ y, (0, 5), [1, 1], jac=jac)
+        for jac in (matrix, sparse.csr_array(matrix), lambda t, y: matrix)
+    ]
+    assert runs[0].njev == runs[1].njev == 0
+    assert runs[2].njev > 0
+    for run in runs[1:]:
+        np.testing.assert_allclose(run.y, runs[0].y, rtol=1e-12, atol=1e-15)
+
+
+def test_jacobian_function_is_called_as_often_as_counted():
+    calls = []
+
+    def jac(t, y, *args):
+        calls.append((t, y.copy(), args))
+        return ROBERTSON.jac(t, y)
+
+    sol = iv.ode15s(lambda t, y, a: ROBERTSON.fun(t, y), (0, 1e3), ROBERTSON.y0, jac=jac, args=(3,))
+    assert sol.njev == len(calls) > 2
+    assert calls[0][0] == 0
+    assert all(args == (3,) for _, _, args in calls)
+    assert not np.array_equal(calls[0][1], calls[1][1])
+
+
+def test_sparsity_that_grows_during_the_run_is_followed():
+    """A sparse Jacobian may leave out entries that are zero where it is evaluated."""
+
+    def fun(t, y):
+        return [-50 * (y[0] - np.cos(t)), -30 * y[1] + (y[0] * t if t > 1 else 0)]
+
+    def jac(t, y):
+        return sparse.csr_array([[-50, 0], [t if t > 1 else 0, -30]])
+
+    sol = iv.ode15s(fun, (0, 5), [0, 1], jac=jac, rtol=1e-6)
+    dense = iv.ode15s(fun, (0, 5), [0, 1], jac=lambda t, y: jac(t, y).toarray(), rtol=1e-6)
+    assert sol.success
+    np.testing.assert_allclose(sol.y[:, -1], dense.y[:, -1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["differences", "dense", "sparse", "banded", "banded differences", "pattern"])
+def test_complex_problems(form):
+    """An analytic f: its complex Jacobian stands for the real one of the pairs."""
+    A = np.array([[-1 + 20j, 3, 0], [2j, -300, 1j], [0, 5, -40 - 9j]])
+    band = np.array([np.append(0, np.diag(A, 1)), np.diag(A), np.append(np.diag(A, -1), 0)])
+    options = {
+        "differences": {},
+        "dense": {"jac": lambda t, z: A},
+        "sparse": {"jac": sparse.csc_array(A)},
+        "banded": {"jac": band, "lband": 1, "uband": 1},
+        "banded differences": {"lband": 1, "uband": 1},
+        "pattern": {"jac_sparsity": A != 0},
+    }[form]
+    z0 = np.array([1, 1j, 2 - 1j])
+    sol = iv.ode15s(lambda t, z: A @ z, (0, 2), z0, rtol=1e-8, atol=1e-10, **options)
+    values, vectors = np.linalg.eig(A)
+    exact = vectors @ (np.exp(2 * values) * np.linalg.solve(vectors, z0))
+    np.testing.assert_allclose(sol.y[:, -1], exact, atol=2e-6)
+    reference = iv.ode15s(lambda t, z: A @ z, (0, 2), z0, rtol=1e-8, atol=1e-10, jac=A)
+    assert sol.stats.steps == pytest.approx(reference.stats.steps, rel=0.02)
+
+
+def test_complex_f_that_is_not_analytic():
+    """z' = −100 z̄ …: no complex number stands for its derivative; differences of the pairs do."""
+    sol = iv.ode15s(lambda t, z: -50 * (z + 0.9 * z.conj()), (0, 3), [1 + 1j], rtol=1e-6, atol=1e-12)
+    assert sol.success
+    np.testing.assert_allclose(sol.y[0, -1], 1j * np.exp(-5 * 3), rtol=1e-3)
+
+
+REFUSED = {
+    "shape": ({"jac": np.eye(2)}, ValueError, r"jac has shape \(2, 2\), expected shape \(3, 3\)"),
+    "function's shape": (
+        {"jac": lambda t, y: np.eye(2)},
+        ValueError,
+        r"jac\(t, y\) has shape \(2, 2\), expected shape \(3, 3\)",
+    ),
+    "function's shape, sparse": ({"jac": lambda t, y: sparse.eye_array(4)}, ValueError, r"shape \(4, 4\)"),
+    "a vector": ({"jac": [1, 2, 3]}, ValueError, "jac must be 2-dimensional"),
+    "text": ({"jac": "exact"}, TypeError, "jac must hold numbers"),
+    "None": ({"jac": lambda t, y: None}, TypeError, r"jac\(t, y\) must hold numbers"),
+    "complex": ({"jac": 1j * np.eye(3)}, TypeError, "jac is complex, expected real numbers"),
+    "not packed": (
+        {"jac": np.eye(3), "lband": 0, "uband": 1},
+        ValueError,
+        r"expected shape \(2, 3\) \(the bands, packed as \[uband \+ i - j, j\]\)",
+    ),
+    "band too wide": ({"lband": 3}, ValueError, "lband must be a bandwidth, an integer from 0 to 2, got 3"),
+    "band negative": ({"uband": -1}, ValueError, "uband must be a bandwidth"),
+    "band float": ({"uband": 1.5}, TypeError, "uband must be a bandwidth"),
+    "band and pattern": ({"uband": 1, "jac_sparsity": np.eye(3)}, ValueError, "either jac_sparsity or lband and uband"),
+    "pattern's shape": ({"jac_sparsity": np.eye(2)}, ValueError, r"jac_sparsity has shape \(2, 2\)"),
+    "max_order 6": ({"max_order": 6}, ValueError, "max_order must be from 1 to 5 for ode15s, got 6"),
+    "max_order 0": ({"max_order": 0}, ValueError, "max_order must be a positive integer"),
+    "bdf": ({"bdf": "yes"}, TypeError, "bdf must be True or False"),
+    "mass's shape": ({"mass": np.eye(2)}, ValueError, r"mass has shape \(2, 2\), expected shape \(3, 3\)"),
+    "mass's shape later": (
+        {"mass": lambda t: np.eye(3) if t == 0 else np.eye(2)},
+        ValueError,
+        r"mass has shape \(2, 2\)",
+    ),
+    "mass outside of the band": (
+        {"mass": np.ones((3, 3)) + np.eye(3), "lband": 1, "uband": 1},
+        ValueError,
+        "mass has entries outside of the band",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(name):
+    options, error, message = REFUSED[name]
+    with pytest.raises(error, match=message):
+        iv.ode15s(ROBERTSON.fun, (0, 1), ROBERTSON.y0, **options)
+
+
+def test_pattern_with_a_jacobian_is_warned_of():
+    with pytest.warns(UserWarning, match="jac_sparsity has no effect together with jac"):
+        iv.ode15s(ROBERTSON.fun, (0, 1), ROBERTSON.y0, jac=ROBERTSON.jac, jac_sparsity=np.eye(3))
+
+
+def test_dense_jacobian_of_very_many_components_is_warned_of(monkeypatch):
+    monkeypatch.setattr("invariode._linear._DENSE_LIMIT", 1000)
+    with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* lband and uband"):
+        iv.ode15s(lambda t, y: -y, (0, 1), np.ones(12))
+
+
+@pytest.mark.parametrize("wrong", ["jac", "mass"])
+def test_exceptions_of_matrix_functions_come_out_unchanged(wrong):
+    class MineError(Exception):
+        pass
+
+    def matrix(t, *_):
+        if t > 0.01:
+            raise MineError(t)
+        return np.eye(3) if wrong == "mass" else ROBERTSON.jac(t, ROBERTSON.y0)
+
+    with pytest.raises(MineError):
+        iv.ode15s(ROBERTSON.fun, (0, 1e6), ROBERTSON.y0, **{wrong: matrix})
+
+
+def test_jacobian_that_is_not_finite_is_said():
+    sol = iv.ode15s(ROBERTSON.fun, (0, 1e4), ROBERTSON.y0, jac=lambda t, y: np.full((3, 3), np.nan if t > 0.1 else 0.0))
+    assert sol.status == -1
+    assert "Jacobian of fun is NaN or infinite" in sol.message
+
+
+def test_singular_iteration_matrix_is_said():
+    """From t = 0.5 on y1 appears in no equation: M − h c J is singular for every h."""
+    sol = iv.ode15s(
+        lambda t, y: [-y[0], 0], (0, 1), [1, 1], mass=lambda t: np.diag([1.0, t < 0.5]), jac=np.diag([-1.0, 0])
+    )
+    assert sol.status == -1
+    assert "The iteration matrix M - h c J is singular" in sol.message
+    assert sol.t[-1] == pytest.approx(0.5, abs=0.02)
+
+
+def test_pattern_that_misses_entries_shows_as_work_or_as_a_message():
+    """The stiff coupling is not in the pattern: Newton's iteration fails at steps that the others take easily."""
+    full = iv.ode15s(ROBERTSON.fun, (0, 100), ROBERTSON.y0, rtol=1e-4, atol=1e-8)
+    missing = iv.ode15s(ROBERTSON.fun, (0, 100), ROBERTSON.y0, rtol=1e-4, atol=1e-8, jac_sparsity=np.eye(3))
+    if missing.success:
+        assert missing.stats.failed > 5 * full.stats.failed
+        np.testing.assert_allclose(missing.y[:, -1], full.y[:, -1], rtol=1e-2)
+    else:
+        assert "a jac_sparsity or band that misses entries" in missing.message
+
+
+class TestMass:
+    """M y' = f."""
+
+    @pytest.mark.parametrize("form", ["dense", "sparse", "function", "sparse function", "banded"])
+    def test_multiplying_by_a_regular_matrix_reproduces_the_run(self, form):
+        M = np.diag([2.0, 0.5, 4]) + np.diag([0.25, -0.5], 1)
+        options = {
+            "dense": {"mass": M},
+            "sparse": {"mass": sparse.csr_array(M)},
+            "function": {"mass": lambda t: M},
+            "sparse function": {"mass": lambda t: sparse.csc_array(M), "jac_sparsity": np.ones((3, 3))},
+            "banded": {"mass": M, "lband": 2, "uband": 2},
+        }[form]
+        plain = iv.ode15s(ROBERTSON.fun, (0, 1e4), ROBERTSON.y0, rtol=1e-5, atol=1e-9, jac=ROBERTSON.jac)
+        if form == "dense":
+            options["jac"] = lambda t, y: M @ ROBERTSON.jac(t, y)
+        sol = iv.ode15s(lambda t, y: M @ ROBERTSON.fun(t, y), (0, 1e4), ROBERTSON.y0, rtol=1e-5, atol=1e-9, **options)
+        assert (sol.stats.steps, sol.stats.failed, sol.nlu) == (plain.stats.steps, plain.stats.failed, plain.nlu)
+        np.testing.assert_allclose(sol.y, plain.y, rtol=1e-6, atol=1e-12)
+
+    def test_mass_that_depends_on_t(self):
+        """(1 + t²) y' = −2 t y + …: solution known."""
+        sol = iv.ode15s(
+            lambda t, y: [-2 * t * y[0], -(2 + np.sin(t)) * y[1]],
+            (0, 3),
+            [1, 1],
+            mass=lambda t: np.diag([1 + t * t, 2 + np.sin(t)]),
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        np.testing.assert_allclose(sol.y[:, -1], [1 / 10, np.exp(-3)], rtol=1e-5)
+
+    def test_arguments_are_handed_on(self):
+        sol = iv.ode15s(lambda t, y, a: [-a * y[0]], (0, 1), [1], mass=lambda t, a: [[a]], args=(3.0,), rtol=1e-6)
+        assert sol.y[0, -1] == pytest.approx(np.exp(-1), rel=1e-4)
+
+    def test_complex(self):
+        M = np.array([[1 + 1j]])
+        sol = iv.ode15s(lambda t, z: (1 + 1j) * 2j * z, (0, 1), [1 + 0j], mass=M, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(sol.y[0, -1], np.exp(2j), atol=1e-5)
+
+    def test_events_and_dense_output(self):
+        sol = iv.ode15s(
+            lambda t, y: [2 * y[1], -2 * y[0]],
+            (0, 10),
+            [0, 1],
+            mass=2 * np.eye(2),
+            rtol=1e-8,
+            atol=1e-10,
+            events=lambda t, y: y[0],
+            dense_output=True,
+        )
+        np.testing.assert_allclose(sol.t_events[0], np.pi * np.arange(1, 4), atol=1e-5)
+        np.testing.assert_allclose(sol.sol(1.0), [np.sin(1), np.cos(1)], atol=1e-6)
+
+
+def robertson_dae(t, y):
+    return [*ROBERTSON.fun(t, y)[:2], y.sum() - 1]
+
+
+DAE_FORMS = {
+    "dense": {"mass": np.diag([1.0, 1, 0])},
+    "sparse": {"mass": sparse.diags_array([1.0, 1, 0]), "jac_sparsity": np.ones((3, 3))},
+    "function": {"mass": lambda t: np.diag([1.0, 1, 0])},
+    "banded": {"mass": np.diag([1.0, 1, 0]), "lband": 2, "uband": 2},
+}
+
+
+class TestDae:
+    """Singular M, index 1."""
+
+    @pytest.mark.parametrize("form", DAE_FORMS)
+    def test_robertson(self, form):
+        times = ROBERTSON.times
+        sol = iv.ode15s(
+            robertson_dae, ROBERTSON.t_span, [1, 0, 0], t_eval=times, rtol=1e-6, atol=1e-6 * ROBERTSON.scale,
+            **DAE_FORMS[form],
+        )  # fmt: skip
+        assert sol.success, sol.message
+        assert ROBERTSON.error(sol.y) <= 50e-6
+        assert np.abs(sol.y.sum(axis=0) - 1).max() < 1e-6
+
+    @pytest.mark.parametrize("form", DAE_FORMS)
+    def test_start_is_made_consistent(self, form):
+        sol = iv.ode15s(robertson_dae, (0, 100), [1, 0, 0.3], **DAE_FORMS[form])
+        assert sol.stats.projected_start
+        np.testing.assert_allclose(sol.y[:, 0], [1, 0, 0], atol=1e-14)
+        exact = iv.ode15s(robertson_dae, (0, 100), [1, 0, 0], **DAE_FORMS[form])
+        assert not exact.stats.projected_start
+        np.testing.assert_allclose(sol.y[:, -1], exact.y[:, -1], rtol=1e-3)
+
+    def test_nonlinear_constraint(self):
+        """z³ + z = y, y' = −z: from z far off."""
+
+        def fun(t, y):
+            return [-y[1], y[1] ** 3 + y[1] - y[0]]
+
+        sol = iv.ode15s(fun, (0, 2), [2, 5], mass=np.diag([1.0, 0]), rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(sol.y[:, 0], [2, 1], atol=1e-12)
+        # with z as the independent variable (3 z² + 1) z' = −z: 3 z²/2 + log z + t is constant
+        z = sol.y[1]
+        np.testing.assert_allclose(1.5 * z**2 + np.log(z) + sol.t, 1.5, atol=2e-5)
+
+    def test_mass_whose_null_space_is_not_evident(self):
+        """The same system in other unknowns and equations: A M B y' = A f(B y)."""
+        rng = np.random.default_rng(5)
+        A, B = rng.normal(size=(2, 3, 3))
+        y0 = np.linalg.solve(B, [1, 0, 0])
+        sol = iv.ode15s(
+            lambda t, y: A @ robertson_dae(t, B @ y), (0, 100), y0, mass=A @ np.diag([1.0, 1, 0]) @ B, rtol=1e-7,
+            atol=1e-11,
+        )  # fmt: skip
+        plain = iv.ode15s(robertson_dae, (0, 100), [1, 0, 0], mass=np.diag([1.0, 1, 0]), rtol=1e-7, atol=1e-11)
+        assert sol.success
+        np.testing.assert_allclose((B @ sol.y)[:, -1], plain.y[:, -1], rtol=1e-4, atol=1e-9)
+
+    def test_invariants_together_with_algebraic_equations(self):
+        """A pendulum whose tension is an unknown: an algebraic equation determines it, the constraints are kept."""
+
+        def fun(t, y):
+            x, z, u, v, tension = y
+            return [u, v, -tension * x, -tension * z - 1, u * u + v * v - z - tension * (x * x + z * z)]
+
+        def constraints(t, y):
+            x, z, u, v, _ = y
+            return [x * x + z * z - 1, x * u + z * v]
+
+        mass = np.diag([1.0, 1, 1, 1, 0])
+        options = {"mass": mass, "rtol": 1e-5, "atol": 1e-8}
+        plain = iv.ode15s(fun, (0, 20), [1, 0, 0, 0, 0], **options)
+        held = iv.Invariants(constraints, value=0, names=["length", "velocity"])
+        sol = iv.ode15s(fun, (0, 20), [1, 0, 0, 0, 0], invariants=held, refine=3, dense_output=True, **options)
+        assert sol.success, sol.message
+        drift = max(np.abs(constraints(t, y)).max() for t, y in zip(plain.t, plain.y.T, strict=True))
+        assert np.abs(sol.residual).max() < 1e-2 * drift
+        algebraic = [fun(t, y)[4] for t, y in zip(sol.t[::3], sol.y[:, ::3].T, strict=True)]
+        assert np.abs(algebraic).max() < 1e-6
+        tight = iv.ode45(
+            lambda t, y: fun(t, [*y, (y[2] ** 2 + y[3] ** 2 - y[1]) / (y[0] ** 2 + y[1] ** 2)])[:4],
+            (0, 20), [1, 0, 0, 0], rtol=1e-12, atol=1e-12,
+        )  # fmt: skip
+        assert np.abs(sol.y[:4, -1] - tight.y[:, -1]).max() < np.abs(plain.y[:4, -1] - tight.y[:, -1]).max()
+
+    def test_wrong_invariant_is_found(self):
+        held = iv.Invariants(lambda t, y: y[0] + 2 * y[1] + y[2], names="wrong sum")
+        with pytest.raises(iv.InvariantError, match="wrong sum is not conserved"):
+            iv.ode15s(robertson_dae, (0, 100), [1, 0, 0], mass=np.diag([1.0, 1, 0]), invariants=held)
+
+    def test_index_above_1_is_refused(self):
+        """The pendulum with its length as the algebraic equation: index 3."""
+
+        def fun(t, y):
+            x, z, u, v, tension = y
+            return [u, v, -tension * x, -tension * z - 1, x * x + z * z - 1]
+
+        with pytest.raises(ValueError, match=r"index 1 at t = 0\.0: .* Differentiate the constraints"):
+            iv.ode15s(fun, (0, 1), [1, 0, 0, 0, 0], mass=np.diag([1.0, 1, 1, 1, 0]))
+
+    def test_start_without_consistent_values_is_refused(self):
+        with pytest.raises(ValueError, match="y0 does not satisfy the algebraic equations"):
+            iv.ode15s(lambda t, y: [-y[0], y[1] ** 2 + 1], (0, 1), [1, 0.5], mass=np.diag([1.0, 0]))
+
+    def test_large_sparse_system(self):
+        """Diffusion whose boundary values are algebraic: rows of zeros in a sparse M."""
+        n = 20_000
+        x = np.linspace(0, 1, n)
+
+        def fun(t, u):
+            du = np.empty(n)
+            du[1:-1] = (u[2:] - 2 * u[1:-1] + u[:-2]) * (n - 1) ** 2 * 1e-2
+            du[0], du[-1] = u[0], u[-1]
+            return du
+
+        diagonal = np.ones(n)
+        diagonal[[0, -1]] = 0
+        pattern = sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1])
+        u0 = np.sin(np.pi * x) + 0.1 * (x == 0)
+        sol = iv.ode15s(fun, (0, 10), u0, mass=sparse.diags_array(diagonal), jac_sparsity=pattern, save="end")
+        assert sol.success
+        np.testing.assert_allclose(sol.y[:, -1], np.sin(np.pi * x) * np.exp(-(np.pi**2) * 0.1), atol=2e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2, 5])
+def test_max_order_of_ode15s(order):
+    sol = iv.ode15s(ROBERTSON.fun, (0, 1e4), ROBERTSON.y0, max_order=order, rtol=1e-7, atol=1e-11)
+    assert sol.success
+    assert sol.steps.order.max() == order
+
+
+@pytest.mark.parametrize("order", [1, 3, 7, 12])
+def test_max_order_of_ode113(order):
+    sol = iv.ode113(lambda t, y: [y[1], -y[0]], (0, 20), [0, 1], max_order=order, rtol=1e-13, atol=1e-14)
+    assert sol.success
+    assert sol.steps.order.max() == order
+
+
+def test_backwards():
+    forward = iv.ode15s(diffusion, (0, 1), U0, rtol=1e-8, atol=1e-10)
+    mirrored = iv.ode15s(lambda t, u: -diffusion(-t, u), (0, -1), U0, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(mirrored.t, -forward.t, rtol=1e-6)
+    np.testing.assert_allclose(mirrored.y, forward.y, rtol=1e-6)

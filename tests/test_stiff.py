@@ -1,0 +1,98 @@
+"""The stiff test set: accuracy against independent references, and linear invariants that need no projection."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from stiff import PROBLEMS
+
+#: Largest weighted error over the interval in units of rtol. Relaxation oscillations amplify errors of the phase.
+LIMIT = {
+    "Oregonator": 200,
+    "van der Pol, mu = 1e3": 100,
+    "van der Pol, eps = 1e-6": 100,
+    "van der Pol, eps = 1e-12": 100,
+    "Brusselator": 80,
+}
+SMALL = [name for name, problem in PROBLEMS.items() if len(problem.y0) < 100]
+
+
+def solve(name: str, rtol: float, **options) -> iv.Solution:
+    problem = PROBLEMS[name]
+    given = {"jac": problem.jac, "lband": problem.lband, "uband": problem.uband, "args": problem.args}
+    given = {key: value for key, value in given.items() if value is not None}
+    return iv.ode15s(problem.fun, problem.t_span, problem.y0, rtol=rtol, atol=rtol * problem.scale, **(given | options))
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+def test_error_stays_near_the_tolerance(name, rtol):
+    if name == "Brusselator, 2-D" and rtol not in (1e-3, 1e-5):
+        return  # seconds each; the same matrices
+    sol = solve(name, rtol, t_eval=PROBLEMS[name].times)
+    assert sol.success, sol.message
+    assert PROBLEMS[name].error(sol.y) <= LIMIT.get(name, 50) * rtol
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_difference_jacobian_solves_as_the_given_one(name):
+    sol = solve(name, 1e-5, t_eval=PROBLEMS[name].times, jac=None)
+    assert sol.success, sol.message
+    assert PROBLEMS[name].error(sol.y) <= 2 * LIMIT.get(name, 50) * 1e-5
+    given = solve(name, 1e-5)
+    assert sol.stats.steps <= 1.2 * given.stats.steps
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_bdf_solves_in_more_steps(name):
+    sol = solve(name, 1e-5, t_eval=PROBLEMS[name].times, bdf=True)
+    assert PROBLEMS[name].error(sol.y) <= 2 * LIMIT.get(name, 50) * 1e-5
+    assert sol.stats.steps > 0.95 * solve(name, 1e-5).stats.steps
+
+
+@pytest.mark.parametrize("name", [name for name in SMALL if PROBLEMS[name].invariants is not None])
+def test_linear_invariants_are_kept_without_projection(name):
+    """To roundoff where cᵀJ = 0 exactly, to the roundoff of J times h with differences: projection gains nothing."""
+    problem = PROBLEMS[name]
+    for options, bound in (({}, 1e-13), ({"jac": None}, 1e-9)):
+        sol = solve(name, 1e-6, **options)
+        held = problem.invariants @ sol.y
+        size = np.abs(problem.invariants) @ np.abs(sol.y)
+        drift = (np.abs(held - held[:, :1]) / size.max(axis=1, keepdims=True)).max()
+        assert drift <= bound
+
+
+def test_work_on_the_stiff_circle_is_bounded():
+    """Projection hides Newton's errors in the stiff direction from Newton; an old Jacobian is renewed all the same."""
+    for rate in (1e3, 1e6):
+
+        def circle(t, y, rate=rate):
+            turn = -rate * (np.arctan2(y[1], y[0]) - 1)
+            return [-y[1] * turn, y[0] * turn]
+
+        sol = iv.ode15s(circle, (0, 10), [1.0, 0.0], invariants=lambda t, y: y @ y)
+        assert sol.success
+        assert 40 <= sol.stats.steps <= 250
+
+
+def test_sparse_system_of_many_components():
+    """N = 1e5 in one dimension: memory and time grow with the number of entries."""
+    from scipy import sparse
+
+    n = 100_000
+    x = np.linspace(0, 1, n)
+
+    def heat(t, u):
+        du = np.zeros(n)
+        du[1:-1] = (u[2:] - 2 * u[1:-1] + u[:-2]) * (n - 1) ** 2 * 1e-4
+        return du
+
+    u0 = np.sin(np.pi * x)
+    pattern = sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1])
+    exact = u0 * np.exp(-(np.pi**2) * 1e-4 * 100)
+    for options in ({"jac_sparsity": pattern}, {"lband": 1, "uband": 1}):
+        sol = iv.ode15s(heat, (0, 100), u0, save="end", **options)
+        assert sol.success
+        assert np.abs(sol.y[:, -1] - exact).max() < 1e-3
