@@ -8,6 +8,7 @@ namespace invariode {
 namespace {
 
 constexpr double location_ulps = 2;  // width of the final bracket, in ulp of t
+constexpr int fewest_points = 3;     // inside a step: an event need not be linear in y
 constexpr double tie_ulps = 4;       // roots this close are one instant
 
 int sign_of(double v) { return (v > 0) - (v < 0); }
@@ -46,7 +47,7 @@ bool find_root(E&& e, double a, double ea, double b, double eb, double width, do
 Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degree)
     : functions_(std::move(functions)),
       n_(n),
-      intervals_(static_cast<std::size_t>(max_degree) + 1),
+      intervals_(static_cast<std::size_t>(std::max(max_degree, fewest_points)) + 1),
       times_(intervals_ + 1),
       values_(intervals_ + 1),
       last_(functions_.size()),
@@ -76,7 +77,7 @@ Events::Result Events::start(double t, const double* y) {
 
 Events::Result Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
   step_ = {t0, t1, y1, &interpolant};
-  intervals_ = static_cast<std::size_t>(degree) + 1;
+  intervals_ = static_cast<std::size_t>(std::max(degree, fewest_points)) + 1;
   occurrences_.clear();
   terminal_ = false;
   points_known_[0] = points_known_[1] = false;

@@ -22,9 +22,10 @@ struct Occurrence {
   double t;
 };
 
-/// Watches the events from step to step. A sign change between successive points of a step (its ends and `degree`
-/// interior ones) brackets a root; tangencies without a sign change are not events. An event that is exactly zero
-/// sleeps until it has left zero, so that a zero at the start is not reported, and one at a step's end only once.
+/// Watches the events from step to step. A sign change between successive points of a step (its ends and as many
+/// interior ones as the degree, or 3) brackets a root; tangencies without a sign change are not events. An event that
+/// is exactly zero sleeps until it has left zero, so that a zero at the start is not reported, and one at a step's end
+/// only once.
 class Events {
  public:
   enum class [[nodiscard]] Result { ok, stop, undefined };

@@ -129,7 +129,8 @@ class SparseByEigen final : public Factorization {
   }
 
   bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
-    if (!analysed_ || !jacobian.same_pattern(jacobian_) || (mass && !mass->same_pattern(mass_)))
+    if (!analysed_ || with_mass_ != (mass != nullptr) || !jacobian.same_pattern(jacobian_) ||
+        (mass && !mass->same_pattern(mass_)))
       analyse(mass, jacobian);
     std::fill(A_.valuePtr(), A_.valuePtr() + A_.nonZeros(), 0);
     std::size_t p = 0;
@@ -188,6 +189,7 @@ class SparseByEigen final : public Factorization {
     jacobian_.starts = jacobian.starts, jacobian_.rows = jacobian.rows;
     if (mass) mass_.starts = mass->starts, mass_.rows = mass->rows;
     lu_.analyzePattern(A_);
+    with_mass_ = mass != nullptr;
     analysed_ = true;
   }
 
@@ -197,7 +199,7 @@ class SparseByEigen final : public Factorization {
   std::vector<int> place_;                             // of each row and column in A
   std::vector<std::ptrdiff_t> of_jacobian_, of_mass_;  // where their entries go among those of A
   Matrix jacobian_, mass_;                             // the patterns that were analysed
-  bool analysed_ = false;
+  bool analysed_ = false, with_mass_ = false;
 };
 
 }  // namespace

@@ -310,6 +310,7 @@ bool Ndf::reject(Cause cause, double hmin) {
     }
     if (h_ <= hmin) return false;
     h_ = std::max(hmin, newton_cut * h_);
+    renew_ = work_.undefined_jacobian && jacobian_.kind() != Jacobian::Kind::constant;
     return true;
   }
   if (h_ <= hmin) return false;

@@ -90,16 +90,21 @@ TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
       CHECK(same_bits(data, extension_of(*bench.step)));
       CHECK(bench.step->extension_size() <= bench.step->max_extension_size());
       double y[4];
+      const bool one_step = &method < &adams;
       bench.step->interpolate()(data.data(), data.size(), 4, 0, y);
-      CHECK(same_bits(y, bench.problem.y0.data(), 4));
+      if (one_step)
+        CHECK(same_bits(y, bench.problem.y0.data(), 4));
+      else  // Adams: as far as the formula goes; NDF: to roundoff
+        CHECK_CLOSE(distance(y, bench.problem.y0.data(), 4), 0, &method == &adams ? 1e-1 : 20 * eps);
       bench.step->interpolate()(data.data(), data.size(), 4, 1, y);
-      y1[0] -= 1e-4;  // the raw extension ends at y*
+      if (one_step)
+        y1[0] -= 1e-4;  // the raw extension of a Runge-Kutta pair ends at y*, that of a multistep method at y1
       CHECK_CLOSE(distance(y, y1.data(), 4), 0, 20 * eps);
     }
 }
 
 TEST(a_retry_with_the_same_h_gives_bitwise_the_same_step) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
       const check::Case label(method.name);
       Bench bench(method, fsal), plain(method, fsal);
@@ -120,7 +125,7 @@ TEST(a_retry_with_the_same_h_gives_bitwise_the_same_step) {
 }
 
 TEST(after_a_projection_the_next_step_starts_with_the_slope_that_fsal_says) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
       const check::Case label(method.name, fsal == Fsal::reuse ? ", reuse" : ", evaluate");
       Bench bench(method, fsal);
@@ -140,7 +145,7 @@ TEST(after_a_projection_the_next_step_starts_with_the_slope_that_fsal_says) {
 }
 
 TEST(an_accept_that_fails_commits_nothing) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const Outcome failure : {Outcome::not_finite, Outcome::stop}) {
       const check::Case label(method.name, ", outcome ", static_cast<int>(failure));
       Bench bench(method, Fsal::evaluate), plain(method, Fsal::evaluate);
@@ -167,7 +172,7 @@ TEST(an_accept_that_fails_commits_nothing) {
 }
 
 TEST(an_accept_that_fails_is_retried_with_a_smaller_step_and_names_the_component) {
-  for (const Method& method : methods)
+  for (const Method& method : std::span(methods, 3))
     for (const double size : {h, h / 50}) {  // with an error that is close to the tolerance, and one far below
       const check::Case label(method.name, ", h ", size);
       Bench bench(method, Fsal::evaluate, 1e-3);
@@ -182,7 +187,7 @@ TEST(an_accept_that_fails_is_retried_with_a_smaller_step_and_names_the_component
 }
 
 TEST(a_value_of_f_that_is_not_finite_fails_the_attempt_whichever_stage_it_is) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const double bad : {NaN, infinity, -infinity}) {
       Bench counter(method);
       const std::int64_t before = counter.callback.calls();
@@ -261,7 +266,8 @@ struct Stoppable {
     settings.iterations = method.iterations;
     settings.refine = 2;
     settings.dense = true;
-    Integration integration(method.make(rhs, weights, fsal), weights, rhs, &invariants, {{as_callback(event)}},
+    Integration integration(method.make(rhs, weights, fsal), weights,
+                            {.steps = &invariants, .between = &invariants, .slope = rhs}, {{as_callback(event)}},
                             as_callback(callback), settings);
     (void)integration.start(problem.y0.data());
     return integration.run();

@@ -32,7 +32,8 @@ TEST(the_end_is_assigned_and_not_added) {
 }
 
 TEST(backwards_is_the_mirror_image_of_forwards) {
-  for (const Method& method : methods) {
+  // (Not with difference Jacobians: their increments go the way of f.)
+  for (const Method& method : std::span(methods, 3)) {
     const check::Case label(method.name);
     Problem mirrored = kepler(0.5, -10);
     const Function f = mirrored.f;
@@ -62,8 +63,8 @@ TEST(no_step_is_longer_than_hmax_but_the_last_which_may_stretch) {
 }
 
 TEST(a_failed_attempt_is_retried_inside_hmax_and_the_interval) {
-  // f is undefined once, at the projected value of an accepted step.
-  for (const Method& method : methods) {
+  // f is undefined once, at the projected value of an accepted step. (An implicit method does not ask there.)
+  for (const Method& method : std::span(methods, 3)) {
     const check::Case label(method.name);
     Problem problem = harmonic();
     bool spoilt = false;
@@ -99,7 +100,7 @@ TEST(a_blow_up_ends_at_hmin_where_the_suite_ends) {
   // step allowed, 1.776357e-15.
   const Problem problem =
       scalar("blow-up", 1, 1, [](double t, const double* y, double* out) { out[0] = (t + y[0]) * (t + y[0]); });
-  for (const Method& method : methods) {
+  for (const Method& method : pairs) {
     const check::Case label(method.name);
     Run run(method, problem);
     CHECK(run.run() == State::step_failed);
@@ -234,7 +235,8 @@ TEST(f_that_stays_undefined_ends_the_run_there_with_the_component) {
     };
     Run run(method, problem);
     CHECK(run.run() == State::step_failed);
-    CHECK(run->report().cause == Cause::not_finite && run->report().component == 1);
+    CHECK(run->report().cause == (&method == &ndf ? Cause::newton : Cause::not_finite));
+    CHECK(run->report().component == 1);
     CHECK_CLOSE(run->report().t, 2, 100 * eps);
   }
 }
@@ -256,7 +258,7 @@ TEST(pure_relative_control_at_zero_is_named_as_the_reason) {
 }
 
 TEST(the_counts_are_those_of_the_calls) {
-  for (const Method& method : methods) {
+  for (const Method& method : pairs) {
     const int stages = method.order == 3 ? 3 : 6;
     Run plain(method, without_invariants(lotka_volterra())), projected(method, lotka_volterra()),
         evaluated(method, lotka_volterra(), {.fsal = Fsal::evaluate});

@@ -97,7 +97,7 @@ Problem one_step(double h) {
 }  // namespace
 
 TEST(the_global_error_at_the_steps_has_the_order_of_the_method_projected_or_not) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const Mode& mode : modes) {
       const check::Case label(method.name, ", ", mode.name);
       const auto error = [&](int count) { return march(method, mode, long_run(), count).steps; };
@@ -106,7 +106,7 @@ TEST(the_global_error_at_the_steps_has_the_order_of_the_method_projected_or_not)
 }
 
 TEST(the_global_error_between_the_steps_has_the_order_of_the_method_projected_or_not) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const Mode& mode : modes) {
       const check::Case label(method.name, ", ", mode.name);
       const auto error = [&](int count) { return march(method, mode, long_run(), count).between; };
@@ -115,7 +115,7 @@ TEST(the_global_error_between_the_steps_has_the_order_of_the_method_projected_or
 }
 
 TEST(the_local_error_of_the_extension_is_one_order_above_that_of_the_extension) {
-  for (const Method& method : methods)
+  for (const Method& method : pairs)
     for (const Mode& mode : modes) {
       const check::Case label(method.name, ", ", mode.name);
       const auto error = [&](int count) { return march(method, mode, one_step(1.0 / count), 1).between; };
@@ -125,7 +125,7 @@ TEST(the_local_error_of_the_extension_is_one_order_above_that_of_the_extension) 
 
 TEST(projection_removes_the_part_of_the_local_error_that_is_normal_to_the_manifold) {
   // To leading order the local error is multiplied by P = I − W² Jᵀ (J W² Jᵀ)⁻¹ J: never longer in the norm of W.
-  for (const Method& method : methods) {
+  for (const Method& method : pairs) {
     const check::Case label(method.name);
     Problem problem = kepler(0.3);
     const Weights weights(1e-3, std::vector<double>(4, 1), {});

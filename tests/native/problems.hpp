@@ -7,12 +7,15 @@
 #include <limits>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "adams.hpp"
 #include "integrate.hpp"
+#include "ndf.hpp"
 #include "runge_kutta.hpp"
 
 namespace invariode::test {
@@ -222,7 +225,24 @@ struct Method {
   int extension_order;
   int iterations;  // of the projection, as in the paper
 };
-inline const Method methods[] = {{"ode23", ode23_step, 3, 3, 1}, {"ode45", ode45_step, 5, 4, 2}};
+
+inline Jacobian differences(const Weights& weights) {
+  return {Jacobian::Kind::differences, Matrix({.n = weights.size()}), {}, weights};
+}
+inline std::unique_ptr<Step> ode113_step(Callback& f, const Weights& weights, Fsal) {
+  return std::make_unique<Adams>(f, weights);
+}
+inline std::unique_ptr<Step> ode15s_step(Callback& f, const Weights& weights, Fsal) {
+  return std::make_unique<Ndf>(f, weights, differences(weights), nullptr, Ndf::Options{.renew_on_error = true});
+}
+/// The codes of the suite; the first two are Runge-Kutta pairs, of one order each.
+inline const Method methods[] = {{"ode23", ode23_step, 3, 3, 1},
+                                 {"ode45", ode45_step, 5, 4, 2},
+                                 {"ode113", ode113_step, 12, 12, 1},
+                                 {"ode15s", ode15s_step, 5, 5, 1}};
+inline const std::span pairs(methods, 2);
+inline const Method& adams = methods[2];
+inline const Method& ndf = methods[3];
 
 struct Options {
   double rtol = 1e-3;
@@ -257,8 +277,10 @@ class Run {
     settings.tf = settings.tf != 0 ? settings.tf : problem.tf;
     settings.iterations = method.iterations;
     if (settings.hmax == 0) settings.hmax = std::abs(settings.tf - settings.t0) / 10;
-    integration.emplace(method.make(f, weights, options.fsal), weights, f, invariants ? &*invariants : nullptr,
-                        std::move(options.events), options.callback, std::move(settings));
+    Invariants* g = invariants ? &*invariants : nullptr;
+    integration.emplace(method.make(f, weights, options.fsal), weights,
+                        Integration::Manifold{.steps = g, .between = g, .slope = f}, std::move(options.events),
+                        options.callback, std::move(settings));
   }
   Run(const Run&) = delete;
 

@@ -13,19 +13,19 @@ using namespace invariode::test;
 
 namespace {
 
-using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Vector = Eigen::VectorXd;
 
 /// Invariants J y of a matrix, with the value `value`: one Newton iteration is exact.
 struct Linear {
-  Linear(Matrix matrix, const Vector& value, const Weights& weights)
+  Linear(RowMajor matrix, const Vector& value, const Weights& weights)
       : J(std::move(matrix)),
         invariants(static_cast<std::size_t>(J.cols()),
                    {{as_callback(g), as_callback(jacobian), static_cast<std::size_t>(J.rows())}},
                    {value.data(), value.data() + value.size()}, weights) {}
   Linear(const Linear&) = delete;
 
-  Matrix J;
+  RowMajor J;
   Function g = [this](double, const double* y, double* r) {
     Eigen::Map<Vector>(r, J.rows()) = J * Eigen::Map<const Vector>(y, J.cols());
   };
@@ -43,9 +43,9 @@ struct Sample {
         value(J * from),
         weights(1e-9, thresholds(n), {}) {}
 
-  Matrix draw(int rows, int columns) {
+  RowMajor draw(int rows, int columns) {
     std::normal_distribution<double> normal;
-    return Matrix::NullaryExpr(rows, columns, [&] { return normal(random); });
+    return RowMajor::NullaryExpr(rows, columns, [&] { return normal(random); });
   }
   std::vector<double> thresholds(int n) {
     std::vector<double> thr(static_cast<std::size_t>(n));
@@ -53,7 +53,7 @@ struct Sample {
     return thr;
   }
   /// y projected onto J y = value by the projector.
-  Vector project(const Matrix& matrix, const Vector& target, std::vector<char>* dropped = nullptr) const {
+  Vector project(const RowMajor& matrix, const Vector& target, std::vector<char>* dropped = nullptr) const {
     Linear linear(matrix, target, weights);
     Projector projector(linear.invariants, weights, 1);
     Vector result = y;
@@ -66,7 +66,7 @@ struct Sample {
   [[nodiscard]] Vector reference() const {
     Vector w(y.size());
     weights.fill(from.data(), y.data(), w.data());
-    const Matrix W2Jt = w.cwiseAbs2().asDiagonal() * J.transpose();
+    const RowMajor W2Jt = w.cwiseAbs2().asDiagonal() * J.transpose();
     return y - W2Jt * (J * W2Jt).fullPivLu().solve(J * y - value);
   }
   /// max_i |a_i − b_i| / w_i.
@@ -80,14 +80,14 @@ struct Sample {
   [[nodiscard]] double roundoff(int power) const {
     Vector w(y.size());
     weights.fill(from.data(), y.data(), w.data());
-    const Matrix rows = (J * w.asDiagonal()).rowwise().normalized();
+    const RowMajor rows = (J * w.asDiagonal()).rowwise().normalized();
     const Vector singular = rows.jacobiSvd().singularValues();
     const double size = 1 + y.cwiseQuotient(w).cwiseAbs().maxCoeff() + difference(y, project());
     return 20 * eps * std::pow(singular[0] / singular[singular.size() - 1], power) * size;
   }
 
   std::mt19937 random;
-  Matrix J;
+  RowMajor J;
   Vector from, y, value;
   Weights weights;
 };
@@ -142,7 +142,7 @@ TEST(the_units_of_an_invariant_do_not_matter) {
   for_samples([](const Sample& s) {
     const Vector expected = s.project();
     for (const double unit : {1e-12, 1e12, 1e-200, 1e200}) {
-      Matrix J = s.J;
+      RowMajor J = s.J;
       Vector value = s.value;
       J.row(0) *= unit;
       value[0] *= unit;
@@ -156,7 +156,7 @@ TEST(the_units_of_an_invariant_do_not_matter) {
 TEST(a_redundant_row_is_dropped_and_flagged_and_changes_nothing) {
   for_samples([](const Sample& s) {
     if (s.J.rows() != 2) return;
-    Matrix J(3, s.J.cols());
+    RowMajor J(3, s.J.cols());
     J << s.J, 2 * s.J.row(0) - 3 * s.J.row(1);
     Vector value(3);
     value << s.value, 2 * s.value[0] - 3 * s.value[1];
@@ -168,7 +168,7 @@ TEST(a_redundant_row_is_dropped_and_flagged_and_changes_nothing) {
 
 TEST(a_zero_row_is_dropped_and_flagged_and_changes_nothing) {
   for_samples([](const Sample& s) {
-    Matrix J = Matrix::Zero(s.J.rows() + 1, s.J.cols());
+    RowMajor J = RowMajor::Zero(s.J.rows() + 1, s.J.cols());
     J.bottomRows(s.J.rows()) = s.J;
     Vector value(J.rows());
     value << -1, s.value;  // cannot be met: must not poison the others
@@ -178,7 +178,7 @@ TEST(a_zero_row_is_dropped_and_flagged_and_changes_nothing) {
   });
   const Sample s(1, 4, 0);
   std::vector<char> dropped;
-  CHECK(s.project(Matrix::Zero(1, 4), Vector::Ones(1), &dropped) == s.y);
+  CHECK(s.project(RowMajor::Zero(1, 4), Vector::Ones(1), &dropped) == s.y);
   CHECK(count(dropped) == 1);
 }
 

@@ -1,0 +1,216 @@
+// LU factors in each structure, difference Jacobians, mass matrices and algebraic equations.
+
+#include <Eigen/Dense>
+#include <random>
+
+#include "check.hpp"
+#include "problems.hpp"
+
+using namespace invariode;
+using namespace invariode::test;
+using Kind = Structure::Kind;
+
+namespace {
+
+constexpr Structure structures[] = {{Kind::dense, 20}, {Kind::banded, 20, 3, 1}, {Kind::sparse, 20}};
+
+const char* name_of(Kind kind) { return kind == Kind::dense ? "dense" : kind == Kind::banded ? "banded" : "sparse"; }
+
+/// Random entries wherever the structure has any; of a sparse one in a third of the places and on the diagonal.
+Matrix random_matrix(const Structure& structure, std::mt19937& random) {
+  std::normal_distribution<double> normal;
+  std::bernoulli_distribution third(0.33);
+  Matrix A(structure);
+  if (structure.kind == Kind::sparse)
+    for (std::size_t j = 0; j < structure.n; ++j) {
+      for (std::size_t i = 0; i < structure.n; ++i)
+        if (i == j || third(random)) A.rows.push_back(static_cast<int>(i));
+      A.starts[j + 1] = static_cast<int>(A.rows.size());
+    }
+  A.values.resize(std::max(A.values.size(), A.rows.size()));
+  A.for_each([&](std::size_t, std::size_t, double& a) { a = normal(random); });
+  return A;
+}
+
+Eigen::MatrixXd to_eigen(const Matrix& A) {
+  const auto n = static_cast<Eigen::Index>(A.n());
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(n, n);
+  A.for_each([&](std::size_t i, std::size_t j, double a) {
+    out(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) = a;
+  });
+  return out;
+}
+
+/// Where f' has entries, f(t, y)_i = Σ_j A_ij y_j + t.
+Function linear(const Matrix& A) {
+  return [&A](double t, const double* y, double* out) {
+    A.multiply(y, out);
+    for (std::size_t i = 0; i < A.n(); ++i) out[i] += t;
+  };
+}
+
+Mass::Basis unit(int n, std::initializer_list<int> rows) {
+  Mass::Basis Z(n, static_cast<int>(rows.size()));
+  int column = 0;
+  for (const int row : rows) Z.insert(row, column++) = 1;
+  Z.makeCompressed();
+  return Z;
+}
+
+Matrix diagonal(std::vector<double> d) {
+  Matrix A({.n = d.size()});
+  for (std::size_t i = 0; i < d.size(); ++i) A.values[i * d.size() + i] = d[i];
+  return A;
+}
+
+}  // namespace
+
+TEST(factors_solve_what_they_factor_in_every_structure_with_and_without_mass) {
+  std::mt19937 random(1);
+  for (const Structure& structure : structures) {
+    const check::Case label(name_of(structure.kind));
+    const std::unique_ptr<Factorization> lu = make_factorization(structure, nullptr);
+    for (int trial = 0; trial < 20; ++trial) {  // each with another pattern, if it is sparse
+      const Matrix J = random_matrix(structure, random), M = random_matrix(structure, random);
+      for (const Matrix* mass : {static_cast<const Matrix*>(nullptr), &M}) {
+        Eigen::MatrixXd A = -0.3 * to_eigen(J);
+        A += mass ? to_eigen(*mass) : Eigen::MatrixXd::Identity(A.rows(), A.cols());
+        const Eigen::VectorXd x = Eigen::VectorXd::LinSpaced(A.rows(), 1, 2);
+        Eigen::VectorXd b = A * x;
+        CHECK(lu->factor(mass, 0.3, J));
+        lu->solve(b.data());
+        CHECK_CLOSE((A * (b - x)).norm(), 0, 1e-11);
+      }
+    }
+  }
+}
+
+TEST(singular_and_undefined_matrices_are_told) {
+  std::mt19937 random(2);
+  for (const Structure& structure : structures) {
+    const check::Case label(name_of(structure.kind));
+    const std::unique_ptr<Factorization> lu = make_factorization(structure, nullptr);
+    Matrix J = random_matrix(structure, random);
+    Matrix zero = J;
+    std::fill(zero.values.begin(), zero.values.end(), 0);
+    CHECK(!lu->factor(&zero, 1, zero));
+    J.values[structure.upper * structure.n + 5] = NaN;
+    CHECK(!lu->factor(nullptr, 1, J));
+    CHECK(lu->factor(nullptr, 1, zero));
+  }
+}
+
+TEST(difference_jacobians_of_linear_functions_are_exact_and_cost_one_f_a_group) {
+  std::mt19937 random(3);
+  for (const Structure& structure : structures) {
+    const check::Case label(name_of(structure.kind));
+    const Matrix A = random_matrix(structure, random);
+    Function f = linear(A);
+    Callback callback = as_callback(f);
+    const Weights weights(1e-3, std::vector<double>(20, 1e-3), {});
+    Jacobian jacobian(Jacobian::Kind::differences, A, {}, weights);
+    std::vector<double> y(20), slope(20);
+    for (std::size_t i = 0; i < 20; ++i) y[i] = 1 + 0.1 * static_cast<double>(i);
+    f(0.5, y.data(), slope.data());
+    CHECK(jacobian.evaluate(callback, 0.5, y.data(), slope.data()) == Status::ok);
+    CHECK_CLOSE((to_eigen(jacobian.matrix()) - to_eigen(A)).cwiseAbs().maxCoeff(), 0, 1e-5);
+    if (structure.kind == Kind::dense) CHECK(callback.calls() == 20);
+    if (structure.kind == Kind::banded) CHECK(callback.calls() == 5);
+    CHECK(callback.calls() <= 20);
+    CHECK(jacobian.count() == 1);
+  }
+}
+
+TEST(differences_keep_their_accuracy_where_components_differ_by_twenty_orders) {
+  Function f = [](double, const double* y, double* out) { out[0] = -1e-20 * y[1] * y[1], out[1] = 1e20 * y[0] * y[0]; };
+  Callback callback = as_callback(f);
+  const Weights weights(1e-3, {1e-16, 1e4}, {});
+  Jacobian jacobian(Jacobian::Kind::differences, Matrix({.n = 2}), {}, weights);
+  const double y[] = {3e-10, 2e10};
+  double slope[2];
+  f(0, y, slope);
+  for (int pass = 0; pass < 6; ++pass) CHECK(jacobian.evaluate(callback, 0, y, slope) == Status::ok);
+  const std::vector<double>& J = jacobian.matrix().values;
+  CHECK_CLOSE(J[1] / (-2e-20 * y[1]), 1, 1e-5);
+  CHECK_CLOSE(J[2] / (2e20 * y[0]), 1, 1e-5);
+  CHECK(J[0] == 0 && J[3] == 0);
+}
+
+TEST(differences_go_to_the_other_side_where_f_is_not_defined) {
+  Function f = [](double, const double* y, double* out) { out[0] = std::sqrt(1 - y[0]); };
+  Callback callback = as_callback(f);
+  const Weights weights(1e-3, {1e-3}, {});
+  Jacobian jacobian(Jacobian::Kind::differences, Matrix({.n = 1}), {}, weights);
+  const double y = 1 - 1e-12;
+  double slope = 0;
+  f(0, &y, &slope);
+  CHECK(jacobian.evaluate(callback, 0, &y, &slope) == Status::ok);
+  CHECK(std::isfinite(jacobian.matrix().values[0]) && jacobian.matrix().values[0] < 0);
+}
+
+TEST(the_slope_of_an_algebraic_system_keeps_its_equations) {
+  // y' = −z, 0 = y − z + sin t: z' = y' + cos t.
+  const Matrix M = diagonal({2, 0});
+  Mass mass(M, {}, unit(2, {1}));
+  Matrix J({.n = 2});
+  J.values = {0, -1, 1, -1};
+  const double w[] = {1, 1};
+  MassSolver solver;
+  CHECK(solver.factor(mass, J, w, nullptr));
+  const double ft[] = {0, std::cos(0.3)};
+  double f[] = {-0.8, 0};
+  solver.slope(mass, ft, f);
+  CHECK_CLOSE(f[0], -0.4, 4 * eps);
+  CHECK_CLOSE(f[1], -0.4 + std::cos(0.3), 4 * eps);
+}
+
+TEST(an_index_above_1_is_told) {
+  // y' = z, 0 = y: z is in no algebraic equation.
+  Mass mass(diagonal({1, 0}), {}, unit(2, {1}));
+  Matrix J({.n = 2});
+  J.values = {0, 1, 1, 0};
+  const double w[] = {1, 1};
+  CHECK(!MassSolver().factor(mass, J, w, nullptr));
+}
+
+TEST(starts_are_made_consistent_or_refused) {
+  const Weights weights(1e-6, {1e-3, 1e-3}, {});
+  const auto start = [&](Function f, std::vector<double>& y) {
+    Callback callback = as_callback(f);
+    Jacobian jacobian = differences(weights);
+    Mass mass(diagonal({1, 0}), {}, unit(2, {1}));
+    return make_consistent(callback, jacobian, mass, weights, nullptr, 0, y.data());
+  };
+  const Function cubic = [](double, const double* y, double* out) {
+    out[0] = -y[1], out[1] = y[1] * y[1] * y[1] + y[1] - y[0];
+  };
+  std::vector<double> y = {2, 50};
+  CHECK(start(cubic, y) == Consistency::corrected);
+  CHECK(y[0] == 2);
+  CHECK_CLOSE(y[1], 1, 1e-14);
+  const std::vector<double> consistent = y;
+  CHECK(start(cubic, y) == Consistency::consistent);
+  CHECK(same_bits(y, consistent));
+  y = {1, 0.5};
+  CHECK(start([](double, const double* v, double* out) { out[0] = 0, out[1] = v[1] * v[1] + 1; }, y) ==
+        Consistency::not_found);
+  CHECK(start([](double, const double* v, double* out) { out[0] = v[1], out[1] = v[0]; }, y) ==
+        Consistency::index_too_high);
+  CHECK(start([](double, const double*, double* out) { out[0] = out[1] = NaN; }, y) == Consistency::undefined);
+}
+
+TEST(a_singular_iteration_matrix_ends_the_run_and_is_told) {
+  Problem problem = scalar("y' = y with M = 0", 1, 1, [](double, const double* y, double* out) { out[0] = y[0] * 0; });
+  const Weights weights(1e-3, {1e-3}, {});
+  Callback f = as_callback(problem.f);
+  Mass mass(diagonal({1}), {}, Mass::Basis(1, 0));
+  auto step = std::make_unique<Ndf>(f, weights, Jacobian(Jacobian::Kind::constant, diagonal({0}), {}, weights), &mass,
+                                    Ndf::Options{});
+  Integration integration(std::move(step), weights, {}, {}, {}, {.tf = 1, .hmax = 0.1});
+  CHECK(integration.start(problem.y0.data()) == State::running);
+  CHECK(integration.advance() == State::running);
+  mass = Mass(diagonal({0}), {}, Mass::Basis(1, 0));  // from here on nothing determines y'
+  CHECK(integration.run() == State::step_failed);
+  CHECK(integration.report().linear.singular);
+  CHECK(integration.report().cause == Cause::newton);
+}

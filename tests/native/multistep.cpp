@@ -1,0 +1,327 @@
+// Adams and NDF formulas of each order, at constant h with an exact starting history; what they store and reproduce.
+
+#include <array>
+#include <vector>
+
+#include "check.hpp"
+#include "problems.hpp"
+
+using namespace invariode;
+using namespace invariode::test;
+
+namespace {
+
+/// ∇^j of the samples v(t), v(t − h), … of n components, v taken at each time by `sample`.
+template <class Sample>
+std::vector<double> backward_difference(int j, double t, double h, std::size_t n, Sample sample) {
+  std::vector<double> sum(n), value(n);
+  double binomial = 1;
+  for (int i = 0; i <= j; ++i) {
+    sample(t - i * h, value.data());
+    for (std::size_t c = 0; c < n; ++c) sum[c] += (i % 2 == 0 ? binomial : -binomial) * value[c];
+    binomial *= static_cast<double>(j - i) / (i + 1);
+  }
+  return sum;
+}
+
+/// A method that starts with the exact history of order k, and stays at that order and h.
+class FixedAdams : public Adams {
+ public:
+  FixedAdams(Callback& f, const Weights& weights, int k) : Adams(f, weights), k_(k) {}
+
+  template <class Solution, class F>
+  void begin(double t, double h, Solution solution, F f) {
+    std::vector<double> y(n());
+    solution(t, y.data());
+    restart(t, y.data(), k_);
+    const auto slope = [&](double at, double* out) {
+      std::vector<double> exact(n());
+      solution(at, exact.data());
+      f(at, exact.data(), out);
+    };
+    for (int i = 1; i <= k_; ++i) {
+      const std::vector<double> difference = backward_difference(i - 1, t, h, n(), slope);
+      std::copy(difference.begin(), difference.end(), phi(i));
+      psi_[static_cast<std::size_t>(i)] = i * h;
+    }
+  }
+  Outcome accept(const double* y1) override {
+    const Outcome outcome = Adams::accept(y1);
+    order_ = k_;
+    return outcome;
+  }
+
+ private:
+  int k_;
+};
+
+class FixedNdf : public Ndf {
+ public:
+  FixedNdf(Callback& f, const Weights& weights, int k, bool bdf)
+      : Ndf(f, weights, differences(weights), nullptr, {.bdf = bdf}), k_(k) {}
+
+  template <class Solution, class F>
+  void begin(double t, double h, Solution solution, F) {
+    std::vector<double> y(n());
+    solution(t, y.data());
+    (void)start(t, y.data(), {.tf = t + 1, .hmax = 1, .hmin = 0});
+    restart(t, y.data(), h, k_);
+    for (int j = 1; j <= k_; ++j) {
+      const std::vector<double> difference = backward_difference(j, t, h, n(), solution);
+      std::copy(difference.begin(), difference.end(), D(j));
+    }
+  }
+  Outcome accept(const double* y1) override {
+    const Outcome outcome = Ndf::accept(y1);
+    order_ = k_;
+    return outcome;
+  }
+
+ private:
+  int k_;
+};
+
+/// Largest error over [start, start + span] with `count` equal steps, projected or not.
+template <class Fixed, class... Formula>
+double march(Problem problem, double start, double span, int count, bool project, Formula... formula) {
+  const std::size_t n = problem.y0.size();
+  const Weights weights(1e-13, std::vector<double>(n, 1), {});
+  Callback f = as_callback(problem.f);
+  const auto solution = [&](double t, double* y) { problem.solution(t, nullptr, y); };
+  problem.solution(start, nullptr, problem.y0.data());
+  std::optional<Invariants> invariants;
+  std::optional<Projector> projector;
+  if (project) projector.emplace(invariants.emplace(make_invariants(problem, weights, true, {})), weights, 1);
+  Fixed step(f, weights, formula...);
+  const double h = span / count;
+  step.begin(start, h, solution, problem.f);
+  std::vector<double> y1(n), exact(n);
+  double error = 0;
+  for (int k = 0; k < count; ++k) {
+    const double t1 = start + (k + 1) * h;
+    const Step::Attempt proposal = step.attempt(h, t1);
+    CHECK(proposal.outcome == Outcome::ok && proposal.converged);
+    std::copy(proposal.y, proposal.y + n, y1.begin());
+    if (project) CHECK(projector->project(t1, step.y(), y1.data()) == Outcome::ok);
+    CHECK(step.accept(y1.data()) == Outcome::ok);
+    solution(t1, exact.data());
+    error = std::max(error, distance(y1.data(), exact.data(), n));
+  }
+  return error;
+}
+
+/// The order that the errors with `count` and 3/2 `count` steps show.
+template <class Error>
+double order(int count, Error error) {
+  return std::log(error(count) / error(count + count / 2)) / std::log(1.5);
+}
+
+constexpr double slope_tolerance = 0.15;
+
+/// Two oscillators and their total energy, one invariant in four dimensions. The solution has no singularity anywhere
+/// in the complex plane, so that high orders show at moderate h.
+Problem two_oscillators() {
+  const double w = std::sqrt(2.0);
+  return {.name = "two oscillators",
+          .y0 = {1, 0, 0.5, 0},
+          .tf = 4,
+          .f = [w](double, const double* y,
+                   double* out) { out[0] = y[1], out[1] = -y[0], out[2] = w * y[3], out[3] = -w * y[2]; },
+          .m = 1,
+          .g = [](double, const double* y,
+                  double* r) { r[0] = (y[0] * y[0] + y[1] * y[1] + y[2] * y[2] + y[3] * y[3]) / 2; },
+          .jacobian = [](double, const double* y, double* J) { std::copy(y, y + 4, J); },
+          .solution =
+              [w](double t, const double*, double* y) {
+                y[0] = std::cos(t), y[1] = -std::sin(t), y[2] = 0.5 * std::cos(w * t), y[3] = -0.5 * std::sin(w * t);
+              }};
+}
+
+/// y' = p'(t) of degree k − 1, so that y is a polynomial of degree k.
+Problem polynomial(int degree) {
+  return {.name = "polynomial",
+          .y0 = {0},
+          .tf = 4,
+          .f = [degree](double t, const double*, double* out) { out[0] = degree * std::pow(t, degree - 1); },
+          .solution = [degree](double t, const double*, double* y) { y[0] = std::pow(t, degree); }};
+}
+
+}  // namespace
+
+TEST(adams_formulas_of_order_k_have_order_k_plus_1_projected_or_not) {
+  // With local extrapolation. Above order 8 what is stable at all is roundoff already; see the next law.
+  constexpr int counts[] = {0, 4000, 2000, 1000, 600, 450, 350, 320, 340};
+  for (int k = 1; k <= 8; ++k)
+    for (const bool project : {false, true}) {
+      const check::Case label("order ", k, project ? ", projected" : "");
+      const auto error = [&](int count) { return march<FixedAdams>(two_oscillators(), 1, 40, count, project, k); };
+      CHECK_CLOSE(order(counts[k], error), k + 1, slope_tolerance);
+    }
+}
+
+TEST(the_local_error_of_adams_formulas_of_order_k_has_order_k_plus_2) {
+  // Of a quadrature of t^{k+1} it is a multiple of h^{k+2}: the fitted order is that, to roundoff.
+  for (int k = 1; k <= Adams::highest_order; ++k) {
+    const check::Case label("order ", k);
+    const auto error = [&](int count) { return march<FixedAdams>(polynomial(k + 2), 0, 4.0 / count, 1, false, k); };
+    CHECK_CLOSE(order(2, error), k + 2, 1e-3);
+  }
+}
+
+TEST(the_local_error_has_that_order_on_oscillators_projected_or_not_as_far_as_roundoff_lets_it_be_seen) {
+  for (int k = 1; k <= Adams::highest_order; ++k)
+    for (const bool project : {false, true}) {
+      const check::Case label("order ", k, project ? ", projected" : "");
+      const auto error = [&](int count) { return march<FixedAdams>(two_oscillators(), 1, 1.0 / count, 1, project, k); };
+      CHECK_CLOSE(order(k < 6 ? 40 : 8, error), k + 2, k < 6 ? slope_tolerance : 0.7);
+    }
+}
+
+TEST(bdfs_and_ndfs_of_order_k_have_order_k_projected_or_not) {
+  for (int k = 1; k <= Ndf::highest_order; ++k)
+    for (const bool bdf : {false, true})
+      for (const bool project : {false, true}) {
+        const check::Case label(bdf ? "BDF " : "NDF ", k, project ? ", projected" : "");
+        const auto error = [&](int count) { return march<FixedNdf>(rigid_body(), 1, 4, count, project, k, bdf); };
+        CHECK_CLOSE(order(k == 1 ? 2000 : 400, error), k, slope_tolerance);
+      }
+}
+
+TEST(formulas_integrate_polynomials_of_their_degree_to_roundoff_also_when_h_changes) {
+  // Adams of order k with local extrapolation: degree k + 1. NDF of order k: degree k. h follows a fixed pattern.
+  constexpr double pattern[] = {1, 1, 1, 0.5, 0.5, 1.25, 1.25, 0.75, 2, 1};
+  const auto run = [&](auto& step, const Problem& problem) {
+    step.begin(1, 0.1, [&](double t, double* y) { problem.solution(t, nullptr, y); }, problem.f);
+    double t = 1, exact = 0;
+    for (const double factor : pattern) {
+      const double h = 0.1 * factor;
+      const Step::Attempt proposal = step.attempt(h, t + h);
+      CHECK(step.accept(proposal.y) == Outcome::ok);
+      t = step.t();
+      problem.solution(t, nullptr, &exact);
+      CHECK_CLOSE(step.y()[0], exact, 1e-11 * exact);
+    }
+  };
+  const Weights weights(1e-10, {1}, {});
+  for (int k = 1; k <= Adams::highest_order; ++k) {
+    const check::Case label("Adams ", k);
+    Problem problem = polynomial(k + 1);
+    Callback f = as_callback(problem.f);
+    FixedAdams step(f, weights, k);
+    run(step, problem);
+  }
+  for (int k = 1; k <= Ndf::highest_order; ++k) {
+    const check::Case label("NDF ", k);
+    Problem problem = polynomial(k);
+    Callback f = as_callback(problem.f);
+    FixedNdf step(f, weights, k, false);
+    run(step, problem);
+  }
+}
+
+TEST(a_rejected_attempt_is_taken_back_to_roundoff) {
+  for (const Method* method : {&adams, &ndf}) {
+    const check::Case label(method->name);
+    Problem problem = kepler(0.3);
+    const Weights weights(1e-8, std::vector<double>(4, 1e-3), {});
+    Callback f = as_callback(problem.f);
+    const std::unique_ptr<Step> bench = method->make(f, weights, Fsal::reuse);
+    const std::unique_ptr<Step> plain = method->make(f, weights, Fsal::reuse);
+    for (Step* step : {bench.get(), plain.get()}) {
+      CHECK(step->start(0, problem.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
+      for (int k = 0; k < 20; ++k) {
+        const double h = step->h();
+        const Step::Attempt proposal = step->attempt(h, step->t() + h);
+        if (!proposal.converged)
+          CHECK(step->reject(Cause::newton, 0));
+        else if (proposal.error > 1e-8)
+          CHECK(step->reject(Cause::error, 0));
+        else
+          CHECK(step->accept(std::vector<double>(proposal.y, proposal.y + 4).data()) == Outcome::ok);
+      }
+    }
+    const std::vector<double> y(bench->y(), bench->y() + 4);
+    const double h = plain->h(), t = plain->t();
+    for (int k = 0; k < 2; ++k) {
+      (void)bench->attempt(h, t + h);
+      CHECK(bench->reject(Cause::projection, 0));
+      CHECK(same_bits(y.data(), bench->y(), 4) && bench->t() == t);
+    }
+    CHECK(bench->h() < h);
+  }
+}
+
+TEST(an_ndf_step_stores_differences_of_the_projected_solution) {
+  // The polynomial through the stored values passes through the projected ones at both ends of the step.
+  Problem problem = kepler(0.5);
+  const Weights weights(1e-4, std::vector<double>(4, 1e-3), {});
+  Callback f = as_callback(problem.f);
+  const std::unique_ptr<Step> step = ndf.make(f, weights, Fsal::reuse);
+  CHECK(step->start(0, problem.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
+  std::vector<double> before = problem.y0;
+  for (int k = 0; k < 10; ++k) {
+    const double h = step->h();
+    const Step::Attempt proposal = step->attempt(h, step->t() + h);
+    std::vector<double> y1(proposal.y, proposal.y + 4);
+    for (double& y : y1) y += 1e-5;
+    CHECK(step->accept(y1.data()) == Outcome::ok);
+    std::vector<double> data(step->extension_size()), y(4);
+    step->extension(data.data());
+    step->interpolate()(data.data(), data.size(), 4, 0, y.data());
+    CHECK_CLOSE(distance(y.data(), before.data(), 4), 0, 100 * eps);
+    step->interpolate()(data.data(), data.size(), 4, 1, y.data());
+    CHECK(same_bits(y, y1));
+    before = y1;
+  }
+}
+
+TEST(adams_evaluates_twice_a_step_and_once_a_failure_projected_or_not) {
+  for (const Problem& problem : {kepler(0.5), without_invariants(kepler(0.5)), lotka_volterra()}) {
+    Run run(adams, problem);
+    CHECK(run.run() == State::reached_end);
+    const Counts& counts = run->counts();
+    CHECK(run->guard() == nullptr || counts.projections >= counts.steps);
+    CHECK(run.f.calls() == 1 + 2 * counts.steps + counts.failed);
+  }
+}
+
+TEST(the_stiff_circle_is_no_trap) {
+  // y stays on the unit circle, its angle relaxes to 1 at a stiff rate: projection hides Newton's errors from Newton.
+  for (const double rate : {1e3, 1e6}) {
+    Problem circle{.name = "circle",
+                   .y0 = {1, 0},
+                   .tf = 10,
+                   .f =
+                       [rate](double, const double* y, double* out) {
+                         const double turn = -rate * (std::atan2(y[1], y[0]) - 1);
+                         out[0] = -y[1] * turn, out[1] = y[0] * turn;
+                       },
+                   .m = 1,
+                   .g = [](double, const double* y, double* r) { r[0] = y[0] * y[0] + y[1] * y[1]; },
+                   .jacobian = [](double, const double* y, double* J) { J[0] = 2 * y[0], J[1] = 2 * y[1]; }};
+    Run run(ndf, circle);
+    CHECK(run.run() == State::reached_end);
+    CHECK(run->counts().steps <= 250);
+    CHECK(run->step().linear_work().jacobians >= 2);
+  }
+}
+
+TEST(newton_that_fails_with_an_old_jacobian_renews_it_and_keeps_h) {
+  // λ jumps from 1 to 1e6 at t = 1, so that the Jacobian of the start is far off.
+  Problem problem = scalar("jump", 1, 2, [](double t, const double* y, double* out) {
+    out[0] = (t < 1 ? -1 : -1e6) * (y[0] - 1 - 0.1 * t);
+  });
+  const Weights weights(1e-3, {1e-3}, {});
+  Callback f = as_callback(problem.f);
+  const std::unique_ptr<Step> step = ndf.make(f, weights, Fsal::reuse);
+  CHECK(step->start(0, problem.y0.data(), {.tf = 2, .hmax = 0.1, .hmin = 0}) == Outcome::ok);
+  Step::Attempt proposal = step->attempt(0.01, 0.01);
+  CHECK(step->accept(std::vector<double>{proposal.y[0]}.data()) == Outcome::ok);
+  proposal = step->attempt(1, 1.01);
+  CHECK(!proposal.converged);
+  CHECK(step->reject(Cause::newton, 0));
+  CHECK(step->h() == 1);
+  CHECK(step->linear_work().jacobians == 1);
+  (void)step->attempt(1, 1.01);
+  CHECK(step->linear_work().jacobians == 2);
+}
