@@ -259,15 +259,8 @@ void Adams::choose_order_and_step() {
 
 Interpolate Adams::interpolate() const { return integrate_polynomial; }
 
-std::size_t Adams::extension_size() const {
-  const auto terms = static_cast<std::size_t>(previous_order_ + 1);
-  return n() + terms * (n() + 1);
-}
-
-std::size_t Adams::max_extension_size() const {
-  const auto terms = static_cast<std::size_t>(max_order_ + 1);
-  return n() + terms * (n() + 1);
-}
+std::size_t Adams::extension_size() const { return n() + (static_cast<std::size_t>(previous_order_) + 1) * (n() + 1); }
+std::size_t Adams::max_extension_size() const { return n() + (static_cast<std::size_t>(max_order_) + 1) * (n() + 1); }
 
 void Adams::extension(double* data) const {
   data = std::copy(y(), y() + n(), data);

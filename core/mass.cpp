@@ -29,8 +29,8 @@ Mass::Basis to_sparse(const Matrix& A) {
 
 }  // namespace
 
-Mass::Mass(Matrix matrix, MatrixFunction function, Basis null_basis)
-    : matrix_(std::move(matrix)), function_(function), Z_(std::move(null_basis)) {}
+Mass::Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis)
+    : matrix_(std::move(matrix)), function_(function), Z_(null_basis) {}
 
 void Mass::algebraic_part(const double* f, double* r) const {
   as_vector(r, Z_.cols()) = Z_.transpose() * as_vector(f, Z_.rows());
@@ -158,8 +158,8 @@ Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const W
   return Consistency::not_found;
 }
 
-AlgebraicConstraints::AlgebraicConstraints(Callback& f, const Jacobian& jacobian, const Mass& mass)
-    : f_(f), jacobian_(jacobian), mass_(mass), slope_(mass.matrix().n()) {}
+AlgebraicConstraints::AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass)
+    : f_(f), jacobian_(std::move(jacobian)), mass_(mass), slope_(mass.matrix().n()) {}
 
 Status AlgebraicConstraints::residual_entry(void* self, double t, const double* y, double* out) noexcept {
   auto& me = *static_cast<AlgebraicConstraints*>(self);
@@ -176,11 +176,10 @@ Status AlgebraicConstraints::jacobian_entry(void* self, double t, const double* 
   return Status::ok;
 }
 
-MassSlope::MassSlope(const Callback& f, const Jacobian& jacobian, const Mass& mass, const Weights& weights,
-                     const Lapack* lapack)
+MassSlope::MassSlope(const Callback& f, Jacobian jacobian, Mass mass, const Weights& weights, const Lapack* lapack)
     : f_(f),
-      jacobian_(jacobian),
-      mass_(mass),
+      jacobian_(std::move(jacobian)),
+      mass_(std::move(mass)),
       weights_(weights),
       lapack_(lapack),
       w_(weights.size()),

@@ -22,7 +22,7 @@ class Mass {
 
   /// A constant M, or, with a function, M(t), whose first argument is its structure. `null_basis`: Z (n, r), with
   /// orthonormal columns, the same for all t; r = 0 for a regular M.
-  Mass(Matrix matrix, MatrixFunction function, Basis null_basis);
+  Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis);
 
   /// Takes M at t, if it depends on t.
   Status evaluate(double t) { return function_ ? function_(t, nullptr, matrix_) : Status::ok; }
@@ -77,7 +77,7 @@ Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const W
 /// The algebraic equations as constraints that projection imposes together with the invariants.
 class AlgebraicConstraints {
  public:
-  AlgebraicConstraints(Callback& f, const Jacobian& jacobian, const Mass& mass);
+  AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass);
 
   [[nodiscard]] std::size_t count() const { return mass_.equations(); }
   Callback residual() { return {&AlgebraicConstraints::residual_entry, this}; }
@@ -96,8 +96,7 @@ class AlgebraicConstraints {
 /// y'(t, y) of M y' = f as a function of its own, for tests that ask whether invariants are conserved.
 class MassSlope {
  public:
-  MassSlope(const Callback& f, const Jacobian& jacobian, const Mass& mass, const Weights& weights,
-            const Lapack* lapack);
+  MassSlope(const Callback& f, Jacobian jacobian, Mass mass, const Weights& weights, const Lapack* lapack);
 
   Callback callback() { return {&MassSlope::entry, this}; }
   [[nodiscard]] std::int64_t evaluations() const { return f_.calls(); }

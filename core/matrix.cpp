@@ -90,7 +90,7 @@ class BandedByLapack final : public Factorization {
         pivots_(s.n) {}
 
   bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
-    const auto rows = static_cast<std::size_t>(rows_), top = static_cast<std::size_t>(lower_ + upper_);
+    const auto rows = static_cast<std::size_t>(rows_), top = rows - static_cast<std::size_t>(lower_) - 1;
     const auto at = [&](std::size_t i, std::size_t j) -> double& { return lu_[j * rows + top + i - j]; };
     std::fill(lu_.begin(), lu_.end(), 0);
     if (mass)

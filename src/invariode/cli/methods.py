@@ -23,8 +23,8 @@ _NUMBERS = (
 def methods() -> None:
     """List the methods, their orders and costs, and where their formulas come from.
 
-    Columns: SciPy's name of the method; the order of the solution and of its continuous extension; evaluations of f
-    per step; projection iterations per step with invariants; points per step by default.
+    Columns: SciPy's name of the method; the order of its formulas and of its continuous extension; evaluations of f
+    per step, where they are a fixed number; projection iterations per step with invariants; points per step by default.
     """
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method", style="bold", no_wrap=True)
@@ -34,7 +34,9 @@ def methods() -> None:
     sources = Table.grid(padding=(0, 2, 0, 0))
     sources.add_column(style="bold", no_wrap=True)
     for method in METHODS.values():
-        numbers = [str(getattr(method, attribute)) for _, attribute in _NUMBERS]
-        table.add_row(method.name, method.scipy_name, *numbers)
+        numbers = [str(getattr(method, attribute) or "–") for _, attribute in _NUMBERS]
+        if not method.fixed_order:
+            numbers[0] = f"{method.min_order}–{method.order}"
+        table.add_row(method.name, method.scipy_name or "–", *numbers)
         sources.add_row(method.name, f"{method.family}: {method.source}")
     Console().print(table, sources, sep="\n")

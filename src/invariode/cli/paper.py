@@ -48,6 +48,7 @@ def paper(
             raise typer.BadParameter(f"no such directory: {output.parent}", param_hint="--output")
     results = run()
     _print_table(console, results.paper, "paper")
+    _print_codes(console, results)
     _print_table(console, results.matlab, "MATLAB")
     console.print(_outcome(results))
     if not no_report:
@@ -67,6 +68,19 @@ def _print_table(console: Console, rows: Iterable[Row], published: str) -> None:
             numbers = [str(count) for count in row.counts or ()][: len(counts)]
             table.add_row(escape(row.quantity), row.printed or "–", row.here, _verdict(row), *numbers)
         console.print(Text(experiment, style="bold"), table, "", sep="\n")
+
+
+def _print_codes(console: Console, results: Results) -> None:
+    """All codes on all problems, plain and projected."""
+    for problem, group in groupby(results.codes, key=lambda code: code.problem):
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+        for name in ("code", "steps, plain", "projected", "f, plain", "projected", "residual, plain", "projected"):
+            table.add_column(name, justify="left" if name == "code" else "right")
+        for code in group:
+            s, t = code.plain.stats, code.projected.stats
+            counts = (s.steps, t.steps, s.nfev, t.nfev)
+            table.add_row(code.method, *map(str, counts), *(f"{size:.1e}" for size in code.residuals))
+        console.print(Text(f"All codes, default tolerances: {problem}", style="bold"), table, "", sep="\n")
 
 
 def _table(published: str, counts: Iterable[str], heading: bool) -> Table:

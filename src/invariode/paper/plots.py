@@ -177,16 +177,16 @@ def _rod_length(axes: Axes, results: Results) -> None:
     _above(axes, 3)
 
 
-def _orbit(name: str, colour: str) -> Callable[[Axes, Results], None]:
+def _orbit(name: str, label: str, colour: str) -> Callable[[Axes, Results], None]:
     def draw(axes: Axes, results: Results) -> None:
         sol: Solution = getattr(results.three_body, name)
-        axes.plot(*_dense(sol, np.linspace(sol.t[0], sol.t[-1], 1500))[:2], color=colour, label=name)
+        axes.plot(*_dense(sol, np.linspace(sol.t[0], sol.t[-1], 1500))[:2], color=colour, label=label)
         axes.plot(*sol.y[:2, 0], "o", color=IMPOSED, ms=6.5, label="start")
         axes.plot(*sol.y[:2, -1], "s", mfc="white", mec="#20242c", ms=3.5, label="end")
         axes.plot([-MU, MU_STAR], [0, 0], ".", color="#20242c", ms=5)
         _name(axes, "Earth", (-MU, 0), (0, -26))
         _name(axes, "Moon", (MU_STAR, 0), (-4, 9))
-        axes.set(xlabel="$x$", ylabel="$y$", xlim=(-1.5, 1.5), ylim=(-0.8, 0.8), aspect="equal")
+        axes.set(xlabel="$x$", ylabel="$y$", xlim=(-1.5, 1.5), ylim=(-1.05, 1.05), aspect="equal")
         axes.set_yticks([-0.5, 0, 0.5])
         _above(axes, 3)
 
@@ -237,16 +237,16 @@ FIGURES = (
     ),
     Plot(
         "plain",
-        _orbit("plain", PLAIN),
-        "Three-body orbit, plain (as Fig. 1)",
-        "ode45 at default tolerances, one period: start and end, the same point of the exact orbit, lie apart.",
+        _orbit("adams", "plain", PLAIN),
+        "Three-body orbit, plain (Fig. 1)",
+        "ode113 at default tolerances, one period: start and end, the same point of the exact orbit, lie far apart.",
         height=3.0,
     ),
     Plot(
         "projected",
-        _orbit("projected", PROJECTED),
-        "Three-body orbit, projected (as Fig. 1)",
-        "The same with the Jacobi integral imposed: the orbit is closed.",
+        _orbit("adams_projected", "projected", PROJECTED),
+        "Three-body orbit, projected (Fig. 1)",
+        "The same with the Jacobi integral imposed, for fewer evaluations of f: the orbit is closed.",
         height=3.0,
     ),
 )

@@ -6,6 +6,8 @@ f is written for one state y of shape (n,); the invariants also take columns of 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,19 @@ from .._arguments import Array
 from ..invariants import Invariants
 from ..problem import Problem
 
-__all__ = ["DEMO_ATOL", "DEMO_RTOL", "JACOBI", "ORBITS", "PENDULUM", "lotka_volterra", "pendulum", "three_body"]
+__all__ = [
+    "DEMO_ATOL",
+    "DEMO_RTOL",
+    "HIRES",
+    "JACOBI",
+    "KINETICS",
+    "ORBITS",
+    "PENDULUM",
+    "Kinetic",
+    "lotka_volterra",
+    "pendulum",
+    "three_body",
+]
 
 #: Lotka-Volterra (paper, p. 71): growth of the prey, decline of the predator.
 A, C = 2.0, 1.0
@@ -159,3 +173,76 @@ def three_body(*, imposed: bool = True) -> Problem:
         name="restricted three-body problem",
         labels=["x", "y", "x'", "y'"],
     )
+
+
+@dataclass(frozen=True)
+class Kinetic:
+    """A stiff problem of chemical kinetics, its Jacobian, and the species whose sum is conserved."""
+
+    name: str
+    fun: Callable[..., Any]
+    jac: Callable[..., Any]
+    t_span: tuple[float, float]
+    y0: list[float]
+    atol: Any
+    invariant: str
+    kept: tuple[int, ...]
+
+
+def _robertson(t: float, y: Array) -> list[float]:
+    a, b, c = y
+    return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b * b, 3e7 * b * b]
+
+
+def _robertson_jacobian(t: float, y: Array) -> list[list[float]]:
+    _, b, c = y
+    return [[-0.04, 1e4 * c, 1e4 * b], [0.04, -1e4 * c - 6e7 * b, -1e4 * b], [0, 6e7 * b, 0]]
+
+
+def _hires(t: float, y: Array) -> list[float]:
+    a, b, c, d, e, f, g, h = y
+    bound = 280 * f * h
+    return [
+        -1.71 * a + 0.43 * b + 8.32 * c + 0.0007,
+        1.71 * a - 8.75 * b,
+        -10.03 * c + 0.43 * d + 0.035 * e,
+        8.32 * b + 1.71 * c - 1.12 * d,
+        -1.745 * e + 0.43 * f + 0.43 * g,
+        -bound + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g,
+        bound - 1.81 * g,
+        -bound + 1.81 * g,
+    ]
+
+
+def _hires_jacobian(t: float, y: Array) -> Array:
+    f, h = y[5], y[7]
+    J = np.zeros((8, 8))
+    J[0, :3] = -1.71, 0.43, 8.32
+    J[1, :2] = 1.71, -8.75
+    J[2, 2:5] = -10.03, 0.43, 0.035
+    J[3, 1:4] = 8.32, 1.71, -1.12
+    J[4, 4:7] = -1.745, 0.43, 0.43
+    J[5, 3:] = 0.69, 1.71, -280 * h - 0.43, 0.69, -280 * f
+    J[6, 5:] = 280 * h, -1.81, 280 * f
+    J[7] = -J[6]
+    return J
+
+
+#: Eight species in plant growth, after the Test Set for IVP Solvers (Mazzia & Magherini, 2008).
+HIRES = Kinetic(
+    "HIRES", _hires, _hires_jacobian, (0, 321.8122), [1, 0, 0, 0, 0, 0, 0, 0.0057], 1e-9, "y₇ + y₈ = 0.0057", (6, 7)
+)
+#: Problems whose linear invariants need no projection (paper, section 3).
+KINETICS = (
+    Kinetic(
+        "Robertson",
+        _robertson,
+        _robertson_jacobian,
+        (0, 4e11),
+        [1, 0, 0],
+        [1e-10, 1e-14, 1e-10],
+        "y₁ + y₂ + y₃ = 1",
+        (0, 1, 2),
+    ),
+    HIRES,
+)
