@@ -49,6 +49,7 @@ stubs: $(VENV)/.installed-lint  ## regenerate src/invariode/_core.pyi
 bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/overhead.py --write
 	$(BIN)/python benchmarks/multistep.py --write
+	$(BIN)/python benchmarks/precision.py --write
 
 clean:
 	rm -rf build $(VENV) paper-report.html

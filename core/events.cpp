@@ -75,11 +75,21 @@ Events::Result Events::start(double t, const double* y) {
   return Result::ok;
 }
 
+Events::Result Events::restart(double t, const double* y) {
+  if (const Result result = start(t, y); result != Result::ok) return result;
+  for (const Occurrence& occurrence : occurrences_)
+    if (occurrence.t == t) {
+      sign_[occurrence.event] = 0;
+      last_[occurrence.event] = 0;
+    }
+  return Result::ok;
+}
+
 Events::Result Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
   step_ = {t0, t1, y1, &interpolant};
   intervals_ = static_cast<std::size_t>(std::max(degree, fewest_points)) + 1;
   occurrences_.clear();
-  terminal_ = false;
+  terminal_ = acts_ = false;
   points_known_[0] = points_known_[1] = false;
   const auto parts = static_cast<double>(intervals_);
   for (std::size_t j = 0; j < intervals_; ++j) times_[j] = t0 + (t1 - t0) * (static_cast<double>(j) / parts);
@@ -162,7 +172,8 @@ Events::Result Events::locate(std::size_t event, const Bracket& bracket, double&
 /// The unit of time in the step, which also holds where t passes through 0.
 double Events::step_ulp() const { return std::max(ulp(step_.t0), ulp(step_.t1)); }
 
-/// Puts the occurrences into the order of integration and lets the first terminal one, with its ties, end them.
+/// Puts the occurrences into the order of integration and lets the first that is terminal or acts, with its ties, end
+/// them.
 void Events::settle() {
   const double forward = step_.t1 > step_.t0 ? 1 : -1;
   std::sort(occurrences_.begin(), occurrences_.end(), [forward](const Occurrence& a, const Occurrence& b) {
@@ -172,16 +183,16 @@ void Events::settle() {
   double end = 0;
   for (; kept < occurrences_.size(); ++kept) {
     Occurrence& occurrence = occurrences_[kept];
-    if (terminal_) {
+    if (terminal_ || acts_) {
       if (std::abs(occurrence.t - end) > tie_ulps * step_ulp()) break;
       occurrence.t = end;
     }
     const EventFunction& function = functions_[occurrence.event];
-    if (++times_seen_[occurrence.event] == function.terminal && !terminal_) {
-      terminal_ = true;
-      end = occurrence.t;
-    }
+    if (++times_seen_[occurrence.event] == function.terminal) terminal_ = true;
+    if (function.action) acts_ = true;
+    if (terminal_ || acts_) end = occurrence.t;
   }
+  if (terminal_) acts_ = false;
   occurrences_.resize(kept);
 }
 

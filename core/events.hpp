@@ -14,6 +14,8 @@ struct EventFunction {
   Callback function;          ///< e(t, y) -> (1,)
   std::int64_t terminal = 0;  ///< ends the run at this occurrence; 0: never
   int direction = 0;          ///< > 0: rising in the direction of integration, < 0: falling, 0: both
+  Callback action;            ///< (t, y) -> y from there on, or empty
+  bool rehold = true;         ///< after the action invariants are held at their new values
 };
 
 /// An event that happened.
@@ -39,12 +41,19 @@ class Events {
   Result start(double t, const double* y);
 
   /// Finds the roots in the accepted step from t0 to (t1, y1), in the order of integration, and counts them. The first
-  /// one that is terminal ends the list, together with those that tie with it. `degree`: of the extension of this step.
+  /// one that is terminal or has an action ends the list, together with those that tie with it. `degree`: of the
+  /// extension of this step.
   Result search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant);
+
+  /// Takes the signs after a jump at t to y. The events that have just occurred sleep until they have left zero.
+  Result restart(double t, const double* y);
 
   /// Of the last search.
   [[nodiscard]] const std::vector<Occurrence>& occurrences() const { return occurrences_; }
   [[nodiscard]] bool terminal() const { return terminal_; }
+  /// Whether an action is to be taken at the last occurrence.
+  [[nodiscard]] bool acts() const { return acts_; }
+  [[nodiscard]] EventFunction& function(std::size_t event) { return functions_[event]; }
   /// Of a result `undefined`: the event that is NaN, and where.
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
@@ -82,6 +91,7 @@ class Events {
   std::vector<double> y_;
   std::vector<Occurrence> occurrences_;
   bool terminal_ = false;
+  bool acts_ = false;
   Occurrence undefined_{};
 };
 

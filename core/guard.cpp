@@ -55,6 +55,7 @@ Guard::Guard(Invariants& invariants, const Weights& weights, const Callback& f)
       halved_(invariants.m() * invariants.n()) {}
 
 Finding Guard::start_value(double t, double* y) {
+  projected_start_ = false;
   const Outcome outcome = projector_.linearize_at(t, y);
   if (outcome == Outcome::stop) return stopped();
   if (outcome == Outcome::not_finite) return undefined(t);
@@ -202,6 +203,39 @@ Finding Guard::confirm(double t, const double* y, double h) {
   time_dependent_ |= depends_on_t;
   const Finding finding = suspect(projector_, t, slope_.data(), h, depends_on_t);
   return finding.kind == Finding::Kind::none ? finding : unless_uncertain(finding, t, h);
+}
+
+Outcome Guard::examine(double t, const double* y, double h, std::vector<Examination>& result) {
+  const std::size_t n = invariants_.n(), m = invariants_.m();
+  result.assign(m, {});
+  if (const Outcome outcome = projector_.linearize_at(t, y); outcome != Outcome::ok) return outcome;
+  for (std::size_t i = 0; i < m; ++i) {
+    const double norm = projector_.row_norm(i);
+    result[i].residual = projector_.residual()[i];
+    result[i].gradient = norm;
+    result[i].distance = norm > 0 ? std::abs(result[i].residual) / norm / weights_.rtol() : 0;
+  }
+  std::copy(y, y + n, point_.begin());
+  if (projector_.impose(t, point_.data()).outcome == Outcome::stop) return Outcome::stop;
+  differences_.assign(point_.begin(), point_.end());  // projecting once more shows what is dropped
+  if (projector_.project(t, point_.data(), differences_.data()) == Outcome::stop) return Outcome::stop;
+  differences_.assign(m * n, 0);
+  if (const Outcome outcome = projector_.linearize_at(t, point_.data()); outcome != Outcome::ok) return outcome;
+  if (f_(t, point_.data(), slope_.data()) == Status::stop) return Outcome::stop;
+  if (!all_finite(slope_.data(), n)) return Outcome::not_finite;
+  if (invariants_.time_derivative(t, h, point_.data(), projector_.jacobian(), gt_.data()) == Status::stop)
+    return Outcome::stop;
+  const double speed = weighted_norm(slope_.data(), projector_.weights(), n);
+  for (std::size_t i = 0; i < m; ++i) {
+    const bool differences = gt_[i] != 0 || invariants_.by_differences(i);
+    const double rate = gt_[i] + dot(projector_.jacobian() + i * n, slope_.data(), n);
+    const double terms = std::abs(gt_[i]) + projector_.row_norm(i) * speed;
+    result[i].rate = rate;
+    result[i].angle = terms > 0 ? std::abs(rate) / terms : 0;
+    result[i].redundant = projector_.dropped()[i] != 0;
+    result[i].conserved = result[i].angle <= (differences ? suspicious_angle_differences : suspicious_angle);
+  }
+  return Outcome::ok;
 }
 
 /// The finding of `confirm`, or none where the differences behind it are too coarse to tell: they are, where increments

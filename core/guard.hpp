@@ -43,6 +43,19 @@ class Guard {
   /// Projects (t, y) to roundoff, evaluates f there and tests again. `none` also where that cannot be done.
   Finding confirm(double t, const double* y, double h);
 
+  /// How one invariant stands at a point.
+  struct Examination {
+    double residual;  ///< g − value, as given
+    double distance;  ///< of the point from the level set, in units of rtol
+    double gradient;  ///< ‖J_i W‖; 0: the invariant is stationary here
+    double rate;      ///< d/dt of the invariant along f, on the manifold
+    double angle;     ///< that in units of the size of its terms
+    bool redundant;   ///< dependent on the others
+    bool conserved;   ///< as far as can be told
+  };
+  /// All of them at (t, y), which is projected to roundoff for the rate. Not finite: g, J or f is not.
+  Outcome examine(double t, const double* y, double h, std::vector<Examination>& result);
+
   [[nodiscard]] bool projected_start() const { return projected_start_; }
   /// Evaluations of f so far.
   [[nodiscard]] std::int64_t calls() const { return f_.calls(); }

@@ -34,7 +34,9 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       between_point_(n_) {
   occurrences.resize(events_.count());
   if (invariants_) {
-    projector_.emplace(*invariants_, weights_, settings_.iterations);
+    projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
+    drift.residual.resize(invariants_->m());
+    drift.distance.resize(invariants_->m());
     guard_.emplace(*invariants_, weights_, manifold.slope);
   }
   if (settings_.dense)
@@ -153,11 +155,15 @@ Integration::Verdict Integration::attempt() {
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
-  ++counts_.projections;
   const Outcome outcome = projector_->project(t1_, y0_.data(), y1_.data());
+  ++(projector_->skipped() ? counts_.skipped : counts_.projections);
   if (outcome == Outcome::stop) {
     end(State::interrupted);
     return Verdict::ended;
+  }
+  if (projector_->skipped()) {
+    correction_ = 0;
+    return Verdict::accepted;
   }
   correction_ = outcome == Outcome::ok ? projector_->correction() : std::numeric_limits<double>::infinity();
   if (!(correction_ > largest_correction * weights_.rtol())) return Verdict::accepted;
@@ -217,7 +223,14 @@ void Integration::explain_failure(Cause cause) {
 
 /// After the commitment: is the invariant one, what happened in the step, what is to be kept?
 State Integration::finish_step() {
-  if (guard_ && settings_.check) {
+  if (projector_) {
+    for (std::size_t i = 0; i < drift.residual.size(); ++i) {
+      drift.residual[i] = std::max(drift.residual[i], std::abs(projector_->residual_before()[i]));
+      drift.distance[i] = std::max(drift.distance[i], projector_->distance_before()[i] / weights_.rtol());
+    }
+    drift.correction = std::max(drift.correction, correction_ / weights_.rtol());
+  }
+  if (guard_ && settings_.check && !projector_->skipped()) {
     const Finding finding = guard_->rate(*projector_, t1_, step_->slope(), h_, counts_.steps + 1);
     if (finding.kind != Finding::Kind::none) return refuse(finding);
   }
@@ -225,11 +238,12 @@ State Integration::finish_step() {
   interpolant_.begin(t0_, y0_.data(), projector_ ? projector_->weights() : nullptr);
   double t = t1_;
   const double* y = step_->y();
-  bool terminal = false;
+  bool terminal = false, acts = false;
   if (!events_.empty()) {
     if (locate_events() != State::running) return state_;
     terminal = events_.terminal();
-    if (terminal && events_.occurrences().back().t != t1_) {
+    acts = events_.acts();
+    if ((terminal || acts) && events_.occurrences().back().t != t1_) {
       t = events_.occurrences().back().t;
       y = point_.data();
     }
@@ -246,7 +260,7 @@ State Integration::finish_step() {
     if (!segment.data) return end(State::interrupted);
     dense->add(segment, t, y);
   }
-  if (emit(t, y) != State::running) return state_;
+  if (emit(t, y, acts) != State::running) return state_;
   bool stop = false;
   if (callback_) {
     double flag = 0;
@@ -255,8 +269,53 @@ State Integration::finish_step() {
   }
   if (terminal) return end(State::terminal_event);
   if (stop) return end(State::stopped_by_callback);
-  if (landing_) return end(State::reached_end);
+  if (acts && jump(t) != State::running) return state_;
+  if (landing_ && t == settings_.tf) return end(State::reached_end);
   return state_;
+}
+
+/// Takes the actions of the events at t, where the step was cut, and starts again from what they return.
+State Integration::jump(double t) {
+  t0_ = report_.t = t;
+  y0_ = point_;
+  bool rehold = true;
+  for (const Occurrence& occurrence : events_.occurrences()) {
+    EventFunction& function = events_.function(occurrence.event);
+    if (occurrence.t != t || !function.action) continue;
+    rehold = rehold && function.rehold;
+    std::copy(y0_.begin(), y0_.end(), between_point_.begin());
+    if (function.action(t, between_point_.data(), y0_.data()) == Status::stop) return end(State::interrupted);
+    if (!all_finite(y0_.data(), n_)) {
+      report_.event = occurrence.event;
+      return end(State::action_undefined);
+    }
+  }
+  if (invariants_) {
+    if (rehold && invariants_->hold(t, y0_.data()) == Status::stop) return end(State::interrupted);
+    const Finding finding = guard_->start_value(t, y0_.data());
+    if (finding.kind != Finding::Kind::none) return refuse(finding);
+  }
+  if (dense) dense->start(t, y0_.data());
+  jumps.push_back(
+      {settings_.save_all ? points.t.size() : 0, t, invariants_ ? invariants_->value() : std::vector<double>{}});
+  interpolant_.restart();
+  if (t != settings_.tf) {
+    switch (step_->start(t, y0_.data(), {settings_.tf, settings_.hmax, hmin_ulps * ulp(t)})) {
+      case Outcome::stop: return end(State::interrupted);
+      case Outcome::not_finite:
+        report_.component = step_->undefined_component();
+        report_.linear = step_->linear_work();
+        return end(State::start_undefined);
+      case Outcome::ok: break;
+    }
+  }
+  switch (events_.restart(t, y0_.data())) {
+    case Events::Result::stop: return end(State::interrupted);
+    case Events::Result::undefined: report_.event = events_.undefined().event; return end(State::event_undefined);
+    case Events::Result::ok: break;
+  }
+  t1_ = t;
+  return emit(t, y0_.data());
 }
 
 /// Finds the events of the step and keeps them with their states; the last one's is left in `point_`.
@@ -280,7 +339,7 @@ State Integration::locate_events() {
 }
 
 /// Puts out what the step from t0_ to (t, y), or the start, contributes.
-State Integration::emit(double t, const double* y) {
+State Integration::emit(double t, const double* y, bool jumps_there) {
   if (!settings_.save_all) {
     points.clear();
     points.add(t, y, n_);
@@ -294,7 +353,7 @@ State Integration::emit(double t, const double* y) {
   if (settings_.output_at_times) {
     for (; next_time_ < settings_.times.size(); ++next_time_) {
       const double at = settings_.times[next_time_];
-      if (forward_ * at > forward_ * t) break;
+      if (forward_ * at > forward_ * t || (at == t && jumps_there)) break;  // after the jump
       if (at == t)
         points.add(at, y, n_);
       else if (inside(at) != State::running)

@@ -29,8 +29,9 @@ struct Settings {
   std::vector<double> times;     ///< in the order of integration, inside the interval
   Interpolation interpolation = Interpolation::projected;
   bool dense = false;
-  bool save_all = true;  ///< false: the final point only
-  bool check = true;     ///< the tests that may find an invariant to be none
+  bool save_all = true;   ///< false: the final point only
+  bool check = true;      ///< the tests that may find an invariant to be none
+  double negligible = 0;  ///< candidates so close to the manifold, in units of rtol, are not projected
 };
 
 enum class State {
@@ -41,6 +42,7 @@ enum class State {
   stopped_by_callback,
   interrupted,         ///< a user function raised
   event_undefined,     ///< an event function returned NaN
+  action_undefined,    ///< an action returned NaN or infinity
   start_undefined,     ///< f is not finite at the start
   step_failed,         ///< an attempt failed at hmin
   invariant_refused,   ///< at the start; see the finding
@@ -61,6 +63,20 @@ struct Report {
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
+};
+
+/// What projection met in the accepted steps: of each invariant the largest residual before it, and as a distance in
+/// units of rtol; of all together the largest correction, in units of rtol.
+struct Drift {
+  std::vector<double> residual, distance;
+  double correction = 0;
+};
+
+/// A jump of the solution: from which row of the output on it holds, and the values that invariants have from there.
+struct Jump {
+  std::size_t row;
+  double t;
+  std::vector<double> value;
 };
 
 /// Integrates one initial value problem with one method. `start` then `advance` by accepted steps, or `run` to the end;
@@ -95,6 +111,8 @@ class Integration {
   std::vector<Trajectory> occurrences;  ///< of each event
   StepRecord steps;
   std::optional<DenseOutput> dense;
+  Drift drift;
+  std::vector<Jump> jumps;
 
  private:
   enum class Verdict { accepted, rejected, ended };
@@ -111,7 +129,8 @@ class Integration {
   void explain_failure(Cause cause);
   State finish_step();
   State locate_events();
-  State emit(double t, const double* y);
+  State emit(double t, const double* y, bool jumps_there = false);
+  State jump(double t);
 
   std::unique_ptr<Step> step_;
   const Weights& weights_;

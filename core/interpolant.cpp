@@ -26,9 +26,10 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
   if (m_ == 0 || theta <= 0 || theta >= 1) return Status::ok;
   const double* w = segment.data + segment.size - n_ - 2 * m_;
-  const double* r0 = w + n_;
-  const double* r1 = r0 + m_;
-  for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * r0[i] + theta * r1[i];
+  const double* g0 = w + n_;
+  const double* g1 = g0 + m_;
+  const std::vector<double>& held = projector_->invariants().value();
+  for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * g0[i] + theta * g1[i] - held[i];
   switch (projector_->onto(t, w, target_.data(), y, interpolation_iterations)) {
     case Outcome::stop: return Status::stop;
     case Outcome::not_finite: corrected(segment, t, y); break;  // g is not defined here
@@ -42,7 +43,7 @@ StepInterpolant::StepInterpolant(const Step& step, Interpolation mode, Invariant
       invariants_(invariants),
       interpolant_(step.n(), invariants ? invariants->m() : 0, mode, step.interpolate(), projector),
       data_(step.max_extension_size() + interpolant_.overhead()),
-      r_end_(interpolant_.m_) {}
+      g_end_(interpolant_.m_) {}
 
 void StepInterpolant::begin(double t0, const double* y0, const double* w) {
   made_ = false;
@@ -67,16 +68,16 @@ Status StepInterpolant::make() {
     for (std::size_t i = 0; i < n; ++i) e0[i] = y0_[i] - e0[i];
     for (std::size_t i = 0; i < n; ++i) e1[i] = step_.y()[i] - e1[i];
     if (m > 0) {
-      double* r0 = std::copy(w_, w_ + n, e1 + n);
-      double* r1 = r0 + m;
-      if (residual_known_ && residual_t_ == t0_)
-        std::copy(r_end_.begin(), r_end_.end(), r0);
-      else if (invariants_->residual(t0_, y0_, r0) == Status::stop)
+      double* g0 = std::copy(w_, w_ + n, e1 + n);
+      double* g1 = g0 + m;
+      if (g_known_ && g_t_ == t0_)
+        std::copy(g_end_.begin(), g_end_.end(), g0);
+      else if (invariants_->evaluate(t0_, y0_, g0) == Status::stop)
         return Status::stop;
-      if (invariants_->residual(t1_, step_.y(), r1) == Status::stop) return Status::stop;
-      std::copy(r1, r1 + m, r_end_.begin());
-      residual_t_ = t1_;
-      residual_known_ = true;
+      if (invariants_->evaluate(t1_, step_.y(), g1) == Status::stop) return Status::stop;
+      std::copy(g1, g1 + m, g_end_.begin());
+      g_t_ = t1_;
+      g_known_ = true;
     }
   }
   made_ = true;

@@ -13,11 +13,11 @@
 namespace invariode {
 
 /// `raw`: the method's own extension P(θ), as in the paper and the suite. `corrected`: P(θ) + e₀ (1−θ)²(1+2θ) + e₁
-/// θ²(3−2θ) with e₀ = y − P(0), e₁ = y₁ − P(1). `projected`: that, projected with the step's W onto r = (1−θ) r₀ + θ
-/// r₁, where r₀ and r₁ are the residuals left at the ends; without invariants the same as `corrected`.
+/// θ²(3−2θ) with e₀ = y − P(0), e₁ = y₁ − P(1). `projected`: that, projected with the step's W onto g = (1−θ) g₀ + θ
+/// g₁, where g₀ and g₁ are the values at the ends; without invariants the same as `corrected`.
 enum class Interpolation { projected, corrected, raw };
 
-/// One accepted step as data: [raw extension | e₀ e₁ | W r₀ r₁], the later parts only where the mode reads them.
+/// One accepted step as data: [raw extension | e₀ e₁ | W g₀ g₁], the later parts only where the mode reads them.
 struct Segment {
   double t0;
   double t1;
@@ -65,6 +65,8 @@ class StepInterpolant {
 
   /// A step from (t0, y0) to the step's present (t, y) was accepted. `w`: the weights it was projected with.
   void begin(double t0, const double* y0, const double* w);
+  /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
+  void restart() { g_known_ = false; }
 
   Status value(double t, double* y);
   Status corrected(double t, double* y);
@@ -84,9 +86,9 @@ class StepInterpolant {
   double t0_ = 0, t1_ = 0;
   const double* y0_ = nullptr;
   const double* w_ = nullptr;
-  double residual_t_ = 0;  // r_end_ is the residual at this t, if known
-  bool residual_known_ = false;
-  std::vector<double> r_end_;
+  double g_t_ = 0;  // g_end_ is g at this t, if known
+  bool g_known_ = false;
+  std::vector<double> g_end_;
 };
 
 }  // namespace invariode

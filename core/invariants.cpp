@@ -7,9 +7,11 @@
 namespace invariode {
 namespace {
 
-const double cbrt_eps = std::cbrt(eps);    // optimal relative increment of a central difference
-constexpr double roundoff_units = 10;      // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
-constexpr double smallest_scale = 1e-300;  // |y_i| and thr_i below this tell no scale
+const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a central difference
+const double sqrt_eps = std::sqrt(eps);      // and of a forward one
+constexpr double complex_increment = 1e-20;  // whose square is nothing beside 1
+constexpr double roundoff_units = 10;        // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
+constexpr double smallest_scale = 1e-300;    // |y_i| and thr_i below this tell no scale
 
 }  // namespace
 
@@ -21,16 +23,36 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
       weights_(weights),
       point_(n),
       plus_(value_.size()),
-      minus_(value_.size()) {
+      minus_(value_.size()),
+      complex_point_(2 * n),
+      complex_value_(2 * value_.size()) {
+  for (InvariantBlock& block : blocks_)
+    if (block.jacobian) block.derivative = Derivative::given;
+  note_kinds();
+}
+
+void Invariants::note_kinds() {
+  by_differences_.clear();
+  certain_.clear();
   for (const InvariantBlock& block : blocks_) {
-    by_differences_.insert(by_differences_.end(), block.m, !block.jacobian);
+    const bool differences = block.derivative == Derivative::central || block.derivative == Derivative::forward;
+    by_differences_.insert(by_differences_.end(), block.m, differences);
     certain_.insert(certain_.end(), block.m, block.certain);
   }
 }
 
+Status Invariants::hold(double t, const double* y) {
+  double* value = value_.data();
+  for (InvariantBlock& block : blocks_) {
+    if (block.held && block.g(t, y, value) == Status::stop) return Status::stop;
+    value += block.m;
+  }
+  return Status::ok;
+}
+
 std::int64_t Invariants::calls() const {
   std::int64_t sum = 0;
-  for (const InvariantBlock& block : blocks_) sum += block.g.calls();
+  for (const InvariantBlock& block : blocks_) sum += block.g.calls() + block.complex_g.calls();
   return sum;
 }
 
@@ -44,43 +66,82 @@ bool Invariants::all_by_differences() const {
   return std::all_of(by_differences_.begin(), by_differences_.end(), [](char d) { return d != 0; });
 }
 
-Status Invariants::residual(double t, const double* y, double* r) {
-  double* out = r;
+Status Invariants::evaluate(double t, const double* y, double* g) {
   for (InvariantBlock& block : blocks_) {
-    if (block.g(t, y, out) == Status::stop) return Status::stop;
-    out += block.m;
+    if (block.g(t, y, g) == Status::stop) return Status::stop;
+    g += block.m;
   }
+  return Status::ok;
+}
+
+Status Invariants::residual(double t, const double* y, double* r) {
+  if (evaluate(t, y, r) == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < m(); ++i) r[i] -= value_[i];
   return Status::ok;
 }
 
 Status Invariants::jacobian(double t, const double* y, double* J) {
-  bool missing = false;
+  bool central = false;
   double* rows = J;
   for (InvariantBlock& block : blocks_) {
-    if (!block.jacobian)
-      missing = true;
-    else if (block.jacobian(t, y, rows) == Status::stop)
-      return Status::stop;
+    bool finite = true;
+    Status status = Status::ok;
+    if (block.derivative == Derivative::given) status = block.jacobian(t, y, rows);
+    if (block.derivative == Derivative::complex_step) status = complex_step(block, t, y, rows, finite);
+    if (block.derivative == Derivative::forward) status = forward_differences(block, t, y, rows);
+    if (status == Status::stop) return status;
+    if (!finite) {  // g does not take complex y here: from now on differences
+      block.derivative = Derivative::central;
+      note_kinds();
+    }
+    central |= block.derivative == Derivative::central;
     rows += block.m * n_;
   }
-  return missing ? difference_jacobian(t, y, J, false) : Status::ok;
+  return central ? difference_jacobian(t, y, J, false) : Status::ok;
 }
 
-double Invariants::increment(std::size_t j, const double* y) const {
+/// Size of y_j for increments.
+double Invariants::scale(std::size_t j, const double* y) const {
   double scale = weights_.at(j, y[j]);
   if (scale < smallest_scale) {  // pure relative control at y_j = 0
     for (std::size_t i = 0; i < n_; ++i) scale = std::max(scale, std::abs(y[i]));
     if (scale < smallest_scale) scale = 1;
   }
-  return cbrt_eps * scale;
+  return scale;
+}
+
+Status Invariants::complex_step(InvariantBlock& block, double t, const double* y, double* rows, bool& finite) {
+  for (std::size_t j = 0; j < n_; ++j) complex_point_[2 * j] = y[j], complex_point_[2 * j + 1] = 0;
+  for (std::size_t j = 0; j < n_; ++j) {
+    const double h = complex_increment * scale(j, y);
+    complex_point_[2 * j + 1] = h;
+    ++derivative_calls_;
+    if (block.complex_g(t, complex_point_.data(), complex_value_.data()) == Status::stop) return Status::stop;
+    complex_point_[2 * j + 1] = 0;
+    for (std::size_t i = 0; i < block.m; ++i) rows[i * n_ + j] = complex_value_[2 * i + 1] / h;
+    finite = finite && all_finite(complex_value_.data(), 2 * block.m);
+  }
+  return Status::ok;
+}
+
+Status Invariants::forward_differences(InvariantBlock& block, double t, const double* y, double* rows) {
+  std::copy(y, y + n_, point_.begin());
+  derivative_calls_ += static_cast<std::int64_t>(n_) + 1;
+  if (block.g(t, y, minus_.data()) == Status::stop) return Status::stop;
+  for (std::size_t j = 0; j < n_; ++j) {
+    point_[j] = y[j] + sqrt_eps * scale(j, y);
+    if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+    for (std::size_t i = 0; i < block.m; ++i) rows[i * n_ + j] = (plus_[i] - minus_[i]) / (point_[j] - y[j]);
+    point_[j] = y[j];
+  }
+  return Status::ok;
 }
 
 Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor) {
   std::copy(y, y + n_, point_.begin());
   std::size_t first = 0;
   for (InvariantBlock& block : blocks_) {
-    if (all_rows || !block.jacobian)
+    if (all_rows || block.derivative == Derivative::central)
       for (std::size_t j = 0; j < n_; ++j)
         if (difference_column(block, t, y, j, factor, J + first * n_ + j) == Status::stop) return Status::stop;
     first += block.m;
@@ -92,10 +153,11 @@ Status Invariants::difference_jacobian(double t, const double* y, double* J, boo
 /// its thr_j), the increment is taken relative to y_j itself.
 Status Invariants::difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                                      double* column) {
-  for (const double delta : {factor * increment(j, y), factor * cbrt_eps * std::abs(y[j])}) {
+  for (const double delta : {factor * cbrt_eps * scale(j, y), factor * cbrt_eps * std::abs(y[j])}) {
     if (delta == 0) break;
     const double up = y[j] + delta, down = y[j] - delta;
     point_[j] = up;
+    derivative_calls_ += 2;
     if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
     point_[j] = down;
     if (block.g(t, point_.data(), minus_.data()) == Status::stop) return Status::stop;

@@ -10,11 +10,18 @@
 
 namespace invariode {
 
-/// m invariants that one user function computes: g(t, y) -> (m,), and its Jacobian -> (m, n) row-major, or none.
+/// Where ∂g/∂y comes from: a user function; Im g(t, y + i h e_j) / h, to roundoff; differences on both sides or on one.
+enum class Derivative { given, complex_step, central, forward };
+
+/// m invariants that one user function computes: g(t, y) -> (m,), its Jacobian -> (m, n) row-major if given, and
+/// g of a complex y, pairs of reals in and out, for the complex step.
 struct InvariantBlock {
   Callback g;
   Callback jacobian;
+  Callback complex_g;
+  Derivative derivative = Derivative::central;  ///< where there is no `jacobian`
   std::size_t m = 0;
+  bool held = false;     ///< its value is what g was, not one that is demanded
   bool certain = false;  ///< true of every solution, as algebraic equations are: not tested
 };
 
@@ -26,19 +33,26 @@ class Invariants {
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] std::size_t m() const { return value_.size(); }
   [[nodiscard]] const std::vector<double>& value() const { return value_; }
+  /// Holds what is held, not demanded, at its values at (t, y) from now on.
+  Status hold(double t, const double* y);
   [[nodiscard]] const std::vector<InvariantBlock>& blocks() const { return blocks_; }
   [[nodiscard]] std::int64_t calls() const;
   [[nodiscard]] std::int64_t jacobian_calls() const;
-  /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} only.
+  /// Of `calls`, those for Jacobians.
+  [[nodiscard]] std::int64_t derivative_calls() const { return derivative_calls_; }
+  /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
   [[nodiscard]] bool by_differences(std::size_t i) const { return by_differences_[i] != 0; }
 
   [[nodiscard]] bool all_by_differences() const;
   [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
 
+  /// g(t, y)
+  Status evaluate(double t, const double* y, double* g);
+  /// g(t, y) − value
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
   /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (docs/algorithms.md, 'Projection') times `factor`. Fills
-  /// the rows that have no user Jacobian, or all of them.
+  /// the rows that are had by differences, or all of them.
   Status difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor = 1);
   /// Central differences with increment ε^{1/3} max(|t|, |h|) times `factor`; what is below their roundoff counts as 0.
   /// J and y tell the size of the terms that g sums.
@@ -48,16 +62,21 @@ class Invariants {
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
 
  private:
+  void note_kinds();
+  Status complex_step(InvariantBlock& block, double t, const double* y, double* rows, bool& finite);
+  Status forward_differences(InvariantBlock& block, double t, const double* y, double* rows);
   Status difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                            double* column);
-  [[nodiscard]] double increment(std::size_t j, const double* y) const;
+  [[nodiscard]] double scale(std::size_t j, const double* y) const;
 
   std::size_t n_;
   std::vector<InvariantBlock> blocks_;
   std::vector<double> value_;
   const Weights& weights_;
   std::vector<char> by_differences_, certain_;
+  std::int64_t derivative_calls_ = 0;
   std::vector<double> point_, plus_, minus_;
+  std::vector<double> complex_point_, complex_value_;
 };
 
 }  // namespace invariode

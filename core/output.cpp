@@ -4,6 +4,14 @@
 
 namespace invariode {
 
+void DenseOutput::start(double t, const double* y) {
+  if (!knots_.t.empty()) {  // an empty segment from the one value at t to the other keeps segments beside their knots
+    end_.push_back(t);
+    offset_.push_back(data_.size());
+  }
+  knots_.add(t, y, n_);
+}
+
 void DenseOutput::add(const Segment& segment, double t, const double* y) {
   end_.push_back(segment.t1);
   offset_.push_back(data_.size());
@@ -25,7 +33,8 @@ Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Pr
       std::copy(y + k * n_, y + (k + 1) * n_, out);
       continue;
     }
-    const std::size_t s = std::min(k, end_.size() - 1);
+    std::size_t s = std::min(k, end_.size() - 1);
+    if (s > 0 && end_[s] == knots[s]) --s;  // beyond a jump that ended the run
     const std::size_t stop = s + 1 < offset_.size() ? offset_[s + 1] : data_.size();
     const Segment segment{knots[s], end_[s], data_.data() + offset_[s], stop - offset_[s]};
     if (interpolant.value(segment, t[p], out) == Status::stop) return Status::stop;

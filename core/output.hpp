@@ -36,7 +36,8 @@ class DenseOutput {
   DenseOutput(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw)
       : n_(n), m_(m), mode_(mode), raw_(raw) {}
 
-  void start(double t, const double* y) { knots_.add(t, y, n_); }
+  /// Starts at (t, y), or goes on there after a jump.
+  void start(double t, const double* y);
   /// Adds a step whose segment ends at segment.t1, used up to (t, y).
   void add(const Segment& segment, double t, const double* y);
 

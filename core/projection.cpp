@@ -31,11 +31,14 @@ Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
 }  // namespace
 
-Projector::Projector(Invariants& invariants, const Weights& weights, int iterations)
+Projector::Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible)
     : invariants_(invariants),
       tolerances_(weights),
       iterations_(iterations),
+      negligible_(negligible * weights.rtol()),
       pivot_threshold_(std::clamp(weights.rtol(), least_pivot, largest_pivot)),
+      residual_before_(invariants.m()),
+      distance_before_(invariants.m()),
       r_(invariants.m()),
       J_(invariants.m() * invariants.n()),
       norm_(invariants.m()),
@@ -53,8 +56,12 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
 Outcome Projector::project(double t, const double* from, double* y) {
   tolerances_.fill(from, y, w_.data());
   std::copy(y, y + original_.size(), original_.begin());
+  if (const Outcome outcome = measure(t, y); outcome != Outcome::ok || skipped_) return outcome;
   for (int iteration = 0; iteration < iterations_; ++iteration) {
-    if (const Outcome outcome = linearize(t, y); outcome != Outcome::ok) return outcome;
+    const Outcome outcome = iteration == 0 ? linearize_known(t, y) : linearize(t, y);
+    if (outcome != Outcome::ok) return outcome;
+    if (iteration == 0)
+      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = norm_[i] > 0 ? std::abs(r_[i]) / norm_[i] : 0;
     solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
   }
@@ -120,12 +127,32 @@ double Projector::roundoff_units(const double* y) const {
   return size;
 }
 
+/// The residual of a candidate, and whether it is to be left alone: judged by the gradients of the last linearization.
+Outcome Projector::measure(double t, const double* y) {
+  if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
+  if (!all_finite(r_.data(), r_.size())) return Outcome::not_finite;
+  residual_before_ = r_;
+  skipped_ = negligible_ > 0 && linearized_;
+  for (std::size_t i = 0; i < r_.size() && skipped_; ++i) {
+    distance_before_[i] = norm_[i] > 0 ? std::abs(r_[i]) / norm_[i] : 0;
+    skipped_ = distance_before_[i] <= negligible_;
+  }
+  if (skipped_) correction_ = 0;
+  return Outcome::ok;
+}
+
 Outcome Projector::linearize(double t, const double* y) {
+  if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
+  return linearize_known(t, y);
+}
+
+/// The linearization at (t, y), where the residual is known already.
+Outcome Projector::linearize_known(double t, const double* y) {
   const std::size_t n = w_.size(), m = r_.size();
   std::copy(y, y + n, point_.begin());
-  if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
   if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
   if (!all_finite(r_.data(), m) || !all_finite(J_.data(), m * n)) return Outcome::not_finite;
+  linearized_ = true;
   for (std::size_t i = 0; i < m; ++i) {
     double* row = &scaled_(0, index(i));
     for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];

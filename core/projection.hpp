@@ -19,11 +19,17 @@ namespace invariode {
 /// to within max(rtol, 1e-10), are dropped.
 class Projector {
  public:
-  Projector(Invariants& invariants, const Weights& weights, int iterations);
+  /// `negligible`: candidates closer than this to the manifold, in units of rtol, are left alone; 0: none is.
+  Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible = 0);
 
   /// The paper's projection of the candidate y* (in `y`, overwritten by y₁) of a step from `from`: the given number of
   /// iterations, each with g and J taken afresh, W = max(|from|, |y*|, thr) frozen.
   Outcome project(double t, const double* from, double* y);
+  /// Whether the last candidate was left alone: there is then no linearization at it.
+  [[nodiscard]] bool skipped() const { return skipped_; }
+  /// Residuals of the last candidate, and as distances from the level sets, in units of the weights.
+  [[nodiscard]] const std::vector<double>& residual_before() const { return residual_before_; }
+  [[nodiscard]] const std::vector<double>& distance_before() const { return distance_before_; }
 
   /// At most `most` iterations towards r(t, y) = target with the given W: for points between steps.
   Outcome onto(double t, const double* w, const double* target, double* y, int most);
@@ -38,6 +44,8 @@ class Projector {
 
   /// Takes r, J and the rows' norms at (t, y) with the weights W = max(|y|, thr), without moving y.
   Outcome linearize_at(double t, const double* y);
+
+  [[nodiscard]] const Invariants& invariants() const { return invariants_; }
 
   // Of the last linearization: where it was taken, and what it found.
   [[nodiscard]] const double* point() const { return point_.data(); }
@@ -55,6 +63,8 @@ class Projector {
 
  private:
   Outcome linearize(double t, const double* y);
+  Outcome linearize_known(double t, const double* y);
+  Outcome measure(double t, const double* y);
   void solve(double t);
   void solve_several(double t);
   void remove_component(std::size_t i, std::size_t q);
@@ -64,7 +74,11 @@ class Projector {
   Invariants& invariants_;
   const Weights& tolerances_;
   int iterations_;
+  double negligible_;
   double pivot_threshold_;
+  bool skipped_ = false;
+  bool linearized_ = false;
+  std::vector<double> residual_before_, distance_before_;
   std::vector<double> r_, J_, norm_, w_, point_, delta_, original_, best_;
   Eigen::MatrixXd scaled_;          // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
   Eigen::MatrixXd R_;               // (m, m): column i has the components of row i in Q

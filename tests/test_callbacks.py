@@ -36,7 +36,7 @@ def failing(after, result):
 
     def fun(t, y):
         nonlocal calls
-        calls += 1
+        calls += not np.iscomplexobj(y)  # complex y only asks whether the function takes it
         if calls > after:
             raise Boom(f"call {calls}")
         return result(t, y)

@@ -57,6 +57,10 @@ WRONG = {
     "wrong inertia": (rigid_body, [0.2, 1, 1], lambda t, y: y[0] ** 2 + 1.1 * y[1] ** 2),
     "explicit time": (oscillator, [1, 0.3], lambda t, y: oscillator_energy(t, y) + 0.1 * t),
     "a component": (oscillator, [1, 0.3], lambda t, y: y[0]),
+    "kinetic energy alone": (kepler, ORBIT, lambda t, y: (y[2] ** 2 + y[3] ** 2) / 2),
+    "wrong exponent": (lotka_volterra, [1, 3], lambda t, y: y[0] - np.log(y[0]) + y[1] - 2 * np.log(y[1])),
+    "mass that is lost": (lambda t, y: [-y[0], 0.999 * y[0]], [1, 0.5], lambda t, y: y[0] + y[1]),
+    "clock of another frequency": (lambda t, y: [np.cos(t)], [0.5], lambda t, y: y[0] - np.sin(1.001 * t) / 1.001),
 }
 
 
@@ -103,7 +107,39 @@ HARD = {
     "close approach": (kepler, [0.02, 0, 0, (1.98 / 0.02) ** 0.5], kepler_invariants),
     "a power": (oscillator, [1, 0.3], lambda t, y: oscillator_energy(t, y) ** 5),
     "nearly an equilibrium": (lotka_volterra, [1.0001, 1.0001], lotka_volterra_invariant),
+    "logarithms": (lotka_volterra, [1, 3], lambda t, y: y[0] - np.log(y[0]) + 2 * (y[1] - np.log(y[1]))),
+    "in metres and seconds": (
+        lambda t, y: [y[2], y[3], *(-1.327e20 * y[:2] / np.hypot(y[0], y[1]) ** 3)],
+        [1.5e11, 0, 0, 3e4],
+        lambda t, y: (y[2] ** 2 + y[3] ** 2) / 2 - 1.327e20 / np.hypot(y[0], y[1]),
+    ),
+    "far below the tolerance": (oscillator, [1e-12, 3e-13], oscillator_energy),
+    "one component": (lambda t, y: [0 * y[0]], [2.0], lambda t, y: y[0]),
+    "time itself": (lambda t, y: [1.0], [0.0], lambda t, y: y[0] - t),
+    "fast time": (
+        lambda t, y: [50 * np.cos(50 * t), y[0] - np.sin(50 * t)],
+        [0, 2],
+        lambda t, y: y[0] - np.sin(50 * t),
+    ),
+    "quartic": (lambda t, y: [y[1], -(y[0] ** 3)], [1, 0], lambda t, y: y[1] ** 2 / 2 + y[0] ** 4 / 4),
+    "root of it": (oscillator, [1, 0.3], lambda t, y: np.sqrt(oscillator_energy(t, y))),
+    "its reciprocal": (oscillator, [1, 0.3], lambda t, y: 1 / oscillator_energy(t, y)),
+    "two that nearly agree": (
+        kepler,
+        ORBIT,
+        lambda t, y: [kepler_invariants(t, y)[0], kepler_invariants(t, y)[0] + 0.1 * kepler_invariants(t, y)[1]],
+    ),
+    "through a singularity of the gradient": (
+        lambda t, y: [y[1], -np.sign(y[0]) * abs(y[0]) ** 0.5],
+        [1, 0],
+        lambda t, y: y[1] ** 2 / 2 + abs(y[0]) ** 1.5 / 1.5,
+    ),
 }
+
+
+def test_the_lists_are_long_enough():
+    assert len(WRONG) >= 20
+    assert len(HARD) >= 20
 
 
 def rates(t, y):
@@ -150,7 +186,7 @@ def test_position_constraint_alone_is_told_to_need_its_derivative(method):
     sol = iv.solve_ivp(pendulum, (0, 50), [1, 0, 0, 0], method, invariants=invariants)
     assert sol.status == -2
     assert "length is not conserved" in sol.message
-    assert "hidden constraints" in sol.message
+    assert "A hidden constraint is missing" in sol.message
 
 
 def test_wrong_jacobian_is_refused_and_the_entry_named(method):

@@ -6,25 +6,32 @@ numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 
 from importlib.metadata import version
 
+from .check import CheckReport, check_invariants
+from .discovery import PolynomialInvariant, find_invariants
 from .events import Event
 from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .methods import METHODS, Method
 from .problem import Problem
-from .solution import DenseSolution, Solution, Stats, Steps
+from .solution import DenseSolution, Drift, Solution, Stats, Steps
 from .suite import ode15s, ode23, ode45, ode113, solve_ivp
 
 __all__ = [
     "METHODS",
+    "CheckReport",
     "DenseSolution",
+    "Drift",
     "Event",
     "ImposeResult",
     "InvariantError",
     "Invariants",
     "Method",
+    "PolynomialInvariant",
     "Problem",
     "Solution",
     "Stats",
     "Steps",
+    "check_invariants",
+    "find_invariants",
     "impose",
     "ode15s",
     "ode23",

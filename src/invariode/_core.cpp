@@ -352,10 +352,24 @@ struct Space {
   [[nodiscard]] npy_intp components() const { return static_cast<npy_intp>(complex ? size / 2 : size); }
 };
 
-/// (fun, jac or None, m, name)
-using InvariantSpec = std::tuple<nb::object, nb::object, std::size_t, std::string>;
-/// (fun, terminal count, direction, name)
-using EventSpec = std::tuple<nb::object, std::int64_t, int, std::string>;
+/// (fun, jac or how it is had, m, name, value is held)
+using InvariantSpec = std::tuple<nb::object, nb::object, std::size_t, std::string, bool>;
+/// (fun, terminal count, direction, name, action or None, rehold)
+using EventSpec = std::tuple<nb::object, std::int64_t, int, std::string, nb::object, bool>;
+
+template <class Names>
+auto find_name(const Names& names, const std::string& name, const char* what) {
+  for (const auto& [key, value] : names)
+    if (key == name) return value;
+  throw nb::value_error((std::string("unknown ") + what + " '" + name + "'").c_str());
+}
+
+/// By complex steps, until g does not take one.
+constexpr const char* choose_derivative = "complex-step or 3-point";
+constexpr std::pair<const char*, Derivative> derivatives[] = {{choose_derivative, Derivative::complex_step},
+                                                              {"complex-step", Derivative::complex_step},
+                                                              {"3-point", Derivative::central},
+                                                              {"2-point", Derivative::forward}};
 
 /// What `Linear` of Python's layer says of ∂f/∂y and M.
 struct LinearSpec {
@@ -385,21 +399,33 @@ class Functions {
   }
   std::vector<InvariantBlock> invariants(const std::vector<InvariantSpec>& specs) {
     std::vector<InvariantBlock> blocks;
-    for (const auto& [g, jacobian, m, name] : specs) {
+    for (const auto& [g, jacobian, m, name, held] : specs) {
       const auto rows = static_cast<npy_intp>(m);
-      InvariantBlock block{.g = add(g, args_, "invariant " + name, {.rows = rows}), .jacobian = {}, .m = m};
-      if (!jacobian.is_none())
+      InvariantBlock block;
+      block.g = add(g, args_, "invariant " + name, {.rows = rows});
+      block.m = m;
+      block.held = held;
+      if (nb::isinstance<nb::str>(jacobian)) {
+        block.derivative = find_name(derivatives, nb::cast<std::string>(jacobian), "kind of derivative");
+        if (block.derivative == Derivative::complex_step) {
+          const bool may_fail = nb::cast<std::string>(jacobian) == choose_derivative;
+          const nb::object at_complex =
+              may_fail ? nb::module_::import_("invariode.invariants").attr("at_complex")(g, m) : g;
+          block.complex_g = add(at_complex, args_, "invariant " + name, {.rows = rows, .complex = true}, true);
+        }
+      } else {
         block.jacobian = add(jacobian, args_, "the Jacobian of invariant " + name,
                              {.rows = rows, .columns = space_.components(), .matrix = true, .complex = space_.complex});
+      }
       blocks.push_back(block);
     }
     return blocks;
   }
 
  private:
-  Callback add(nb::handle f, const nb::tuple& args, std::string name, Returns returns) {
-    owned_.push_back(
-        std::make_unique<PythonFunction>(f, args, std::move(name), space_.components(), space_.complex, returns));
+  Callback add(nb::handle f, const nb::tuple& args, std::string name, Returns returns, bool complexified = false) {
+    owned_.push_back(std::make_unique<PythonFunction>(f, args, std::move(name), space_.components(),
+                                                      space_.complex || complexified, returns));
     return owned_.back()->callback();
   }
 
@@ -432,10 +458,21 @@ const char* name_of(State state) {
     case State::stopped_by_callback: return "stopped_by_callback";
     case State::interrupted: return "interrupted";
     case State::event_undefined: return "event_undefined";
+    case State::action_undefined: return "action_undefined";
     case State::start_undefined: return "start_undefined";
     case State::step_failed: return "step_failed";
     case State::invariant_refused: return "invariant_refused";
     case State::invariant_convicted: return "invariant_convicted";
+  }
+  return "";
+}
+
+const char* name_of(Derivative derivative) {
+  switch (derivative) {
+    case Derivative::given: return "given";
+    case Derivative::complex_step: return "complex step";
+    case Derivative::central: return "central differences";
+    case Derivative::forward: return "forward differences";
   }
   return "";
 }
@@ -472,13 +509,6 @@ const char* name_of(Consistency verdict) {
     case Consistency::stop: return "stop";
   }
   return "";
-}
-
-template <class Names>
-auto find_name(const Names& names, const std::string& name, const char* what) {
-  for (const auto& [key, value] : names)
-    if (key == name) return value;
-  throw nb::value_error((std::string("unknown ") + what + " '" + name + "'").c_str());
 }
 
 /// ∂f/∂y, M and the linear algebra of an implicit method, from their description.
@@ -595,13 +625,16 @@ struct Run {
   Trajectory points;
   std::vector<Trajectory> occurrences;
   StepRecord record;
+  Drift drift;
+  std::vector<Jump> jumps;
   std::optional<Dense> dense;
   State state;
   Report report;
   Counts counts;
   LinearWork linear;
-  std::int64_t nfev, nfev_check, ng, ngjac;
+  std::int64_t nfev, nfev_check, ng, ngjac, ngdiff;
   bool projected_start = false;
+  std::vector<const char*> derivatives;
   std::vector<int> dropped;
   double dropped_at = 0;
 
@@ -617,14 +650,22 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
               int max_order, bool bdf, const std::optional<LinearSpec>& linear, const std::string& interpolation,
               int refine, const std::optional<ConstVector>& times, bool dense, bool save_all, bool check,
               const std::vector<EventSpec>& events, const nb::object& callback,
-              const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations) {
+              const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations,
+              double negligible) {
   const std::size_t n = y0.size();
   const Weights weights = to_weights(rtol, threshold, scale);
   Functions functions({n, complex}, args);
   Callback f = functions.state_valued(fun, "fun(t, y)");
   std::vector<EventFunction> event_functions;
-  for (const auto& [function, terminal, direction, name] : events)
-    event_functions.push_back({functions.scalar(function, "event " + name), terminal, direction});
+  for (const auto& [function, terminal, direction, name, action, rehold] : events) {
+    EventFunction event;
+    event.function = functions.scalar(function, "event " + name);
+    event.terminal = terminal;
+    event.direction = direction;
+    if (!action.is_none()) event.action = functions.state_valued(action, "the action of event " + name);
+    event.rehold = rehold;
+    event_functions.push_back(event);
+  }
   const Callback notify = callback.is_none() ? Callback() : functions.truth(callback, "callback(t, y)");
   std::optional<LinearProblem> implicit;
   if (linear) implicit.emplace(*linear, functions, weights);
@@ -642,8 +683,12 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
     if (mass && mass->singular()) {
       manifold.between = &between.emplace(n, blocks, values, weights);
       algebraic.emplace(f, implicit->jacobian(), *mass);
-      blocks.push_back(
-          {.g = algebraic->residual(), .jacobian = algebraic->jacobian(), .m = algebraic->count(), .certain = true});
+      InvariantBlock block;
+      block.g = algebraic->residual();
+      block.jacobian = algebraic->jacobian();
+      block.m = algebraic->count();
+      block.certain = true;
+      blocks.push_back(block);
       values.resize(values.size() + algebraic->count());
     }
     manifold.steps = &g.emplace(n, std::move(blocks), std::move(values), weights);
@@ -661,7 +706,8 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
                     .interpolation = find_name(interpolations, interpolation, "interpolation"),
                     .dense = dense,
                     .save_all = save_all,
-                    .check = check};
+                    .check = check,
+                    .negligible = negligible};
   const MethodOptions options{.fsal = find_name(fsals, fsal, "fsal"),
                               .max_order = max_order,
                               .bdf = bdf,
@@ -676,6 +722,8 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
           .points = std::move(integration.points),
           .occurrences = std::move(integration.occurrences),
           .record = std::move(integration.steps),
+          .drift = std::move(integration.drift),
+          .jumps = std::move(integration.jumps),
           .dense = {},
           .state = integration.state(),
           .report = integration.report(),
@@ -687,7 +735,12 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
                               : 0,
           .ng = g ? g->calls() : 0,
           .ngjac = g ? g->jacobian_calls() : 0,
+          .ngdiff = g ? g->derivative_calls() : 0,
+          .derivatives = {},
           .dropped = {}};
+  if (g)
+    for (const InvariantBlock& block : g->blocks())
+      if (!block.certain) run.derivatives.push_back(name_of(block.derivative));
   if (between) {  // the block of the algebraic equations is none of the user's functions
     run.ng += between->calls() - g->blocks().back().g.calls();
     run.ngjac += between->jacobian_calls() - g->blocks().back().jacobian.calls();
@@ -745,6 +798,44 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
                          to_array<Integers>(std::move(iterations), count));
 }
 
+/// How each invariant stands at (t, y), as a dict of arrays of m; None where g, its Jacobian or f is not finite there.
+nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const ConstVector& y, bool complex,
+                   double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale,
+                   const std::vector<InvariantSpec>& invariants, const ConstVector& value) {
+  const std::size_t n = y.size(), m = value.size();
+  const Weights weights = to_weights(rtol, threshold, scale);
+  Functions functions({n, complex}, args);
+  const Callback f = functions.state_valued(fun, "fun(t, y)");
+  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Guard guard(g, weights, f);
+  std::vector<Guard::Examination> found;
+  switch (guard.examine(t, y.data(), 1, found)) {
+    case Outcome::stop: throw nb::python_error();
+    case Outcome::not_finite: return nb::none();
+    case Outcome::ok: break;
+  }
+  Finding jacobian = guard.start_value(t, to_vector(y).data());
+  if (jacobian.kind != Finding::Kind::stop) jacobian = guard.start_jacobian(t, y.data());
+  if (jacobian.kind == Finding::Kind::stop) throw nb::python_error();
+  const auto column = [&](auto member) {
+    std::vector<double> values(m);
+    for (std::size_t i = 0; i < m; ++i) values[i] = static_cast<double>(found[i].*member);
+    return to_array<Vector>(std::move(values), m);
+  };
+  nb::dict result;
+  result["residual"] = column(&Guard::Examination::residual);
+  result["distance"] = column(&Guard::Examination::distance);
+  result["gradient"] = column(&Guard::Examination::gradient);
+  result["rate"] = column(&Guard::Examination::rate);
+  result["angle"] = column(&Guard::Examination::angle);
+  result["redundant"] = column(&Guard::Examination::redundant);
+  result["conserved"] = column(&Guard::Examination::conserved);
+  result["wrong_jacobian"] = nb::none();
+  if (jacobian.kind == Finding::Kind::wrong_jacobian)
+    result["wrong_jacobian"] = nb::make_tuple(jacobian.invariant, jacobian.component, jacobian.size, jacobian.distance);
+  return result;
+}
+
 /// g(t, y) − value of each row of y: (count, m).
 Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const std::vector<InvariantSpec>& invariants,
                const ConstVector& value, const nb::tuple& args) {
@@ -756,6 +847,24 @@ Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const s
   for (std::size_t p = 0; p < count; ++p)
     if (g.residual(t.data()[p], y.data() + p * n, &r[p * m]) == Status::stop) throw nb::python_error();
   return to_array<Table>(std::move(r), count, m);
+}
+
+/// Distances of each row of y from the invariants' level sets, in units of rtol: (count, m).
+Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const ConstVector& threshold,
+               const std::optional<ConstVector>& scale, const std::vector<InvariantSpec>& invariants,
+               const ConstVector& value, const nb::tuple& args) {
+  const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
+  const Weights weights = to_weights(rtol, threshold, scale);
+  Functions functions({n, complex}, args);
+  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Projector projector(g, weights, 1);
+  std::vector<double> d(count * m);
+  for (std::size_t p = 0; p < count; ++p) {
+    if (projector.linearize_at(t.data()[p], y.data() + p * n) == Outcome::stop) throw nb::python_error();
+    for (std::size_t i = 0; i < m; ++i)
+      d[p * m + i] = projector.row_norm(i) > 0 ? std::abs(projector.residual()[i]) / projector.row_norm(i) / rtol : 0;
+  }
+  return to_array<Table>(std::move(d), count, m);
 }
 
 }  // namespace
@@ -807,6 +916,21 @@ NB_MODULE(_core, module) {
                                     to_array<Vector>(std::move(s.error), size),
                                     to_array<Vector>(std::move(s.correction), size));
            })
+      .def("take_drift",
+           [](Run& r) {
+             const std::size_t m = r.drift.residual.size();
+             return std::make_tuple(to_array<Vector>(std::move(r.drift.residual), m),
+                                    to_array<Vector>(std::move(r.drift.distance), m), r.drift.correction);
+           })
+      .def("take_jumps",
+           [](Run& r) {
+             std::vector<std::tuple<std::size_t, double, Vector>> jumps;
+             for (Jump& jump : r.jumps) {
+               const std::size_t m = jump.value.size();
+               jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::move(jump.value), m));
+             }
+             return jumps;
+           })
       .def("take_dense", [](Run& r) { return std::exchange(r.dense, {}); })
       .def_prop_ro("state", [](const Run& r) { return name_of(r.state); })
       .def_prop_ro("t", [](const Run& r) { return r.report.t; })
@@ -834,7 +958,9 @@ NB_MODULE(_core, module) {
       .def_ro("nfev_check", &Run::nfev_check)
       .def_ro("ng", &Run::ng)
       .def_ro("ngjac", &Run::ngjac)
+      .def_ro("ngdiff", &Run::ngdiff)
       .def_ro("projected_start", &Run::projected_start)
+      .def_ro("derivatives", &Run::derivatives)
       .def_ro("dropped", &Run::dropped)
       .def_ro("dropped_at", &Run::dropped_at);
 
@@ -844,7 +970,7 @@ NB_MODULE(_core, module) {
              nb::arg("bdf"), nb::arg("linear").none(), nb::arg("interpolation"), nb::arg("refine"),
              nb::arg("times").none(), nb::arg("dense"), nb::arg("save_all"), nb::arg("check"), nb::arg("events"),
              nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"),
-             "Integrates one problem with one method.");
+             nb::arg("negligible"), "Integrates one problem with one method.");
   module.def("consistent_start", &make_consistent_start, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
              nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(),
              nb::arg("linear"),
@@ -852,6 +978,12 @@ NB_MODULE(_core, module) {
   module.def("impose", &impose, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"), nb::arg("rtol"),
              nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
              "Projects each row of y to roundoff: (y, converged, residual, iterations).");
+  module.def("distance", &distance, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"), nb::arg("rtol"),
+             nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
+             "Distances of each row of y from the level sets, in units of rtol: (len(t), m).");
+  module.def("examine", &examine, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t"), nb::arg("y"),
+             nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"),
+             nb::arg("value"), "How each invariant stands at one point.");
   module.def("residual", &residual, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"),
              nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
              "g(t, y) - value of each row of y: (len(t), m).");

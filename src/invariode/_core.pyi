@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 class Dense:
-    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """y at each t: (len(t), n)."""
 
     def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
@@ -34,6 +34,10 @@ class Run:
     def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
 
     def take_steps(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
+    def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
+
+    def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
 
     def take_dense(self) -> Dense | None: ...
 
@@ -116,7 +120,13 @@ class Run:
     def ngjac(self) -> int: ...
 
     @property
+    def ngdiff(self) -> int: ...
+
+    @property
     def projected_start(self) -> bool: ...
+
+    @property
+    def derivatives(self) -> list[str]: ...
 
     @property
     def dropped(self) -> list[int]: ...
@@ -124,7 +134,7 @@ class Run:
     @property
     def dropped_at(self) -> float: ...
 
-def integrate(*, method: str, fun: object, args: tuple, t0: float, tf: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str]], callback: object | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int) -> Run:
+def integrate(*, method: str, fun: object, args: tuple, t0: float, tf: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str, object, bool]], callback: object | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int, negligible: float) -> Run:
     """Integrates one problem with one method."""
 
 def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
@@ -132,10 +142,18 @@ def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArr
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
     """
 
-def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
+def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
     """
     Projects each row of y to roundoff: (y, converged, residual, iterations).
     """
 
-def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, invariants: Sequence[tuple[object, object, int, str]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Distances of each row of y from the level sets, in units of rtol: (len(t), m).
+    """
+
+def examine(*, fun: object, args: tuple, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> object:
+    """How each invariant stands at one point."""
+
+def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """g(t, y) - value of each row of y: (len(t), m)."""

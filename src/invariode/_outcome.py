@@ -12,12 +12,12 @@ _MESSAGES = {
 }
 
 
-def status_and_message(run: Run, names: list[str], rtol: float, pairs: bool) -> tuple[int, str]:
-    """The status of the Solution and its message."""
+def status_and_message(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs: bool) -> tuple[int, str]:
+    """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
     if run.state in _MESSAGES:
         return _MESSAGES[run.state]
     if run.state == "invariant_convicted":
-        return -2, _not_conserved(run, names)
+        return -2, _convicted(run, names, demanded)
     if run.state == "start_undefined" and run.singular:
         return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
     if run.state == "start_undefined":
@@ -77,23 +77,43 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     )
 
 
-def _not_conserved(run: Run, names: list[str]) -> str:
-    return (
+def _convicted(run: Run, names: list[str], demanded: list[bool]) -> str:
+    if run.finding == "off_value":
+        return (
+            f"After the action of an event at t = {run.finding_t:.6g} the solution violates invariant "
+            f"{names[run.finding_invariant]}: g - value = {run.finding_size:.6g}, a distance of "
+            f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or the "
+            "event rehold."
+        )
+    if run.finding == "undefined":
+        return f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}."
+    return _not_conserved(run, names, demanded)
+
+
+def _not_conserved(run: Run, names: list[str], demanded: list[bool]) -> str:
+    text = (
         f"Invariant {names[run.finding_invariant]} is not conserved by fun: at t = {run.finding_t:.6g}, on the "
         f"manifold, it changes at the rate {run.finding_size:.6g} ({run.finding_distance:.1e} of the size of its "
-        "terms; for invariants this is roundoff). Check its formula and the parameters. A constraint needs its hidden "
-        "constraints, its derivatives with respect to t, too. check=False switches this test off."
+        "terms; for invariants this is roundoff). "
     )
+    if demanded[run.finding_invariant]:
+        text += (
+            "A hidden constraint is missing: the derivative of this constraint with respect to t has to be imposed "
+            "with it (or the formula is wrong). "
+        )
+    else:
+        text += "This is not an invariant of fun: check its formula and the parameters. "
+    return text + "check=False switches this test off."
 
 
-def refusal(run: Run, names: list[str], rtol: float, pairs: bool) -> str:
+def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs: bool) -> str:
     """The text of the InvariantError with which a run was refused at its start."""
     name = names[run.finding_invariant]
     if run.finding == "off_value":
         return (
-            f"y0 violates invariant {name}: g(t0, y0) - value = {run.finding_size:.6g}, a distance of "
-            f"{run.finding_distance:.3g} times the tolerance (rtol = {rtol:.3g}). Correct y0, or project it first: "
-            "y0 = invariode.impose(invariants, t0, y0).y"
+            f"y0 is not on the manifold: it violates invariant {name}, g(t0, y0) - value = {run.finding_size:.6g}, a "
+            f"distance of {run.finding_distance:.3g} times the tolerance (rtol = {rtol:.3g}). Correct y0, or project "
+            "it first: y0 = invariode.impose(invariants, t0, y0).y"
         )
     if run.finding == "wrong_jacobian":
         part = (" (real part)", " (imaginary part)")[run.finding_component % 2] if pairs else ""
@@ -105,4 +125,4 @@ def refusal(run: Run, names: list[str], rtol: float, pairs: bool) -> str:
         )
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
-    return _not_conserved(run, names)
+    return _not_conserved(run, names, demanded)

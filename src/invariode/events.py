@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from ._arguments import call_name
+from ._arguments import call_name, flag, function
 
 __all__ = ["Event", "to_events"]
 
@@ -25,14 +25,31 @@ class Event:
         True ends the integration at the first occurrence, a positive integer at that occurrence.
     direction : float, default 0
         Only zeros through which `fun` rises (positive) or falls (negative) in the direction of integration.
+    action : callable, optional
+        ``action(t, y, *args) -> y_new`` of shape (n,): the solution jumps there (impact, switching, dosing) and goes on
+        from y_new. The output has both values under the same t, ``sol(t)`` there the later one. Until the event has
+        left zero it is not reported again. An occurrence that ends the integration is not acted upon. Events that
+        accumulate, as the impacts of a ball that comes to rest, need a `terminal` count.
+    rehold : bool, default True
+        After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
+        which y_new must have.
     """
 
-    def __init__(self, fun: Callable[..., float], terminal: bool | int = False, direction: float = 0) -> None:
+    def __init__(
+        self,
+        fun: Callable[..., float],
+        terminal: bool | int = False,
+        direction: float = 0,
+        action: Callable[..., Any] | None = None,
+        rehold: bool = True,
+    ) -> None:
         if not callable(fun):
             raise TypeError(f"an event must be a function event(t, y), got {fun!r}")
         self.fun = fun
         self.terminal = terminal
         self.direction = direction
+        self.action = None if action is None else function("action", action, "action(t, y)")
+        self.rehold = flag("rehold", rehold)
         self.__name__ = call_name(fun, "event")
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
@@ -53,8 +70,12 @@ def to_events(events: Callable[..., float] | Iterable[Callable[..., float]] | No
     return [event if isinstance(event, Event) else _from_function(event) for event in events]
 
 
+_ATTRIBUTES = ("terminal", "direction", "action", "rehold")
+
+
 def _from_function(fun: Callable[..., float]) -> Event:
-    return Event(fun, getattr(fun, "terminal", False), getattr(fun, "direction", 0))
+    attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)}
+    return Event(fun, **attributes)
 
 
 def terminal_count(event: Event) -> int:
@@ -78,3 +99,8 @@ def direction_sign(event: Event) -> int:
         return int(direction > 0) - int(direction < 0)
     except TypeError:
         raise TypeError(f"direction of {event.__name__} must be a number, got {direction!r}") from None
+
+
+def event_spec(event: Event) -> tuple[Any, int, int, str, Any, bool]:
+    """The event as the core takes it."""
+    return event.fun, terminal_count(event), direction_sign(event), event.__name__, event.action, event.rehold

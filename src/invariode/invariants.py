@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import (
+    EPS,
     Array,
     call_name,
+    choice,
     extra_arguments,
     function,
     numbers,
@@ -22,6 +25,13 @@ from ._arguments import (
 )
 
 __all__ = ["ImposeResult", "InvariantError", "Invariants", "impose"]
+
+
+#: How a Jacobian can be had without a function for it.
+_KINDS = ("complex-step", "3-point", "2-point")
+
+#: With when="needed", what is closer to the manifold is left alone, in units of rtol.
+_NEGLIGIBLE = 0.01
 
 
 class InvariantError(ValueError):
@@ -35,15 +45,21 @@ class Invariants:
     ----------
     fun : callable
         ``g(t, y, *args)``, a number or an array of shape (m,); y has shape (n,). For complex y the values are real.
-    jac : callable, optional
+    jac : callable or {'complex-step', '3-point', '2-point'}, optional
         ``jac(t, y, *args)``, the Jacobian ∂g/∂y of shape (m, n), or (n,) for m = 1. For complex y row i holds
-        ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Default: central differences, 2n evaluations of g for each.
+        ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Or how it is to be had: by complex steps, Im g(y + i h e_j) / h, exact to
+        roundoff, n evaluations of g at complex y; by central differences, 2n evaluations; by forward differences,
+        n + 1. Default: complex steps where g takes complex y and they agree with a difference at the start, else
+        central differences.
     value : float or array_like of shape (m,), optional
         The value to be held; constraints have 0. Default: that of g at the initial point.
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
     iterations : int, optional
         Projection iterations per step. Default: that of the method, 1 or, for ode45, 2 (paper, section 4).
+    when : {'always', 'needed'}
+        Project after every step (paper, section 4), or leave alone what is closer to the manifold than 0.01 of the
+        tolerance, which saves the evaluation of the Jacobian there.
 
     Notes
     -----
@@ -54,20 +70,26 @@ class Invariants:
     def __init__(
         self,
         fun: Callable[..., Any],
-        jac: Callable[..., Any] | None = None,
+        jac: Callable[..., Any] | str | None = None,
         value: ArrayLike | None = None,
         names: str | Sequence[str] | None = None,
         iterations: int | None = None,
+        when: str = "always",
     ) -> None:
         self.fun = function("the invariant", fun, "g(t, y)")
-        self.jac = None if jac is None else function("jac of the invariant", jac, "jac(t, y)")
+        self.jac: Any = jac
+        if isinstance(jac, str):
+            choice("jac of the invariant", jac, _KINDS)
+        elif jac is not None:
+            function("jac of the invariant", jac, "jac(t, y)")
         self.value = None if value is None else _values(value)
         self.names = None if names is None else _names(names)
         self.iterations = None if iterations is None else positive_integer("iterations", iterations)
+        self.when = choice("when", when, ("always", "needed"))
 
     def __repr__(self) -> str:
         held = "" if self.value is None else f", value={self.value.tolist()}"
-        return f"Invariants({', '.join(self.names or [call_name(self.fun, 'g')])}{held})"
+        return f"{type(self).__name__}({', '.join(self.names or [call_name(self.fun, 'g')])}{held})"
 
 
 def _values(value: ArrayLike) -> Array:
@@ -105,44 +127,75 @@ def to_invariants(invariants: object) -> list[Invariants]:
 class BoundInvariants:
     """Invariants together with the values they are held at and the arguments of their functions."""
 
-    specs: list[tuple[Any, Any, int, str]]
+    specs: list[tuple[Any, Any, int, str, bool]]
     value: Array
     names: list[str]
     args: tuple[Any, ...]
     iterations: int | None
+    negligible: float = 0.0
+    evaluations: int = 0  # of the functions, so far
+
+    jumps: tuple[tuple[int, float, Array], ...] = ()  # (row of the output, t, values from there on)
+    forward: float = 1.0
 
     def __len__(self) -> int:
         return len(self.value)
 
-    def residual(self, t: Array, y: Array) -> Array:
+    def pieces_of_output(self, size: int) -> Array:
+        """Between which jumps each point of the output lies."""
+        return np.searchsorted([row for row, _, _ in self.jumps], np.arange(size), side="right")
+
+    def pieces_at(self, t: Array, side: Literal["left", "right"]) -> Array:
+        """The same at times; `side`: which of two one-sided values is meant."""
+        times = self.forward * np.array([at for _, at, _ in self.jumps])
+        return np.searchsorted(times, self.forward * np.asarray(t), side=side)
+
+    def _each(self, pieces: Array | None, size: int) -> Iterator[tuple[Array, Array]]:
+        """The points of each piece, and the values that invariants have there."""
+        if pieces is None or not self.jumps:
+            yield np.arange(size), self.value
+            return
+        for piece in np.unique(pieces):
+            yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1][2]
+
+    def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
         """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t)."""
-        if not self.specs:
-            return np.zeros((0, len(t)))
-        residual: Array = _core.residual(
-            t,
-            _as_rows(y),
-            complex=np.iscomplexobj(y),
-            invariants=self.specs,
-            value=self.value,
-            args=self.args,
-        ).T
+        residual = np.zeros((len(self.value), len(t)))
+        if self.specs:
+            for here, value in self._each(pieces, len(t)):
+                residual[:, here] = _core.residual(t[here], _as_rows(y[:, here]), **self._about(y), value=value).T
         return residual
 
-    def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike) -> ImposeResult:
+    def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
+        """Distances from the level sets, in units of rtol, of the same shape."""
+        distance = np.zeros((len(self.value), len(t)))
+        weights = _weights(y, rtol, atol)
+        for here, value in self._each(pieces, len(t)):
+            rows = _as_rows(y[:, here])
+            distance[:, here] = _core.distance(t[here], rows, **self._about(y), **weights, value=value).T
+        return distance
+
+    def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> ImposeResult:
         """Projects the points y (n, n_t)."""
-        smallest, threshold, scale = tolerances(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype))
-        points, converged, residual, iterations = _core.impose(
-            t,
-            _as_rows(y),
-            complex=np.iscomplexobj(y),
-            rtol=smallest,
-            threshold=threshold,
-            scale=scale,
-            invariants=self.specs,
-            value=self.value,
-            args=self.args,
-        )
-        return ImposeResult(_as_columns(points, y.dtype), converged.astype(bool), residual.T, iterations)
+        weights = _weights(y, rtol, atol)
+        size = len(t)
+        points, converged = y.copy(), np.zeros(size, dtype=bool)
+        residual, iterations = np.zeros((len(self.value), size)), np.zeros(size, dtype=np.int64)
+        for here, value in self._each(pieces, size):
+            rows, done, left, spent = _core.impose(
+                t[here], _as_rows(y[:, here]), **self._about(y), **weights, value=value
+            )
+            points[:, here] = _as_columns(rows, y.dtype)
+            converged[here], residual[:, here], iterations[here] = done, left.T, spent
+        return ImposeResult(points, converged, residual, iterations)
+
+    def _about(self, y: Array) -> dict[str, Any]:
+        return {"complex": np.iscomplexobj(y), "invariants": self.specs, "args": self.args}
+
+
+def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> dict[str, Any]:
+    smallest, threshold, scale = tolerances(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype))
+    return {"rtol": smallest, "threshold": threshold, "scale": scale}
 
 
 def _as_rows(y: Array) -> Array:
@@ -156,9 +209,11 @@ def _as_columns(rows: Array, dtype: np.dtype[Any]) -> Array:
     return (rows.view(dtype) if np.issubdtype(dtype, np.complexfloating) else rows).T
 
 
-def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...]) -> BoundInvariants:
-    """Evaluates each invariant once, at (t, y): its size, and the value it is held at if none is demanded."""
+def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: Array) -> BoundInvariants:
+    """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
+    complex y. `threshold`: thr of the reals of y, the size below which components tell no scale."""
     specs, values, names = [], [], []
+    evaluations = len(invariants)
     for one in invariants:
         name = one.names[0] if one.names and len(one.names) == 1 else call_name(one.fun, "g")
         at_start = _evaluate(one, name, t, y, args)
@@ -167,12 +222,71 @@ def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...]
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
         if one.names is not None and len(one.names) != m:
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
-        specs.append((one.fun, one.jac, m, name))
+        kind = one.jac
+        if kind == "complex-step" and np.iscomplexobj(y):
+            raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
+        if kind is None:
+            probe = _Probe(one.fun, t, y, args, threshold, at_start)
+            kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
+            evaluations += probe.evaluations
+        specs.append((one.fun, kind, m, name, one.value is None))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     iterations = [one.iterations for one in invariants if one.iterations is not None]
     value = np.concatenate(values) if values else np.zeros(0)
-    return BoundInvariants(specs, value, names, args, max(iterations, default=None))
+    needed = bool(invariants) and all(one.when == "needed" for one in invariants)
+    negligible = _NEGLIGIBLE if needed else 0.0
+    return BoundInvariants(specs, value, names, args, max(iterations, default=None), negligible, evaluations)
+
+
+class _Probe:
+    """Does g take complex y, and is the derivative that this gives the one that differences give?"""
+
+    def __init__(
+        self, fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...], threshold: Array, at_y: Array
+    ) -> None:
+        self._fun, self._t, self._y, self._args, self._at_y = fun, t, y, args, at_y
+        self._threshold = threshold
+        self.evaluations = 0
+
+    def takes_complex(self) -> bool:
+        if np.iscomplexobj(self._y):
+            return False
+        size = np.maximum(np.abs(self._y), self._threshold)
+        size[size < 1e-300] = 1  # pure relative control at 0
+        golden = np.modf(0.6180339887498949 * np.arange(1, len(size) + 1))[0]
+        direction = size * (0.5 + golden) * np.where(np.arange(len(size)) % 2, -1, 1)
+        tiny, delta = 1e-20, EPS ** (1 / 3)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
+            try:
+                by_step = self._evaluate(self._y + 1j * tiny * direction)
+            except Exception:  # g is not made for this: no reason to tell the user
+                return False
+        if by_step.shape != self._at_y.shape or not np.isfinite(by_step).all():
+            return False
+        by_step = by_step.imag / tiny
+        up, down = self._evaluate(self._y + delta * direction), self._evaluate(self._y - delta * direction)
+        difference = (up - down) / (2 * delta)
+        noise = 10 * EPS / delta * np.abs(self._at_y) + np.finfo(float).tiny
+        agrees = np.abs(by_step - difference) <= 1e-6 * np.maximum(np.abs(by_step), np.abs(difference)) + noise
+        return bool(agrees.all())
+
+    def _evaluate(self, y: Array) -> Array:
+        self.evaluations += 1
+        return np.atleast_1d(np.asarray(self._fun(self._t, y, *self._args), dtype=y.dtype))
+
+
+def at_complex(fun: Callable[..., Any], m: int) -> Callable[..., Any]:
+    """g for complex y; NaN where it cannot be evaluated there, so that the core goes over to differences."""
+
+    def evaluate(t: float, y: Array, *args: Any) -> Any:
+        try:
+            return fun(t, y, *args)
+        except (TypeError, ValueError, ArithmeticError):
+            return [np.nan] * m
+
+    return evaluate
 
 
 def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:
@@ -203,12 +317,31 @@ class ImposeResult:
         g(t, y) - value at the points returned.
     iterations : int or ndarray of int, (n_t,)
         Gauss-Newton iterations spent.
+    sol : callable or None
+        Of a result with dense output: that, projected; ``sol(t)`` has shape (n,) or (n, n_t).
     """
 
     y: Array
     converged: Any
     residual: Array
     iterations: Any
+    sol: Callable[[Any], Array] | None = None
+
+
+@dataclass(frozen=True)
+class ImposedDense:
+    """A continuous solution, its values projected to roundoff."""
+
+    sol: Callable[[Any], Array]
+    bound: BoundInvariants
+    rtol: ArrayLike
+    atol: ArrayLike
+
+    def __call__(self, t: Any) -> Array:
+        y = np.asarray(self.sol(t))
+        columns = y.reshape(len(y), -1)
+        imposed = self.bound.impose(np.atleast_1d(np.asarray(t, dtype=float)), columns, self.rtol, self.atol)
+        return imposed.y.reshape(y.shape)
 
 
 def impose(
@@ -247,10 +380,11 @@ def impose(
     -----
     Gauss-Newton iterations, each with a fresh Jacobian, until the correction stagnates at roundoff, 50 at the most.
     """
+    dense = None
     if y is None:
         if not (hasattr(t, "t") and hasattr(t, "y")):
             raise TypeError(f"impose takes points (t, y) or a result with fields t and y, got t = {t!r} without y")
-        t, y = t.t, t.y
+        dense, t, y = getattr(t, "sol", None), t.t, t.y
     points, times = _points(t, y)
     extra = extra_arguments(args)
     listed = to_invariants(invariants)
@@ -259,13 +393,16 @@ def impose(
     if points.shape[1] == 0:
         empty = np.zeros(0, dtype=int)
         return ImposeResult(points, empty.astype(bool), np.zeros((0, 0)), empty)
-    bound = bind(listed, float(times[0]), points[:, 0], extra)
+    _, threshold, _ = tolerances(rtol, atol, points[:, 0])
+    bound = bind(listed, float(times[0]), points[:, 0], extra, threshold)
     if value is not None:
         demanded = _values(value)
         if len(demanded) not in (1, len(bound)):
             raise ValueError(f"value must have shape ({len(bound)},), as the invariants have, got {value!r}")
-        bound = BoundInvariants(bound.specs, demanded + np.zeros(len(bound)), bound.names, bound.args, None)
+        bound = replace(bound, value=demanded + np.zeros(len(bound)))
     result = bound.impose(times, points, rtol, atol)
+    if dense is not None:
+        return replace(result, sol=ImposedDense(dense, bound, rtol, atol))
     if np.ndim(y) == 2:
         return result
     return ImposeResult(result.y[:, 0], bool(result.converged[0]), result.residual[:, 0], int(result.iterations[0]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from ._arguments import (
     warn,
 )
 from ._outcome import inconsistent_start, refusal, status_and_message
-from .events import direction_sign, terminal_count, to_events
+from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
 from .methods import Method, find_method
 from .solution import DenseSolution, Solution, Stats, Steps
@@ -188,9 +188,12 @@ class Problem:
             from ._linear import prepare  # SciPy's sparse matrices take longer to import than all the rest
 
             linear = prepare(self.matrices, t0, y0, self.args)
+            if linear.algebraic and any(event.action for event in self.events):
+                raise ValueError("actions of events are not possible with a singular mass matrix")
             if self.matrices.mass is not None:
                 y0 = self._consistent_start(linear, rmin, threshold, scale)
-        bound = bind(self.invariants, t0, y0, self.args)
+        bound = bind(self.invariants, t0, y0, self.args, threshold)
+        demanded = [not held for _, _, m, _, held in bound.specs for _ in range(m)]
         names = [*bound.names, *(f"algebraic equation {i + 1}" for i in range(linear.algebraic if linear else 0))]
 
         run = _core.integrate(
@@ -216,20 +219,23 @@ class Problem:
             dense=dense_output,
             save_all=save == "all",
             check=flag("check", check),
-            events=[(event.fun, terminal_count(event), direction_sign(event), event.__name__) for event in self.events],
+            events=[event_spec(event) for event in self.events],
             callback=None if callback is None else function("callback", callback, "callback(t, y)"),
             invariants=bound.specs,
             value=bound.value,
             iterations=bound.iterations or chosen.iterations,
+            negligible=bound.negligible,
         )
         if run.state == "invariant_refused":
-            raise InvariantError(refusal(run, names, rmin, np.iscomplexobj(y0)))
+            raise InvariantError(refusal(run, names, demanded, rmin, np.iscomplexobj(y0)))
         if run.state == "event_undefined":
             raise ValueError(f"event {self.events[run.event].__name__} returned NaN at t = {run.t}")
+        if run.state == "action_undefined":
+            raise ValueError(f"the action of event {self.events[run.event].__name__} returned NaN at t = {run.t}")
         if run.dropped:
             _warn_dropped(run, names)
         moved = y0 is not self.y0
-        return self._solution(run, bound, names, rtol, atol, rmin, save == "all", moved)
+        return self._solution(run, bound, names, demanded, rtol, atol, rmin, save == "all", moved)
 
     def _consistent_start(self, linear: _core.Linear, rtol: float, threshold: Array, scale: Array | None) -> Array:
         """y0, moved where the algebraic equations of a singular mass matrix ask for it."""
@@ -255,6 +261,7 @@ class Problem:
         run: _core.Run,
         bound: BoundInvariants,
         names: list[str],
+        demanded: list[bool],
         rtol: ArrayLike,
         atol: ArrayLike,
         rmin: float,
@@ -262,7 +269,9 @@ class Problem:
         moved: bool,
     ) -> Solution:
         dtype = self.y0.dtype
-        status, message = status_and_message(run, names, rmin, dtype.kind == "c")
+        status, message = status_and_message(run, names, demanded, rmin, dtype.kind == "c")
+        forward = 1.0 if self.t_span[1] >= self.t_span[0] else -1.0
+        bound = replace(bound, jumps=tuple(run.take_jumps()), forward=forward)
         dense = run.take_dense()
         t, rows = run.take_points()
         happened = run.take_events()
@@ -288,13 +297,15 @@ class Problem:
                 nsolve=run.nsolve,
                 projections=run.projections,
                 skipped=run.skipped,
-                ng=run.ng + len(bound.specs),
+                ng=run.ng + bound.evaluations,
                 ngjac=run.ngjac,
-                derivatives=_derivatives(bound),
+                ngdiff=run.ngdiff + bound.evaluations - len(bound.specs),
+                derivatives=" and ".join(sorted(set(run.derivatives))) or None,
                 projected_start=run.projected_start or moved,
             ),
             steps=Steps(*run.take_steps()) if keep_steps else None,
             _invariants=bound,
+            _drift=run.take_drift(),
             _rtol=rtol,
             _atol=atol,
         )
@@ -333,8 +344,3 @@ def _warn_dropped(run: _core.Run, names: list[str]) -> None:
         f"t = {run.dropped_at:.6g} (dependent on the others to within rtol, or stationary there), and "
         f"{'were' if several else 'was'} left out there"
     )
-
-
-def _derivatives(bound: BoundInvariants) -> str | None:
-    kinds = {"central differences" if jac is None else "given" for _, jac, _, _ in bound.specs}
-    return " and ".join(sorted(kinds)) or None

@@ -14,7 +14,7 @@ from ._arguments import Array, warn
 from ._core import Dense
 from .invariants import BoundInvariants
 
-__all__ = ["DenseSolution", "Solution", "Stats", "Steps"]
+__all__ = ["DenseSolution", "Drift", "Solution", "Stats", "Steps"]
 
 
 class Record(Mapping[str, Any]):
@@ -54,8 +54,11 @@ class Stats(Record):
         Projected attempts, and those whose projection was not needed.
     ng, ngjac : int
         Evaluations of the invariants and of their Jacobians, output between steps included.
+    ngdiff : int
+        Of `ng`, those that Jacobians cost: complex steps and differences, and the choice between them at the start.
     derivatives : str or None
-        How the Jacobians of the invariants were had: 'given', 'central differences', both, or None.
+        How the Jacobians of the invariants were had: 'given', 'complex step', 'central differences', 'forward
+        differences', several of these, or None.
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
@@ -72,6 +75,7 @@ class Stats(Record):
     skipped: int
     ng: int
     ngjac: int
+    ngdiff: int
     derivatives: str | None
     projected_start: bool
 
@@ -98,6 +102,59 @@ class Steps(Record):
 
     def __repr__(self) -> str:
         return f"Steps({len(self.t)} steps)"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Drift(Record):
+    """How the invariants fared; prints as a table. Arrays of one value per invariant.
+
+    Attributes
+    ----------
+    names : list of str
+    value : ndarray
+        What was held (at first, if events with actions changed it).
+    residual_before, residual_after : ndarray
+        Largest |g - value| of the accepted candidates before projection, and at the outputs.
+    distance_before, distance_after : ndarray
+        The same as distances from the level set, in units of rtol in the weights of the error test.
+    correction : float
+        Largest correction of a step, in units of rtol.
+    projections, skipped : int
+        Projected attempts, and steps that were close enough.
+    """
+
+    names: list[str]
+    value: Array
+    residual_before: Array
+    distance_before: Array
+    residual_after: Array
+    distance_after: Array
+    correction: float
+    projections: int
+    skipped: int
+
+    def __repr__(self) -> str:
+        if not self.names:
+            return "no invariants were imposed"
+        width = max(len("invariant"), *map(len, self.names))
+        lines = [
+            f"{'invariant':<{width}} {'value':>14}  {'residual before, after':>22}  {'distance before, after':>22}",
+            *(
+                f"{name:<{width}} {value:>14.6g}  {before:>11.2e}{after:>11.2e}  {far:>11.2e}{near:>11.2e}"
+                for name, value, before, after, far, near in zip(
+                    self.names,
+                    self.value,
+                    self.residual_before,
+                    self.residual_after,
+                    self.distance_before,
+                    self.distance_after,
+                    strict=True,
+                )
+            ),
+            f"distances in units of the tolerance; largest correction of a step {self.correction:.2e}; "
+            f"{self.projections} projections, {self.skipped} skipped",
+        ]
+        return "\n".join(lines)
 
 
 class DenseSolution:
@@ -134,7 +191,7 @@ class DenseSolution:
         rows = self._dense.evaluate(np.atleast_1d(times), invariants=g.specs, value=g.value, args=g.args)
         y: Array = (rows.view(self._dtype) if np.issubdtype(self._dtype, np.complexfloating) else rows).T
         if self._imposed is not None and y.shape[1]:
-            y = g.impose(np.atleast_1d(times), y, **self._imposed).y
+            y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
         return y[:, 0] if times.ndim == 0 else y
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
@@ -186,11 +243,33 @@ class Solution(Record):
     _invariants: BoundInvariants
     _rtol: ArrayLike
     _atol: ArrayLike
+    _drift: tuple[Array, Array, float]
 
     @cached_property
     def residual(self) -> Array:
         """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed when first asked for."""
-        return self._invariants.residual(self.t, self.y)
+        return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
+
+    def drift(self) -> Drift:
+        """What projection kept: for each invariant its value, and its largest residuals before and after projection.
+
+        Those before are of the candidates of the accepted steps; those after are of the output, for which g and its
+        Jacobian are evaluated when this is called.
+        """
+        g = self._invariants
+        before, distance, correction = self._drift
+        after = g.distance(self.t, self.y, self._rtol, self._atol, g.pieces_of_output(len(self.t)))
+        return Drift(
+            names=list(g.names),
+            value=g.value,
+            residual_before=before[: len(g)],
+            distance_before=distance[: len(g)],
+            residual_after=np.abs(self.residual).max(axis=1, initial=0),
+            distance_after=after.max(axis=1, initial=0),
+            correction=correction,
+            projections=self.stats.projections,
+            skipped=self.stats.skipped,
+        )
 
     @property
     def correction(self) -> Array:
@@ -211,10 +290,10 @@ class Solution(Record):
         if not g.specs:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
 
-        def project(t: Array, y: Array) -> Array:
+        def project(t: Array, y: Array, pieces: Array) -> Array:
             if y.shape[1] == 0:
                 return y
-            result = g.impose(t, y, self._rtol, self._atol)
+            result = g.impose(t, y, self._rtol, self._atol, pieces)
             if not result.converged.all():
                 left = int((~result.converged).sum())
                 warn(f"impose: {left} of {len(t)} points did not converge and are unchanged")
@@ -222,9 +301,10 @@ class Solution(Record):
 
         events = self.y_events
         if events is not None and self.t_events is not None:
-            events = [project(t, y.T).T for t, y in zip(self.t_events, events, strict=True)]
+            events = [project(t, y.T, g.pieces_at(t, "left")).T for t, y in zip(self.t_events, events, strict=True)]
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
-        return dataclasses.replace(self, y=project(self.t, self.y), y_events=events, sol=dense)
+        y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
+        return dataclasses.replace(self, y=y, y_events=events, sol=dense)
 
     def __repr__(self) -> str:
         width = max(map(len, self))

@@ -259,7 +259,9 @@ struct Stoppable {
     calls = 0;
     last = stop_at;
     Callback rhs = as_callback(f);
-    Invariants invariants(4, {{as_callback(g), user_jacobian ? as_callback(jacobian) : Callback{}, 2}}, value, weights);
+    Invariants invariants(
+        4, {{.g = as_callback(g), .jacobian = user_jacobian ? as_callback(jacobian) : Callback{}, .m = 2}}, value,
+        weights);
     Settings settings;
     settings.tf = problem.tf;
     settings.hmax = 1;

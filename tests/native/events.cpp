@@ -262,3 +262,38 @@ TEST(an_event_is_where_the_values_returned_are_zero) {
       }
     }
 }
+
+TEST(an_action_restarts_the_solution_with_both_values_at_one_time) {
+  // A ball at constant gravity that loses a fifth of its speed: impacts at 1, 1 + 2·0.8, 1 + 2·0.8 + 2·0.64, …
+  Function bounce = [](double, const double* y, double* out) { out[0] = 0, out[1] = -0.8 * y[1]; };
+  Function floor = [](double, const double* y, double* e) { e[0] = y[0]; };
+  for (const Method& method : methods) {
+    const check::Case label(method.name);
+    Problem ball{.name = "ball",
+                 .y0 = {1, 0},
+                 .tf = 4.5,
+                 .f = [](double, const double* y, double* out) { out[0] = y[1], out[1] = -2; },
+                 .m = 1,
+                 .g = [](double, const double* y, double* r) { r[0] = y[1] * y[1] / 4 + y[0]; },
+                 .jacobian = [](double, const double* y, double* J) { J[0] = 1, J[1] = y[1] / 2; }};
+    EventFunction hit{as_callback(floor)};
+    hit.direction = -1;
+    hit.action = as_callback(bounce);
+    Options options{.rtol = 1e-6, .settings = {.dense = true}, .events = {hit}};
+    Run run(method, ball, options);
+    // What is held is re-held: the block of the test has no demanded value.
+    CHECK(run.run() == State::reached_end);
+    const std::vector<double>& t = run->occurrences[0].t;
+    const double expected[] = {1, 2.6, 3.88};
+    CHECK(t.size() == 3 && run->jumps.size() == 3);
+    for (std::size_t k = 0; k < std::min<std::size_t>(t.size(), 3); ++k) {
+      CHECK_CLOSE(t[k], expected[k], 1e-4);
+      const std::size_t row = run->jumps[k].row;
+      CHECK(run->points.t[row] == t[k] && run->points.t[row - 1] == t[k]);
+      CHECK_CLOSE(run->points.y[2 * row + 1], -0.8 * run->points.y[2 * row - 1], 4 * eps);
+      double y[2];
+      CHECK(run->dense->evaluate(&t[k], 1, y, nullptr) == Status::ok);
+      CHECK(y[1] > 0);  // the later value
+    }
+  }
+}

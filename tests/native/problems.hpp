@@ -257,12 +257,16 @@ struct Options {
 
 inline Invariants make_invariants(Problem& problem, const Weights& weights, bool user_jacobian,
                                   std::vector<double> value) {
-  if (value.empty()) {
+  const bool held = value.empty();
+  if (held) {
     value.resize(problem.m);
     problem.g(0, problem.y0.data(), value.data());
   }
   const Callback jacobian = user_jacobian ? as_callback(problem.jacobian) : Callback{};
-  return {problem.y0.size(), {{as_callback(problem.g), jacobian, problem.m}}, std::move(value), weights};
+  return {problem.y0.size(),
+          {{.g = as_callback(problem.g), .jacobian = jacobian, .m = problem.m, .held = held}},
+          std::move(value),
+          weights};
 }
 
 /// A problem set up with a method, with everything that the integration refers to.

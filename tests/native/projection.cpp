@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <complex>
 #include <random>
 #include <vector>
 
@@ -21,7 +22,7 @@ struct Linear {
   Linear(RowMajor matrix, const Vector& value, const Weights& weights)
       : J(std::move(matrix)),
         invariants(static_cast<std::size_t>(J.cols()),
-                   {{as_callback(g), as_callback(jacobian), static_cast<std::size_t>(J.rows())}},
+                   {{.g = as_callback(g), .jacobian = as_callback(jacobian), .m = static_cast<std::size_t>(J.rows())}},
                    {value.data(), value.data() + value.size()}, weights) {}
   Linear(const Linear&) = delete;
 
@@ -218,7 +219,7 @@ TEST(impose_leaves_points_that_do_not_converge_as_they_were) {
   const Weights weights(1e-3, {1e-3, 1e-3}, {});
   for (const Function& function : {sum_of_squares, logarithm}) {
     Function g = function;
-    Invariants invariants(2, {{as_callback(g), {}, 1}}, {-1}, weights);  // no such point, or NaN at this one
+    Invariants invariants(2, {{.g = as_callback(g), .m = 1}}, {-1}, weights);  // no such point, or NaN at this one
     Projector projector(invariants, weights, 1);
     const std::vector<double> before = {0.3, -0.4};
     std::vector<double> y = before;
@@ -268,8 +269,8 @@ TEST(blocks_with_and_without_a_user_jacobian_stand_side_by_side) {
   Problem with = harmonic(), without = harmonic();
   without.g = [](double, const double* y, double* r) { r[0] = y[0] + y[1], r[1] = y[0] * y[1]; };
   const Weights weights(1e-3, {1e-3, 1e-3}, {});
-  const InvariantBlock differences{as_callback(without.g), {}, 2};
-  const InvariantBlock analytic{as_callback(with.g), as_callback(with.jacobian), 1};
+  const InvariantBlock differences{.g = as_callback(without.g), .m = 2};
+  const InvariantBlock analytic{.g = as_callback(with.g), .jacobian = as_callback(with.jacobian), .m = 1};
   Invariants invariants(2, {differences, analytic, differences}, {1, 2, 3, 4, 5}, weights);
   const double y[] = {3, 4};
   double r[5], J[10];
@@ -279,4 +280,60 @@ TEST(blocks_with_and_without_a_user_jacobian_stand_side_by_side) {
   CHECK(same_bits(r, residual, 5));
   CHECK_CLOSE(distance(J, expected, 10), 0, 1e-9);
   for (std::size_t i = 0; i < 5; ++i) CHECK(invariants.by_differences(i) == (i != 2));
+}
+
+TEST(complex_steps_are_exact_and_forward_differences_are_good_to_half_the_digits) {
+  // g = sin(x) exp(y), with pairs of reals in and out for the complex step.
+  Function g = [](double, const double* y, double* r) { r[0] = std::sin(y[0]) * std::exp(y[1]); };
+  Function complex_g = [](double, const double* y, double* r) {
+    const std::complex<double> value = std::sin(std::complex(y[0], y[1])) * std::exp(std::complex(y[2], y[3]));
+    r[0] = value.real(), r[1] = value.imag();
+  };
+  const Weights weights(1e-3, {1e-3, 1e-3}, {});
+  const double y[] = {0.7, -0.3};
+  const double exact[] = {std::cos(0.7) * std::exp(-0.3), std::sin(0.7) * std::exp(-0.3)};
+  double J[2];
+  Invariants by_step(
+      2, {{.g = as_callback(g), .complex_g = as_callback(complex_g), .derivative = Derivative::complex_step, .m = 1}},
+      {0}, weights);
+  CHECK(by_step.jacobian(0, y, J) == Status::ok);
+  CHECK_CLOSE(distance(J, exact, 2), 0, 4 * eps);
+  CHECK(!by_step.by_differences(0) && by_step.derivative_calls() == 2 && by_step.calls() == 2);
+  Invariants forward(2, {{.g = as_callback(g), .derivative = Derivative::forward, .m = 1}}, {0}, weights);
+  CHECK(forward.jacobian(0, y, J) == Status::ok);
+  CHECK_CLOSE(distance(J, exact, 2), 0, 1e-7);
+  CHECK(forward.by_differences(0) && forward.derivative_calls() == 3);
+}
+
+TEST(a_function_that_takes_no_complex_step_goes_over_to_central_differences) {
+  Function g = [](double, const double* y, double* r) { r[0] = y[0] * y[0]; };
+  Function complex_g = [](double, const double*, double* r) { r[0] = r[1] = NaN; };
+  const Weights weights(1e-3, {1e-3}, {});
+  Invariants invariants(
+      1, {{.g = as_callback(g), .complex_g = as_callback(complex_g), .derivative = Derivative::complex_step, .m = 1}},
+      {0}, weights);
+  const double y = 3;
+  double J = 0;
+  CHECK(invariants.jacobian(0, &y, &J) == Status::ok);
+  CHECK_CLOSE(J, 6, 1e-8);
+  CHECK(invariants.by_differences(0));
+  CHECK(invariants.blocks()[0].derivative == Derivative::central);
+}
+
+TEST(a_candidate_that_is_close_enough_is_left_alone) {
+  Problem problem = harmonic();
+  const Weights weights(1e-3, {1e-3, 1e-3}, {});
+  Invariants invariants = make_invariants(problem, weights, true, {});
+  Projector projector(invariants, weights, 1, 0.01);
+  double y[] = {1 + 5e-6, 0};  // the first candidate has no gradient to be judged by
+  CHECK(projector.project(0, problem.y0.data(), y) == Outcome::ok);
+  CHECK(!projector.skipped());
+  y[0] = 1 + 5e-6;
+  CHECK(projector.project(0, problem.y0.data(), y) == Outcome::ok);
+  CHECK(projector.skipped() && y[0] == 1 + 5e-6 && projector.correction() == 0);
+  CHECK_CLOSE(projector.distance_before()[0], 5e-6, 1e-9);
+  y[0] = 1 + 5e-5;
+  CHECK(projector.project(0, problem.y0.data(), y) == Outcome::ok);
+  CHECK(!projector.skipped());
+  CHECK_CLOSE(y[0], 1, 1e-8);
 }

@@ -1,0 +1,76 @@
+"""What projection gains and costs on orbits: ``python benchmarks/precision.py [--write]``, or ``make bench``.
+
+The error in position at the end of ten periods of Kepler's problem (e = 0.6) and of one period of the restricted
+three-body orbit, by all codes, plain and projected. ``--write`` puts the tables into docs/benchmarks.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from measure import interleaved, machine, table, write_section
+
+import invariode as iv
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from problems import PROBLEMS, TestProblem
+
+RTOLS = tuple(10.0**-k for k in range(3, 11))
+WAYS = {"plain": None, "projected": "always", "where needed": "needed"}
+
+
+def solve(p: TestProblem, y0: list[float], tf: float, method: str, rtol: float, when: str | None) -> iv.Solution:
+    invariants = None if when is None else iv.Invariants(p.g, p.jac, p.value, when=when)
+    options = {"rtol": rtol, "atol": 1e-3 * rtol, "save": "end"}
+    return iv.solve_ivp(p.fun, (0, tf), y0, method, invariants=invariants, **options)
+
+
+def compare(p: TestProblem, y0: list[float], tf: float, method: str, repetitions: int) -> list[list[str]]:
+    """A line for each tolerance: errors, evaluations of f, milliseconds, each for all ways."""
+    rows = []
+    for rtol in RTOLS:
+        runs = {way: partial(solve, p, y0, tf, method, rtol, when) for way, when in WAYS.items()}
+        solutions = {way: run() for way, run in runs.items()}
+        times = interleaved(runs, repetitions)
+        errors = [f"{np.hypot(*(sol.y[:2, -1] - y0[:2])):.1e}" for sol in solutions.values()]
+        counts = [str(sol.nfev) for sol in solutions.values()]
+        rows.append([method, f"{rtol:.0e}", *errors, *counts, *(f"{1e3 * median(times[way]):.2f}" for way in WAYS)])
+    return rows
+
+
+def report(repetitions: int) -> str:
+    e = 0.6
+    orbits = {
+        "Kepler, ten periods": (PROBLEMS["Kepler"], [1 - e, 0, 0, ((1 + e) / (1 - e)) ** 0.5], 20 * np.pi),
+        "Three bodies, one period": (
+            PROBLEMS["three-body"],
+            [1.2, 0, 0, -1.04935750983031990726],
+            6.19216933131963970674,
+        ),
+    }
+    parts = [f"{machine('invariode', 'numpy')}. Invariants and Jacobians in Python, given; atol = rtol / 1000."]
+    for title, (p, y0, tf) in orbits.items():
+        rows = [row for method in iv.METHODS for row in compare(p, y0, tf, method, repetitions)]
+        columns = [f"{what}: {way}" if way == "plain" else way for what in ("error", "f", "ms") for way in WAYS]
+        parts.append(table([title, "rtol", *columns], rows))
+    return "\n\n".join(parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--repetitions", type=int, default=5)
+    arguments = parser.parse_args()
+    text = report(arguments.repetitions)
+    print(text)
+    if arguments.write:
+        write_section("precision", text)
+
+
+if __name__ == "__main__":
+    main()

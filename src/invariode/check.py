@@ -1,0 +1,165 @@
+"""The pre-flight check of invariants: a report of how they stand at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _core
+from ._arguments import Array, extra_arguments, function, number, state, tolerances
+from .invariants import bind, to_invariants
+
+__all__ = ["CheckReport", "check_invariants"]
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """How invariants stand at a point; prints as a table. Arrays of one value per invariant.
+
+    Attributes
+    ----------
+    names : list of str
+    value : ndarray
+        The value held or demanded.
+    residual, distance : ndarray
+        g(t, y) - value, and as a distance from the level set in units of rtol.
+    rate, angle : ndarray
+        d/dt of the invariant along f, at the nearest point of the manifold, and in units of the size of its terms:
+        roundoff for invariants.
+    redundant, stationary, conserved, on_manifold : ndarray of bool
+        Dependent on the others; gradient 0; the rate is roundoff; the distance is at most 1.
+    derivatives : list of str
+        Where the gradient came from.
+    findings : list of str
+        What is wrong or worth knowing, in words; empty where all is well.
+    ok : bool
+        All are conserved and on the manifold, and no Jacobian is wrong. (Redundant ones do no harm.)
+    """
+
+    names: list[str]
+    value: Array
+    residual: Array
+    distance: Array
+    rate: Array
+    angle: Array
+    redundant: Array
+    stationary: Array
+    conserved: Array
+    on_manifold: Array
+    derivatives: list[str]
+    findings: list[str]
+    ok: bool
+
+    def __str__(self) -> str:
+        width = max([len("invariant"), *map(len, self.names)])
+        lines = [f"{'invariant':<{width}} {'value':>13} {'residual':>10} {'rate':>10} {'of its terms':>13}  conserved"]
+        for i, name in enumerate(self.names):
+            lines.append(
+                f"{name:<{width}} {self.value[i]:>13.6g} {self.residual[i]:>10.2e} {self.rate[i]:>10.2e} "
+                f"{self.angle[i]:>13.1e}  {'yes' if self.conserved[i] else 'NO'}"
+            )
+        return "\n".join(lines + self.findings)
+
+    __repr__ = __str__
+
+
+def check_invariants(
+    fun: Callable[..., Any],
+    invariants: Any,
+    t: float,
+    y: ArrayLike,
+    args: Iterable[Any] = (),
+    *,
+    rtol: ArrayLike = 1e-3,
+    atol: ArrayLike = 1e-6,
+) -> CheckReport:
+    """Are these functions invariants of y' = f(t, y)? What a solve asks at its start, as a report.
+
+    Parameters
+    ----------
+    fun : callable
+        ``f(t, y, *args)``.
+    invariants : callable, Invariants, or list of these
+        As for `solve_ivp`.
+    t, y : float, array_like of shape (n,)
+        The point; better no equilibrium and no point of symmetry, where much looks conserved.
+    args : tuple, optional
+        Extra arguments of the functions.
+    rtol, atol : float or array_like of shape (n,)
+        The weights max(|y|, atol / rtol) in which gradients and distances are measured. Default 1e-3, 1e-6.
+
+    Returns
+    -------
+    CheckReport
+        Finite, on the manifold, independent, conserved on the manifold (constraints are invariant only there), their
+        Jacobians right.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A function returns the wrong shape, or is not finite at the point.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> report = iv.check_invariants(lambda t, y: [y[1], -y[0]], lambda t, y: y[0]**2 + 1.1 * y[1]**2, 0, [1.0, 0.5])
+    >>> report.ok
+    False
+    """
+    fun = function("fun", fun, "f(t, y)")
+    at, point, extra = number("t", t), state(y), extra_arguments(args)
+    least, threshold, scale = tolerances(rtol, atol, point)
+    bound = bind(to_invariants(invariants), at, point, extra, threshold)
+    found: Any = _core.examine(
+        fun=fun,
+        args=extra,
+        t=at,
+        y=point.view(float),
+        complex=np.iscomplexobj(point),
+        rtol=least,
+        threshold=threshold,
+        scale=scale,
+        invariants=bound.specs,
+        value=bound.value,
+    )
+    if found is None:
+        raise ValueError(f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}")
+    stationary = found["gradient"] == 0
+    flags = {name: found[name].astype(bool) for name in ("redundant", "conserved")}
+    on_manifold = found["distance"] <= 1
+    kinds = [str(kind) if isinstance(kind, str) else "given" for _, kind, m, _, _ in bound.specs for _ in range(m)]
+    findings = [
+        *_each(bound.names, ~flags["conserved"], "{} is not conserved by fun"),
+        *_each(bound.names, ~on_manifold, "the point is not on the manifold of {}"),
+        *_each(bound.names, stationary, "{} is stationary here: it holds nothing"),
+        *_each(bound.names, flags["redundant"] & ~stationary, "{} is redundant here: the others imply it"),
+    ]
+    wrong = found["wrong_jacobian"]
+    if wrong is not None:
+        i, j, entry, quotient = wrong
+        findings.append(
+            f"the Jacobian of {bound.names[i]} is wrong: its entry for y[{j}] is {entry:.9g}, differences give "
+            f"{quotient:.9g}"
+        )
+    return CheckReport(
+        names=list(bound.names),
+        value=bound.value,
+        residual=found["residual"],
+        distance=found["distance"],
+        rate=found["rate"],
+        angle=found["angle"],
+        stationary=stationary,
+        on_manifold=on_manifold,
+        derivatives=kinds,
+        findings=findings,
+        ok=bool(flags["conserved"].all() and on_manifold.all() and wrong is None),
+        **flags,
+    )
+
+
+def _each(names: list[str], where: Array, text: str) -> list[str]:
+    return [text.format(names[i]) for i in np.flatnonzero(where)]
