@@ -7,11 +7,11 @@
 namespace invariode {
 namespace {
 
-const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a central difference
-const double sqrt_eps = std::sqrt(eps);      // and of a forward one
-constexpr double complex_increment = 1e-20;  // whose square is nothing beside 1
-constexpr double roundoff_units = 10;        // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
-constexpr double smallest_scale = 1e-300;    // |y_i| and thr_i below this tell no scale
+const double cbrt_eps = std::cbrt(eps);       // optimal relative increment of a central difference
+const double sqrt_eps = std::sqrt(eps);       // and of a forward one
+constexpr double complex_increment = 1e-100;  // nothing beside 1, also where y is huge and g exponential
+constexpr double roundoff_units = 10;         // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
+constexpr double smallest_scale = 1e-300;     // |y_i| and thr_i below this tell no scale
 
 }  // namespace
 

@@ -256,7 +256,7 @@ class _Probe:
         size[size < 1e-300] = 1  # pure relative control at 0
         golden = np.modf(0.6180339887498949 * np.arange(1, len(size) + 1))[0]
         direction = size * (0.5 + golden) * np.where(np.arange(len(size)) % 2, -1, 1)
-        tiny, delta = 1e-20, EPS ** (1 / 3)
+        tiny, delta = 1e-100, EPS ** (1 / 3)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
             try:
