@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gc
 import os
 import platform
@@ -80,6 +81,18 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     ]
     rule = "|".join("-" * (width + 1) + (":" if column else "-") for column, width in enumerate(widths))
     return "\n".join([f"| {text[0]} |", f"|{rule}|", *(f"| {line} |" for line in text[1:])])
+
+
+def run(name: str, document: str | None, report: Callable[[int], str], repetitions: int) -> None:
+    """The command line of a benchmark: prints its report, with --write into the section of that name too."""
+    parser = argparse.ArgumentParser(description=document)
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--repetitions", type=int, default=repetitions)
+    arguments = parser.parse_args()
+    text = report(arguments.repetitions)
+    print(text)
+    if arguments.write:
+        write_section(name, text)
 
 
 def write_section(name: str, text: str) -> None:

@@ -6,7 +6,6 @@ equal error are interpolated between the tolerances. ``--write`` puts the tables
 
 from __future__ import annotations
 
-import argparse
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import scipy.integrate
-from measure import interleaved, machine, table, write_section
+from measure import interleaved, machine, run, table
 from scipy import sparse
 
 import invariode as iv
@@ -260,16 +259,5 @@ def report(repetitions: int) -> str:
     return "\n\n".join([lead, *stiff_report(repetitions), second, *orbit_report(repetitions)])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
-    parser.add_argument("--repetitions", type=int, default=5)
-    arguments = parser.parse_args()
-    text = report(arguments.repetitions)
-    print(text)
-    if arguments.write:
-        write_section("multistep", text)
-
-
 if __name__ == "__main__":
-    main()
+    run("multistep", __doc__, report, repetitions=5)

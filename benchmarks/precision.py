@@ -6,14 +6,13 @@ three-body orbit, by all codes, plain and projected. ``--write`` puts the tables
 
 from __future__ import annotations
 
-import argparse
 import sys
 from functools import partial
 from pathlib import Path
 from statistics import median
 
 import numpy as np
-from measure import interleaved, machine, table, write_section
+from measure import interleaved, machine, run, table
 
 import invariode as iv
 
@@ -61,16 +60,5 @@ def report(repetitions: int) -> str:
     return "\n\n".join(parts)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
-    parser.add_argument("--repetitions", type=int, default=5)
-    arguments = parser.parse_args()
-    text = report(arguments.repetitions)
-    print(text)
-    if arguments.write:
-        write_section("precision", text)
-
-
 if __name__ == "__main__":
-    main()
+    run("precision", __doc__, report, repetitions=5)

@@ -76,8 +76,8 @@ State Integration::inspect_start(double* y0) {
   return finding.kind == Finding::Kind::none ? state_ : refuse(finding);
 }
 
-/// Starts the method at (t0, y0), and asks whether the invariants are conserved there.
-State Integration::start_method(const double* y0) {
+/// Builds the method's memory at (t0, y0), at the start and after a jump.
+State Integration::start_memory(const double* y0) {
   switch (step_->start(t0_, y0, {settings_.tf, settings_.hmax, hmin_ulps * ulp(t0_)})) {
     case Outcome::stop: return end(State::interrupted);
     case Outcome::not_finite:
@@ -86,6 +86,12 @@ State Integration::start_method(const double* y0) {
       return end(State::start_undefined);
     case Outcome::ok: break;
   }
+  return state_;
+}
+
+/// Starts the method, and asks whether the invariants are conserved there.
+State Integration::start_method(const double* y0) {
+  if (start_memory(y0) != State::created) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   if (!guard_ || !settings_.check || t0_ == settings_.tf) return state_;
   const Finding finding = guard_->start_rate(t0_, y0, step_->slope(), forward_ * step_->h());
@@ -299,16 +305,7 @@ State Integration::jump(double t) {
   jumps.push_back(
       {settings_.save_all ? points.t.size() : 0, t, invariants_ ? invariants_->value() : std::vector<double>{}});
   interpolant_.restart();
-  if (t != settings_.tf) {
-    switch (step_->start(t, y0_.data(), {settings_.tf, settings_.hmax, hmin_ulps * ulp(t)})) {
-      case Outcome::stop: return end(State::interrupted);
-      case Outcome::not_finite:
-        report_.component = step_->undefined_component();
-        report_.linear = step_->linear_work();
-        return end(State::start_undefined);
-      case Outcome::ok: break;
-    }
-  }
+  if (t != settings_.tf && start_memory(y0_.data()) != State::running) return state_;
   switch (events_.restart(t, y0_.data())) {
     case Events::Result::stop: return end(State::interrupted);
     case Events::Result::undefined: report_.event = events_.undefined().event; return end(State::event_undefined);

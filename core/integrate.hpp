@@ -120,6 +120,7 @@ class Integration {
   State end(State state);
   State refuse(const Finding& finding);
   State inspect_start(double* y0);
+  State start_memory(const double* y0);
   State start_method(const double* y0);
   void begin_step();
   Verdict attempt();
