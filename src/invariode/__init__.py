@@ -7,6 +7,7 @@ numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 from importlib.metadata import version
 
 from .check import CheckReport, check_invariants
+from .compiled import CompiledFunction, compile
 from .discovery import PolynomialInvariant, find_invariants
 from .events import Event
 from .invariants import ImposeResult, InvariantError, Invariants, impose
@@ -18,6 +19,7 @@ from .suite import ode15s, ode23, ode45, ode113, solve_ivp
 __all__ = [
     "METHODS",
     "CheckReport",
+    "CompiledFunction",
     "DenseSolution",
     "Drift",
     "Event",
@@ -31,6 +33,7 @@ __all__ = [
     "Stats",
     "Steps",
     "check_invariants",
+    "compile",
     "find_invariants",
     "impose",
     "ode15s",

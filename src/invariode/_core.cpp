@@ -11,6 +11,7 @@
 #include <nanobind/stl/vector.h>
 #include <numpy/arrayobject.h>
 
+#include <chrono>
 #include <complex>
 #include <cstring>
 #include <memory>
@@ -293,6 +294,43 @@ void PythonFunction::complain(PyObject* returned) const noexcept {
   Py_XDECREF(traceback);
 }
 
+/// A user's machine code: its address, and what keeps it alive.
+struct Native {
+  std::uintptr_t address;
+  bool event;
+  nb::object owner;
+};
+
+/// Machine code as a core callback, with the arguments it gets. It needs no interpreter.
+class NativeFunction {
+ public:
+  NativeFunction(const Native& native, const double* parameters) : native_(native), parameters_(parameters) {}
+
+  [[nodiscard]] Callback callback() { return {native_.event ? &event_entry : &vector_entry, this}; }
+  [[nodiscard]] MatrixFunction matrix() { return {&matrix_entry, this}; }
+
+ private:
+  using Vector = void(double t, const double* y, double* out, const double* p);
+  using Event = double(double t, const double* y, const double* p);
+
+  static Status vector_entry(void* self, double t, const double* y, double* out) noexcept {
+    const auto& me = *static_cast<NativeFunction*>(self);
+    reinterpret_cast<Vector*>(me.native_.address)(t, y, out, me.parameters_);
+    return Status::ok;
+  }
+  static Status event_entry(void* self, double t, const double* y, double* out) noexcept {
+    const auto& me = *static_cast<NativeFunction*>(self);
+    out[0] = reinterpret_cast<Event*>(me.native_.address)(t, y, me.parameters_);
+    return Status::ok;
+  }
+  static Status matrix_entry(void* self, double t, const double* y, Matrix& out) noexcept {
+    return vector_entry(self, t, y, out.values.data());
+  }
+
+  Native native_;
+  const double* parameters_;
+};
+
 /// A Python function of (t, y), or of t alone, as a core function that fills a matrix. It returns what `read` takes:
 /// the values as a float64 array in the matrix's layout, for a sparse one (starts, rows, values). Python's own layer
 /// has brought what the user's function returned into this form.
@@ -386,6 +424,11 @@ class Functions {
  public:
   Functions(Space space, nb::tuple args) : space_(space), args_(std::move(args)) {}
 
+  /// What native functions get as p.
+  void set_parameters(const ConstVector& p) { parameters_.assign(p.data(), p.data() + p.size()); }
+  /// Whether no function needs the interpreter.
+  [[nodiscard]] bool native() const { return owned_.empty() && matrices_.empty(); }
+
   Callback state_valued(nb::handle f, const std::string& name) {
     return add(f, args_, name, {.rows = space_.components(), .complex = space_.complex});
   }
@@ -394,6 +437,7 @@ class Functions {
     return add(f, nb::tuple(), name, {.kind = Returns::Kind::truth});
   }
   MatrixFunction matrix(const nb::object& function) {
+    if (nb::isinstance<Native>(function)) return native(function).matrix();
     matrices_.push_back(std::make_unique<PythonMatrix>(function, space_.complex));
     return matrices_.back()->callback();
   }
@@ -424,13 +468,22 @@ class Functions {
 
  private:
   Callback add(nb::handle f, const nb::tuple& args, std::string name, Returns returns, bool complexified = false) {
+    if (nb::isinstance<Native>(f)) return native(f).callback();
     owned_.push_back(std::make_unique<PythonFunction>(f, args, std::move(name), space_.components(),
                                                       space_.complex || complexified, returns));
     return owned_.back()->callback();
   }
 
+  NativeFunction& native(nb::handle f) {
+    const double* p = parameters_.empty() ? nullptr : parameters_.data();
+    natives_.push_back(std::make_unique<NativeFunction>(nb::cast<const Native&>(f), p));
+    return *natives_.back();
+  }
+
   Space space_;
   nb::tuple args_;
+  std::vector<double> parameters_;
+  std::vector<std::unique_ptr<NativeFunction>> natives_;
   std::vector<std::unique_ptr<PythonFunction>> owned_;
   std::vector<std::unique_ptr<PythonMatrix>> matrices_;
 };
@@ -534,6 +587,11 @@ class LinearProblem {
  private:
   static Jacobian make_jacobian(const LinearSpec& spec, Functions& functions, const Weights& weights) {
     Matrix matrix(spec.structure);
+    if (spec.kind == "function" && nb::isinstance<nb::tuple>(spec.jacobian)) {  // native, and its pattern if sparse
+      const auto [code, pattern] = nb::cast<std::pair<nb::object, nb::object>>(spec.jacobian);
+      if (!pattern.is_none()) PythonMatrix::read(pattern, matrix);
+      return {Jacobian::Kind::function, matrix, functions.matrix(code), weights};
+    }
     if (spec.kind == "function") return {Jacobian::Kind::function, matrix, functions.matrix(spec.jacobian), weights};
     const bool differences = spec.kind == "differences";
     if (!spec.jacobian.is_none()) PythonMatrix::read(spec.jacobian, matrix);
@@ -604,8 +662,9 @@ struct Dense {
   bool complex;
 
   Table evaluate(const ConstVector& t, const std::vector<InvariantSpec>& invariants, const ConstVector& value,
-                 const nb::tuple& args) const {
+                 const nb::tuple& args, const ConstVector& parameters) const {
     Functions functions({output.n(), complex}, args);
+    functions.set_parameters(parameters);
     std::optional<Invariants> g;
     std::optional<Projector> projector;
     if (output.projects()) {
@@ -644,17 +703,37 @@ struct Run {
   }
 };
 
+/// Runs an integration whose functions are all native, without holding the interpreter; looks for signals now and then.
+/// False: one has raised.
+bool run_without_interpreter(Integration& integration, const double* y0) {
+  using Clock = std::chrono::steady_clock;
+  constexpr auto patience = std::chrono::milliseconds(50);
+  constexpr int steps_between_looks = 16;
+  auto looked = Clock::now();
+  State state = integration.start(y0);
+  for (int step = 1; state == State::running; ++step) {
+    state = integration.advance();
+    if (step % steps_between_looks != 0 || Clock::now() - looked < patience) continue;
+    const nb::gil_scoped_acquire held;
+    if (PyErr_CheckSignals() != 0) return false;
+    looked = Clock::now();
+  }
+  return true;
+}
+
 Run integrate(const std::string& method, const nb::object& fun, const nb::tuple& args, double t0, double tf,
               const ConstVector& y0, bool complex, double rtol, const ConstVector& threshold,
               const std::optional<ConstVector>& scale, double max_step, double first_step, const std::string& fsal,
               int max_order, bool bdf, const std::optional<LinearSpec>& linear, const std::string& interpolation,
               int refine, const std::optional<ConstVector>& times, bool dense, bool save_all, bool check,
               const std::vector<EventSpec>& events, const nb::object& callback,
-              const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations,
-              double negligible) {
+              const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations, double negligible,
+              const ConstVector& parameters) {
   const std::size_t n = y0.size();
   const Weights weights = to_weights(rtol, threshold, scale);
   Functions functions({n, complex}, args);
+  functions.set_parameters(parameters);
+  bool integration_interrupted = false;
   Callback f = functions.state_valued(fun, "fun(t, y)");
   std::vector<EventFunction> event_functions;
   for (const auto& [function, terminal, direction, name, action, rehold] : events) {
@@ -715,8 +794,13 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
                               .linear = implicit ? &*implicit : nullptr};
   Integration integration(find_name(steps, method, "method")(f, weights, options), weights, manifold,
                           std::move(event_functions), notify, std::move(settings));
-  if (integration.start(y0.data()) == State::running) integration.run();
-  if (integration.state() == State::interrupted) throw nb::python_error();
+  if (functions.native()) {
+    nb::gil_scoped_release released;
+    if (!run_without_interpreter(integration, y0.data())) integration_interrupted = true;
+  } else if (integration.start(y0.data()) == State::running) {
+    integration.run();
+  }
+  if (integration_interrupted || integration.state() == State::interrupted) throw nb::python_error();
 
   Run run{.n = n,
           .points = std::move(integration.points),
@@ -760,11 +844,12 @@ Run integrate(const std::string& method, const nb::object& fun, const nb::tuple&
 std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, const nb::tuple& args, double t0,
                                                      const ConstVector& y0, bool complex, double rtol,
                                                      const ConstVector& threshold,
-                                                     const std::optional<ConstVector>& scale,
-                                                     const LinearSpec& linear) {
+                                                     const std::optional<ConstVector>& scale, const LinearSpec& linear,
+                                                     const ConstVector& parameters) {
   const std::size_t n = y0.size();
   const Weights weights = to_weights(rtol, threshold, scale);
   Functions functions({n, complex}, args);
+  functions.set_parameters(parameters);
   Callback f = functions.state_valued(fun, "fun(t, y)");
   LinearProblem problem(linear, functions, weights);
   std::vector<double> y = to_vector(y0);
@@ -777,10 +862,11 @@ std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, cons
 /// Projects each row of y, at the time in t, to roundoff: (y, converged, residual, iterations).
 auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const ConstVector& threshold,
             const std::optional<ConstVector>& scale, const std::vector<InvariantSpec>& invariants,
-            const ConstVector& value, const nb::tuple& args) {
+            const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights = to_weights(rtol, threshold, scale);
   Functions functions({n, complex}, args);
+  functions.set_parameters(parameters);
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Projector projector(g, weights, 1);
   std::vector<double> points(y.data(), y.data() + y.size()), residual(count * m);
@@ -801,10 +887,12 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
 /// How each invariant stands at (t, y), as a dict of arrays of m; None where g, its Jacobian or f is not finite there.
 nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const ConstVector& y, bool complex,
                    double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale,
-                   const std::vector<InvariantSpec>& invariants, const ConstVector& value) {
+                   const std::vector<InvariantSpec>& invariants, const ConstVector& value,
+                   const ConstVector& parameters) {
   const std::size_t n = y.size(), m = value.size();
   const Weights weights = to_weights(rtol, threshold, scale);
   Functions functions({n, complex}, args);
+  functions.set_parameters(parameters);
   const Callback f = functions.state_valued(fun, "fun(t, y)");
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Guard guard(g, weights, f);
@@ -838,10 +926,11 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
 
 /// g(t, y) − value of each row of y: (count, m).
 Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const std::vector<InvariantSpec>& invariants,
-               const ConstVector& value, const nb::tuple& args) {
+               const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights(1, std::vector<double>(n), {});
   Functions functions({n, complex}, args);
+  functions.set_parameters(parameters);
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   std::vector<double> r(count * m);
   for (std::size_t p = 0; p < count; ++p)
@@ -852,10 +941,11 @@ Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const s
 /// Distances of each row of y from the invariants' level sets, in units of rtol: (count, m).
 Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const ConstVector& threshold,
                const std::optional<ConstVector>& scale, const std::vector<InvariantSpec>& invariants,
-               const ConstVector& value, const nb::tuple& args) {
+               const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights = to_weights(rtol, threshold, scale);
   Functions functions({n, complex}, args);
+  functions.set_parameters(parameters);
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Projector projector(g, weights, 1);
   std::vector<double> d(count * m);
@@ -875,10 +965,26 @@ NB_MODULE(_core, module) {
 
   nb::class_<Dense>(module, "Dense")
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::kw_only(), nb::arg("invariants"), nb::arg("value"),
-           nb::arg("args"), "y at each t: (len(t), n).")
+           nb::arg("args"), nb::arg("parameters"), "y at each t: (len(t), n).")
       .def("knots", [](const Dense& d) {
         return to_array<Vector>(std::vector<double>(d.output.knots()), d.output.knots().size());
       });
+
+  nb::class_<Native>(module, "Native", "Machine code of the user, and what keeps it alive.")
+      .def(
+          "__init__",
+          [](Native* self, std::uintptr_t address, bool event, nb::object owner) {
+            new (self) Native{address, event, std::move(owner)};
+          },
+          nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none());
+  module.def(
+      "capsule_address",
+      [](const nb::object& capsule) {
+        void* pointer = PyCapsule_GetPointer(capsule.ptr(), PyCapsule_GetName(capsule.ptr()));
+        if (pointer == nullptr) throw nb::python_error();
+        return reinterpret_cast<std::uintptr_t>(pointer);
+      },
+      nb::arg("capsule"), "The pointer in a capsule.");
 
   nb::class_<LinearSpec>(module, "Linear", "What is known of the Jacobian of f and of the mass matrix.")
       .def(
@@ -970,21 +1076,21 @@ NB_MODULE(_core, module) {
              nb::arg("bdf"), nb::arg("linear").none(), nb::arg("interpolation"), nb::arg("refine"),
              nb::arg("times").none(), nb::arg("dense"), nb::arg("save_all"), nb::arg("check"), nb::arg("events"),
              nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"),
-             nb::arg("negligible"), "Integrates one problem with one method.");
+             nb::arg("negligible"), nb::arg("parameters"), "Integrates one problem with one method.");
   module.def("consistent_start", &make_consistent_start, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
              nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(),
-             nb::arg("linear"),
+             nb::arg("linear"), nb::arg("parameters"),
              "y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.");
   module.def("impose", &impose, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"), nb::arg("rtol"),
              nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
-             "Projects each row of y to roundoff: (y, converged, residual, iterations).");
+             nb::arg("parameters"), "Projects each row of y to roundoff: (y, converged, residual, iterations).");
   module.def("distance", &distance, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"), nb::arg("rtol"),
              nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
-             "Distances of each row of y from the level sets, in units of rtol: (len(t), m).");
+             nb::arg("parameters"), "Distances of each row of y from the level sets, in units of rtol: (len(t), m).");
   module.def("examine", &examine, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t"), nb::arg("y"),
              nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("invariants"),
-             nb::arg("value"), "How each invariant stands at one point.");
+             nb::arg("value"), nb::arg("parameters"), "How each invariant stands at one point.");
   module.def("residual", &residual, nb::arg("t"), nb::arg("y"), nb::kw_only(), nb::arg("complex"),
-             nb::arg("invariants"), nb::arg("value"), nb::arg("args"),
+             nb::arg("invariants"), nb::arg("value"), nb::arg("args"), nb::arg("parameters"),
              "g(t, y) - value of each row of y: (len(t), m).");
 }

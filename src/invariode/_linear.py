@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from . import _core
 from ._arguments import EPS, Array, warn
+from .compiled import is_native, to_native
 
 if TYPE_CHECKING:
     from .problem import Matrices
@@ -72,9 +73,9 @@ class _Storage:
         return self.values("mass", packed)
 
 
-def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...]) -> _core.Linear:
+def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Array) -> _core.Linear:
     """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns."""
-    storage, kind, jacobian = _jacobian(given, t0, y0, args)
+    storage, kind, jacobian = _jacobian(given, t0, y0, args, p)
     mass = None if given.mass is None else _mass(given.mass, storage, args)
     reals = 2 if storage.complex else 1
     banded = storage.kind == "banded"
@@ -92,12 +93,14 @@ def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...]) -> _co
     )
 
 
-def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...]) -> tuple[_Storage, str, Any]:
+def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Array) -> tuple[_Storage, str, Any]:
     """How it is stored, of which kind it is, and its values or its function."""
     n, is_complex = len(y0), np.iscomplexobj(y0)
     bands = _bands(given.lband, given.uband, n)
     if bands is not None and given.jac_sparsity is not None:
         raise ValueError("give either jac_sparsity or lband and uband, not both")
+    if is_native(given.jac):
+        return _native_jacobian(given, bands, y0, p)
     if given.jac is not None and given.jac_sparsity is not None:
         warn("jac_sparsity has no effect together with jac")
 
@@ -123,6 +126,24 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...]) -> t
             "jac_sparsity, or by lband and uband"
         )
     return held, "differences", None
+
+
+def _native_jacobian(
+    given: Matrices, bands: tuple[int, int] | None, y0: Array, p: Array
+) -> tuple[_Storage, str, tuple[Any, Any]]:
+    """Machine code fills the values of its storage: dense, the bands, or those of the pattern."""
+    n, is_complex = len(y0), np.iscomplexobj(y0)
+    reals = y0.view(float).size
+    if bands is not None:
+        held, pattern = _Storage("banded", n, is_complex, *bands), None
+        size = held.given_shape[0] * reals
+    elif given.jac_sparsity is not None:
+        held = _Storage("sparse", n, is_complex)
+        pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
+        size = len(pattern[2])
+    else:
+        held, pattern, size = _Storage("dense", n, is_complex), None, reals * reals
+    return held, "function", (to_native("jac", given.jac, reals, size, p), pattern)
 
 
 def _mass(mass: Any, storage: _Storage, args: tuple[Any, ...]) -> Any:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, function, number, state, tolerances
+from .compiled import is_native, native_parameters, to_native
 from .invariants import bind, to_invariants
 
 __all__ = ["CheckReport", "check_invariants"]
@@ -110,12 +111,15 @@ def check_invariants(
     >>> report.ok
     False
     """
-    fun = function("fun", fun, "f(t, y)")
+    if not is_native(fun):
+        function("fun", fun, "f(t, y)")
     at, point, extra = number("t", t), state(y), extra_arguments(args)
     least, threshold, scale = tolerances(rtol, atol, point)
-    bound = bind(to_invariants(invariants), at, point, extra, threshold)
+    listed = to_invariants(invariants)
+    bound = bind(listed, at, point, extra, threshold)
+    p = native_parameters(extra, [fun, *(f for one in listed for f in (one.fun, one.jac))])
     found: Any = _core.examine(
-        fun=fun,
+        fun=to_native("fun", fun, point.view(float).size, point.view(float).size, p),
         args=extra,
         t=at,
         y=point.view(float),
@@ -125,6 +129,7 @@ def check_invariants(
         scale=scale,
         invariants=bound.specs,
         value=bound.value,
+        parameters=p,
     )
     if found is None:
         raise ValueError(f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}")

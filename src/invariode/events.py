@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from ._arguments import call_name, flag, function
+from ._arguments import Array, call_name, flag, function
+from .compiled import is_native, to_native
 
 __all__ = ["Event", "to_events"]
 
@@ -43,12 +44,12 @@ class Event:
         action: Callable[..., Any] | None = None,
         rehold: bool = True,
     ) -> None:
-        if not callable(fun):
+        if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {fun!r}")
         self.fun = fun
         self.terminal = terminal
         self.direction = direction
-        self.action = None if action is None else function("action", action, "action(t, y)")
+        self.action: Any = action if action is None or is_native(action) else function("action", action, "action(t, y)")
         self.rehold = flag("rehold", rehold)
         self.__name__ = call_name(fun, "event")
 
@@ -63,8 +64,8 @@ def to_events(events: Callable[..., float] | Iterable[Callable[..., float]] | No
     """The events in the form that the solver takes, checked."""
     if events is None:
         return []
-    if callable(events):
-        events = [events]
+    if callable(events) or is_native(events):
+        events = [events]  # type: ignore[list-item]  # a native function need not be callable
     elif not isinstance(events, Sequence):
         raise TypeError(f"events must be a function event(t, y) or a list of these, got {events!r}")
     return [event if isinstance(event, Event) else _from_function(event) for event in events]
@@ -101,6 +102,8 @@ def direction_sign(event: Event) -> int:
         raise TypeError(f"direction of {event.__name__} must be a number, got {direction!r}") from None
 
 
-def event_spec(event: Event) -> tuple[Any, int, int, str, Any, bool]:
-    """The event as the core takes it."""
-    return event.fun, terminal_count(event), direction_sign(event), event.__name__, event.action, event.rehold
+def event_spec(event: Event, n: int, p: Array) -> tuple[Any, int, int, str, Any, bool]:
+    """The event as the core takes it; n and p for native ones."""
+    fun = to_native(f"event {event.__name__}", event.fun, n, 1, p, event=True)
+    action = to_native(f"the action of event {event.__name__}", event.action, n, n, p)
+    return fun, terminal_count(event), direction_sign(event), event.__name__, action, event.rehold

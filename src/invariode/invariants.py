@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from ._arguments import (
     positive_integer,
     tolerances,
 )
+from .compiled import is_native, native_parameters, to_native
 
 __all__ = ["ImposeResult", "InvariantError", "Invariants", "impose"]
 
@@ -76,11 +77,11 @@ class Invariants:
         iterations: int | None = None,
         when: str = "always",
     ) -> None:
-        self.fun = function("the invariant", fun, "g(t, y)")
+        self.fun = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
         self.jac: Any = jac
         if isinstance(jac, str):
             choice("jac of the invariant", jac, _KINDS)
-        elif jac is not None:
+        elif jac is not None and not is_native(jac):
             function("jac of the invariant", jac, "jac(t, y)")
         self.value = None if value is None else _values(value)
         self.names = None if names is None else _names(names)
@@ -116,8 +117,8 @@ def to_invariants(invariants: object) -> list[Invariants]:
         return []
     if isinstance(invariants, Invariants):
         return [invariants]
-    if callable(invariants):
-        return [Invariants(invariants)]
+    if callable(invariants) or is_native(invariants):
+        return [Invariants(cast("Callable[..., Any]", invariants))]
     if isinstance(invariants, Iterable) and not isinstance(invariants, (str, bytes)):
         return [one for item in invariants for one in to_invariants(item)]
     raise TypeError(f"invariants must be a function g(t, y), an Invariants, or a list of these, got {invariants!r}")
@@ -131,6 +132,7 @@ class BoundInvariants:
     value: Array
     names: list[str]
     args: tuple[Any, ...]
+    parameters: Array  # the same for native functions
     iterations: int | None
     negligible: float = 0.0
     evaluations: int = 0  # of the functions, so far
@@ -190,7 +192,12 @@ class BoundInvariants:
         return ImposeResult(points, converged, residual, iterations)
 
     def _about(self, y: Array) -> dict[str, Any]:
-        return {"complex": np.iscomplexobj(y), "invariants": self.specs, "args": self.args}
+        return {
+            "complex": np.iscomplexobj(y),
+            "invariants": self.specs,
+            "args": self.args,
+            "parameters": self.parameters,
+        }
 
 
 def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> dict[str, Any]:
@@ -214,9 +221,14 @@ def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...]
     complex y. `threshold`: thr of the reals of y, the size below which components tell no scale."""
     specs, values, names = [], [], []
     evaluations = len(invariants)
+    p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac)])
+    reals = len(y) * (2 if np.iscomplexobj(y) else 1)
     for one in invariants:
         name = one.names[0] if one.names and len(one.names) == 1 else call_name(one.fun, "g")
-        at_start = _evaluate(one, name, t, y, args)
+        if is_native(one.fun):
+            fun, at_start = _native_start(one, name, t, y, p)
+        else:
+            fun, at_start = one.fun, _evaluate(one, name, t, y, args)
         m = len(at_start)
         if one.value is not None and len(one.value) not in (1, m):
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
@@ -225,18 +237,42 @@ def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...]
         kind = one.jac
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
-        if kind is None:
+        if kind is None and fun is not one.fun:
+            kind = "3-point"
+        elif kind is None:
             probe = _Probe(one.fun, t, y, args, threshold, at_start)
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
             evaluations += probe.evaluations
-        specs.append((one.fun, kind, m, name, one.value is None))
+        kind = to_native(f"the Jacobian of invariant {name}", kind, reals, m * reals, p)
+        specs.append((fun, kind, m, name, one.value is None))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     iterations = [one.iterations for one in invariants if one.iterations is not None]
     value = np.concatenate(values) if values else np.zeros(0)
     needed = bool(invariants) and all(one.when == "needed" for one in invariants)
     negligible = _NEGLIGIBLE if needed else 0.0
-    return BoundInvariants(specs, value, names, args, max(iterations, default=None), negligible, evaluations)
+    return BoundInvariants(specs, value, names, args, p, max(iterations, default=None), negligible, evaluations)
+
+
+def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> tuple[Any, Array]:
+    """A native g as the core takes it, and its values at (t, y). How many there are it does not tell itself."""
+    told = [len(known) for known in (one.names, one.value) if known is not None]
+    if not told:
+        raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
+    m = max(told)
+    fun = to_native(f"invariant {name}", one.fun, y.view(float).size, m, p)
+    at_start = _core.residual(
+        np.array([t]),
+        _as_rows(y[:, None]),
+        complex=np.iscomplexobj(y),
+        invariants=[(fun, "3-point", m, name, False)],
+        value=np.zeros(m),
+        args=(),
+        parameters=p,
+    )[0]
+    if not np.isfinite(at_start).all():
+        raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
+    return fun, at_start
 
 
 class _Probe:

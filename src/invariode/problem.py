@@ -27,6 +27,7 @@ from ._arguments import (
     warn,
 )
 from ._outcome import inconsistent_start, refusal, status_and_message
+from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
 from .methods import Method, find_method
@@ -123,7 +124,7 @@ class Problem:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        self.fun = function("fun", fun, "f(t, y)")
+        self.fun = fun if is_native(fun) else function("fun", fun, "f(t, y)")
         self.t_span = interval(t_span)
         self.y0 = state(y0)
         self.args = extra_arguments(args)
@@ -183,22 +184,27 @@ class Problem:
         first = 0.0 if first_step is None else positive("first_step", first_step)
         if first > span:
             raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first_step!r}")
+        n = self.y0.view(float).size
+        natives = [self.fun, self.matrices.jac, *(f for one in self.invariants for f in (one.fun, one.jac))]
+        natives += [f for event in self.events for f in (event.fun, event.action)]
+        p = native_parameters(self.args, natives)
+        fun = to_native("fun", self.fun, n, n, p)
         y0, linear = self.y0, None
         if "jac" in chosen.options:
             from ._linear import prepare  # SciPy's sparse matrices take longer to import than all the rest
 
-            linear = prepare(self.matrices, t0, y0, self.args)
+            linear = prepare(self.matrices, t0, y0, self.args, p)
             if linear.algebraic and any(event.action for event in self.events):
                 raise ValueError("actions of events are not possible with a singular mass matrix")
             if self.matrices.mass is not None:
-                y0 = self._consistent_start(linear, rmin, threshold, scale)
+                y0 = self._consistent_start(linear, fun, p, rmin, threshold, scale)
         bound = bind(self.invariants, t0, y0, self.args, threshold)
         demanded = [not held for _, _, m, _, held in bound.specs for _ in range(m)]
         names = [*bound.names, *(f"algebraic equation {i + 1}" for i in range(linear.algebraic if linear else 0))]
 
         run = _core.integrate(
             method=chosen.name,
-            fun=self.fun,
+            fun=fun,
             args=self.args,
             t0=t0,
             tf=tf,
@@ -219,12 +225,13 @@ class Problem:
             dense=dense_output,
             save_all=save == "all",
             check=flag("check", check),
-            events=[event_spec(event) for event in self.events],
+            events=[event_spec(event, n, p) for event in self.events],
             callback=None if callback is None else function("callback", callback, "callback(t, y)"),
             invariants=bound.specs,
             value=bound.value,
             iterations=bound.iterations or chosen.iterations,
             negligible=bound.negligible,
+            parameters=p,
         )
         if run.state == "invariant_refused":
             raise InvariantError(refusal(run, names, demanded, rmin, np.iscomplexobj(y0)))
@@ -237,12 +244,14 @@ class Problem:
         moved = y0 is not self.y0
         return self._solution(run, bound, names, demanded, rtol, atol, rmin, save == "all", moved)
 
-    def _consistent_start(self, linear: _core.Linear, rtol: float, threshold: Array, scale: Array | None) -> Array:
+    def _consistent_start(
+        self, linear: _core.Linear, fun: Any, p: Array, rtol: float, threshold: Array, scale: Array | None
+    ) -> Array:
         """y0, moved where the algebraic equations of a singular mass matrix ask for it."""
         if not linear.algebraic:
             return self.y0
         y, verdict = _core.consistent_start(
-            fun=self.fun,
+            fun=fun,
             args=self.args,
             t0=self.t_span[0],
             y0=self.y0.view(float),
@@ -251,6 +260,7 @@ class Problem:
             threshold=threshold,
             scale=scale,
             linear=linear,
+            parameters=p,
         )
         if verdict in ("index_too_high", "not_found"):
             raise ValueError(inconsistent_start(verdict, self.t_span[0]))

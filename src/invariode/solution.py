@@ -188,7 +188,8 @@ class DenseSolution:
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         g = self._invariants
-        rows = self._dense.evaluate(np.atleast_1d(times), invariants=g.specs, value=g.value, args=g.args)
+        about: dict[str, Any] = {"invariants": g.specs, "value": g.value, "args": g.args, "parameters": g.parameters}
+        rows = self._dense.evaluate(np.atleast_1d(times), **about)
         y: Array = (rows.view(self._dtype) if np.issubdtype(self._dtype, np.complexfloating) else rows).T
         if self._imposed is not None and y.shape[1]:
             y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y

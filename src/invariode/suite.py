@@ -7,6 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from .compiled import is_native
 from .methods import find_method
 from .problem import Problem, warn_unused
 from .solution import Solution
@@ -41,7 +42,8 @@ def solve_ivp(
     Parameters
     ----------
     fun : callable
-        ``fun(t, y, *args)``: the derivative, a sequence or array of shape (n,); y has shape (n,).
+        ``fun(t, y, *args)``: the derivative, a sequence or array of shape (n,); y has shape (n,). Machine code is
+        accepted too, here as for all other functions: see `compile`.
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards; an infinite tf needs a terminal event or a callback that stops.
     y0 : array_like of shape (n,)
@@ -131,7 +133,7 @@ def solve_ivp(
         if name not in (chosen := find_method(method)[0]).options:
             warn_unused(chosen, name, given)
     problem = Problem(
-        _one_column(fun) if vectorized else fun,
+        _one_column(fun) if vectorized and not is_native(fun) else fun,
         t_span,
         y0,
         args=args,

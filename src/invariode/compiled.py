@@ -1,0 +1,207 @@
+"""Native functions: pointers to machine code wherever a Python function is accepted, and `compile`, which makes them.
+
+The signatures, all double, row-major, p the arguments or NULL:
+
+=================  ====================================================================================
+f, g, Jacobians    ``void (double t, const double* y, double* out, const double* p)``
+event              ``double (double t, const double* y, const double* p)``
+=================  ====================================================================================
+
+NaN in the output means 'cannot be evaluated here'. The code must not raise, and must be thread-safe.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from _ctypes import CFuncPtr
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from . import _core
+from ._arguments import Array, call_name
+
+__all__ = ["CompiledFunction", "compile", "is_native", "to_native"]
+
+_VECTOR = "void (double t, const double* y, double* out, const double* p)"
+_EVENT = "double (double t, const double* y, const double* p)"
+
+
+class CompiledFunction:
+    """A Python function that `compile` turns into machine code for the problem it is used in. Still callable.
+
+    Attributes
+    ----------
+    fun : callable
+        The Python function.
+    inplace : bool
+        Whether it fills an output.
+    """
+
+    def __init__(self, fun: Callable[..., Any], inplace: bool) -> None:
+        self.fun = fun
+        self.inplace = inplace
+        self.__name__ = call_name(fun, "compiled")
+        self._made: dict[tuple[int, int, int, bool], Any] = {}
+        self._jitted: Any = None
+
+    def __call__(self, *args: Any) -> Any:
+        return self.fun(*args)
+
+    def __repr__(self) -> str:
+        return f"compile({self.__name__})"
+
+    def native(self, n: int, size: int, parameters: int, event: bool) -> Any:
+        """The machine code (a numba.cfunc) for n components, `size` values and that many parameters."""
+        key = (n, size, parameters, event)
+        if key not in self._made:
+            self._made[key] = self._make(*key)
+        return self._made[key]
+
+    def _make(self, n: int, size: int, parameters: int, event: bool) -> Any:
+        numba = _numba()
+        if self._jitted is None:
+            self._jitted = numba.njit(self.fun, error_model="numpy")  # 1/0 is inf: no exceptions
+        call = ["t", "y", *(["out"] if self.inplace and not event else []), *(["p"] if parameters else [])]
+        body = [f"y = carray(y_, ({n},))", *([f"p = carray(p_, ({parameters},))"] if parameters else [])]
+        if event:
+            head = "def code(t, y_, p_):"
+            body.append(f"return f({', '.join(call)})")
+        else:
+            head = "def code(t, y_, out_, p_):"
+            body.append(f"out = carray(out_, ({size},))")
+            if self.inplace:
+                body.append(f"f({', '.join(call)})")
+            else:
+                body.append(f"r = f({', '.join(call)})")
+                sequence = self._returns_sequence(parameters)
+                body.extend([f"out[{i}] = r[{i}]" for i in range(size)] if sequence else ["out[0] = r"])
+        text = "\n    ".join([head, *body])
+        namespace: dict[str, Any] = {"f": self._jitted, "carray": numba.carray}
+        exec(text, namespace)
+        double, pointer = numba.types.double, numba.types.CPointer(numba.types.double)
+        signature = double(double, pointer, pointer) if event else numba.void(double, pointer, pointer, pointer)
+        try:
+            return numba.cfunc(signature, error_model="numpy")(namespace["code"])
+        except numba.core.errors.NumbaError as error:
+            raise TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}") from error
+
+    def _returns_sequence(self, parameters: int) -> bool:
+        numba = _numba()
+        vector = numba.types.Array(numba.types.double, 1, "C")
+        arguments = (numba.types.double, vector, *([vector] if parameters else []))
+        try:
+            self._jitted.compile(arguments)
+        except numba.core.errors.NumbaError as error:
+            raise TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}") from error
+        result = self._jitted.overloads[arguments].signature.return_type
+        return not isinstance(result, numba.types.Number)
+
+
+def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFunction:
+    """A function that is compiled to machine code, by numba, when it is used in a problem.
+
+    Parameters
+    ----------
+    fun : callable
+        ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
+        compiles; it returns a number, a tuple (fast), a list or an array, the rows of a Jacobian one after the other.
+    inplace : bool, default False
+        ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
+
+    Returns
+    -------
+    CompiledFunction
+        For `fun`, `jac`, invariants and their Jacobians, events and actions; still a Python function.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        numba, the extra `compiled`, is not installed.
+    TypeError
+        Where it is used: numba cannot compile the function.
+    """
+    if not callable(fun):
+        raise TypeError(f"compile takes a function f(t, y), got {fun!r}")
+    _numba()
+    return CompiledFunction(fun, inplace)
+
+
+def _numba() -> Any:
+    try:
+        import numba
+    except ImportError:
+        raise ModuleNotFoundError("invariode.compile needs numba: pip install invariode[compiled]") from None
+    return numba
+
+
+def is_native(fun: object) -> bool:
+    """Whether `fun` is machine code of a kind that is accepted."""
+    return isinstance(fun, CompiledFunction | CFuncPtr) or _is_cfunc(fun) or _is_low_level(fun)
+
+
+def _is_cfunc(fun: object) -> bool:
+    return type(fun).__name__ == "CFunc" and hasattr(fun, "address")
+
+
+def _is_low_level(fun: object) -> bool:
+    return type(fun).__name__ == "LowLevelCallable" and isinstance(fun, tuple)
+
+
+def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool = False) -> Any:
+    """For the core, if `fun` is native: its address, with what keeps the code alive. Python functions pass unchanged.
+
+    Raises
+    ------
+    TypeError
+        The object tells a signature, and it is another one.
+    """
+    if not is_native(fun):
+        return fun
+    if isinstance(fun, CompiledFunction):
+        fun = fun.native(n, size, len(args), event)
+    wanted = _EVENT if event else _VECTOR
+    if _is_cfunc(fun):
+        numba = _numba()
+        pointer, double = numba.types.CPointer(numba.types.double), numba.types.double
+        expected = (double, (double, pointer, pointer)) if event else (numba.void, (double, pointer, pointer, pointer))
+        if (fun._sig.return_type, tuple(fun._sig.args)) != expected:
+            raise TypeError(f"{name} has the signature {fun._sig}, expected {wanted}")
+        address = int(fun.address)
+    elif _is_low_level(fun):
+        told = "".join(fun.signature.replace("const", "").split())
+        plain = "double(double,double*,double*)" if event else "void(double,double*,double*,double*)"
+        if told != plain:
+            raise TypeError(f"{name} has the signature {fun.signature}, expected {wanted}")
+        capsule, _, user_data = fun
+        if user_data is not None:
+            raise TypeError(f"{name}: user_data of a LowLevelCallable is not passed on; use args")
+        address = _core.capsule_address(capsule)
+    else:
+        kinds = fun.argtypes
+        count = 3 if event else 4
+        if kinds is not None and (len(kinds) != count or kinds[0] is not ctypes.c_double):
+            raise TypeError(f"{name} takes {len(kinds)} arguments of the types {kinds}, expected {wanted}")
+        if kinds is not None and fun.restype is not (ctypes.c_double if event else None):
+            raise TypeError(f"{name} returns {fun.restype}, expected {wanted}")
+        address = ctypes.cast(fun, ctypes.c_void_p).value or 0
+    if address == 0:
+        raise ValueError(f"{name} is a null pointer")
+    return _core.Native(address=address, event=event, owner=fun)
+
+
+def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
+    """The arguments of native functions: the values of `args` one after the other. Empty where none of them is native.
+
+    Raises
+    ------
+    TypeError
+        They are no real numbers.
+    """
+    if not any(map(is_native, functions)):
+        return np.zeros(0)
+    try:
+        return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
+    except (TypeError, ValueError):
+        raise TypeError(f"args of native functions must be real numbers, got {args!r}") from None

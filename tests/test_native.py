@@ -1,0 +1,244 @@
+"""Machine code is accepted wherever a Python function is, gives the same runs, and needs no interpreter."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+import scipy
+
+import invariode as iv
+
+numba = pytest.importorskip("numba")
+DOUBLE, POINTER = numba.types.double, numba.types.CPointer(numba.types.double)
+VECTOR = numba.void(DOUBLE, POINTER, POINTER, POINTER)
+EVENT = DOUBLE(DOUBLE, POINTER, POINTER)
+
+
+def kepler(t, y):
+    r3 = (y[0] * y[0] + y[1] * y[1]) ** 1.5
+    return (y[2], y[3], -y[0] / r3, -y[1] / r3)
+
+
+def integrals(t, y):
+    return ((y[2] * y[2] + y[3] * y[3]) / 2 - (y[0] * y[0] + y[1] * y[1]) ** -0.5, y[0] * y[3] - y[1] * y[2])
+
+
+def gradients(t, y):
+    r3 = (y[0] * y[0] + y[1] * y[1]) ** 1.5
+    return (y[0] / r3, y[1] / r3, y[2], y[3], y[3], -y[2], -y[1], y[0])
+
+
+def apsis(t, y):
+    return y[0] * y[2] + y[1] * y[3]
+
+
+@numba.cfunc(VECTOR)
+def kepler_code(t, y, out, p):
+    r3 = (y[0] * y[0] + y[1] * y[1]) ** 1.5
+    out[0], out[1], out[2], out[3] = y[2], y[3], -y[0] / r3, -y[1] / r3
+
+
+@numba.cfunc(EVENT)
+def apsis_code(t, y, p):
+    return y[0] * y[2] + y[1] * y[3]
+
+
+@numba.cfunc(VECTOR)
+def robertson_jacobian_code(t, y, J, p):
+    J[0], J[1], J[2] = -0.04, 1e4 * y[2], 1e4 * y[1]
+    J[3], J[4], J[5] = 0.04, -1e4 * y[2] - 6e7 * y[1], -1e4 * y[1]
+    J[6], J[7], J[8] = 0.0, 6e7 * y[1], 0.0
+
+
+ORBIT = [0.4, 0, 0, 2]
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
+KINDS = {
+    "numba.cfunc": kepler_code,
+    "compile": iv.compile(kepler),
+    "LowLevelCallable": scipy.LowLevelCallable(
+        kepler_code.ctypes, signature="void (double, double *, double *, double *)"
+    ),
+    "ctypes": CALLBACK(kepler_code.address),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_native_function_gives_the_run_of_the_python_one(method, kind):
+    options = {"rtol": 1e-6, "dense_output": True}
+    python = iv.solve_ivp(kepler, (0, 20), ORBIT, method, **options)
+    native = iv.solve_ivp(KINDS[kind], (0, 20), ORBIT, method, **options)
+    assert (native.nfev, native.stats.steps) == (python.nfev, python.stats.steps)
+    np.testing.assert_allclose(native.y, python.y, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(native.sol(3.3), python.sol(3.3), rtol=1e-9)
+
+
+@pytest.mark.parametrize("which", ["all", "invariants", "events", "right-hand side"])
+def test_native_and_python_functions_mix(method, which):
+    native = {"right-hand side": which in ("all", "right-hand side"), "events": which in ("all", "events")}
+    native["invariants"] = which in ("all", "invariants")
+    fun = iv.compile(kepler) if native["right-hand side"] else kepler
+    event = apsis_code if native["events"] else apsis
+    if native["invariants"]:
+        held = iv.Invariants(iv.compile(integrals), iv.compile(gradients), names=["energy", "momentum"])
+    else:
+        held = iv.Invariants(integrals, lambda t, y: np.reshape(gradients(t, y), (2, 4)), names=["energy", "momentum"])
+    python = iv.Invariants(integrals, lambda t, y: np.reshape(gradients(t, y), (2, 4)))
+    options = {"rtol": 1e-6, "refine": 2, "dense_output": True}
+    expected = iv.solve_ivp(kepler, (0, 20), ORBIT, method, invariants=python, events=apsis, **options)
+    sol = iv.solve_ivp(fun, (0, 20), ORBIT, method, invariants=held, events=event, **options)
+    assert sol.stats.steps == expected.stats.steps
+    assert sol.stats.ng == expected.stats.ng
+    np.testing.assert_allclose(sol.y, expected.y, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sol.t_events[0], expected.t_events[0], atol=1e-7)
+    np.testing.assert_allclose(sol.residual, expected.residual, atol=1e-9)
+    np.testing.assert_allclose(sol.sol(1.7), expected.sol(1.7), rtol=1e-7)
+    assert np.abs(sol.impose().residual).max() < 1e-14
+    assert sol.drift().names == ["energy", "momentum"]
+
+
+def test_native_jacobians_of_stiff_problems():
+    from stiff import PROBLEMS
+
+    p = PROBLEMS["Robertson"]
+    options = {"rtol": 1e-5, "atol": 1e-5 * p.scale}
+    python = iv.ode15s(p.fun, (0, 1e6), p.y0, jac=p.jac, **options)
+    sol = iv.ode15s(p.fun, (0, 1e6), p.y0, jac=robertson_jacobian_code, **options)
+    assert (sol.nfev, sol.njev, sol.nlu) == (python.nfev, python.njev, python.nlu)
+
+    def diffusion(t, u):
+        return 40.0 * np.convolve(u, [1, -2, 1], "same")
+
+    def bands(t, y, out):
+        for j in range(10):
+            out[j], out[10 + j], out[20 + j] = 40.0, -80.0, 40.0
+
+    def entries(t, y, out):
+        k = 0
+        for j in range(10):
+            for i in range(max(0, j - 1), min(10, j + 2)):
+                out[k] = -80.0 if i == j else 40.0
+                k += 1
+
+    u0 = np.sin(np.arange(10.0))
+    expected = iv.ode15s(diffusion, (0, 1), u0, lband=1, uband=1)
+    for given in (
+        {"jac": iv.compile(bands, inplace=True), "lband": 1, "uband": 1},
+        {"jac": iv.compile(entries, inplace=True), "jac_sparsity": np.abs(np.subtract.outer(range(10), range(10))) < 2},
+    ):
+        sol = iv.ode15s(diffusion, (0, 1), u0, **given)
+        np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-6)
+
+
+def test_parameters_pass_as_args():
+    def spring(t, y, p):
+        return (y[1], -p[0] * y[0] - p[1])
+
+    options = {"args": (4.0, 0.5), "rtol": 1e-8, "atol": 1e-10}
+    python = iv.solve_ivp(lambda t, y, k, g: [y[1], -k * y[0] - g], (0, 1), [1, 0], **options)
+    sol = iv.solve_ivp(iv.compile(spring), (0, 1), [1, 0], **options)
+    np.testing.assert_allclose(sol.y[:, -1], python.y[:, -1], rtol=1e-10)
+    with pytest.raises(TypeError, match="args of native functions must be real numbers"):
+        iv.solve_ivp(iv.compile(spring), (0, 1), [1, 0], args=("a",))
+
+
+class TestCompile:
+    """`compile` takes what numba takes, in three forms."""
+
+    def test_forms(self):
+        def filled(t, y, out):
+            out[0] = -y[0]
+            out[1] = -2 * y[1]
+
+        forms = [
+            iv.compile(lambda t, y: (-y[0], -2 * y[1])),
+            iv.compile(lambda t, y: [-y[0], -2 * y[1]]),
+            iv.compile(lambda t, y: -y * np.array([1.0, 2.0])),
+            iv.compile(filled, inplace=True),
+        ]
+        for form in forms:
+            sol = iv.solve_ivp(form, (0, 1), [1, 1], rtol=1e-8)
+            np.testing.assert_allclose(sol.y[:, -1], np.exp([-1, -2]), rtol=1e-6)
+        assert iv.solve_ivp(iv.compile(lambda t, y: -y[0]), (0, 1), [1]).success
+
+    def test_events_actions_and_one_invariant(self):
+        hit = iv.Event(
+            iv.compile(lambda t, y: y[0]), direction=-1, terminal=3, action=iv.compile(lambda t, y: (0.0, -0.9 * y[1]))
+        )
+        energy = iv.Invariants(iv.compile(lambda t, y: y[1] * y[1] / 2 + y[0]), names="energy")
+        sol = iv.solve_ivp(iv.compile(lambda t, y: (y[1], -1.0)), (0, 50), [1, 0], events=hit, invariants=energy)
+        np.testing.assert_allclose(sol.t_events[0], np.sqrt(2) * np.cumsum([1, 1.8, 1.62]), rtol=1e-6)
+
+    def test_stays_a_python_function(self):
+        assert iv.compile(kepler)(0, ORBIT) == kepler(0, ORBIT)
+        assert repr(iv.compile(kepler)) == "compile(kepler)"
+
+    def test_what_numba_cannot_compile_is_said(self):
+        with pytest.raises(TypeError, match="numba cannot compile this function"):
+            iv.solve_ivp(iv.compile(lambda t, y: (t.nothing,)), (0, 1), [1.0])
+        with pytest.raises(TypeError, match=r"compile takes a function f\(t, y\)"):
+            iv.compile(3)
+
+
+def test_nan_is_a_failed_attempt(method):
+    sol = iv.solve_ivp(iv.compile(lambda t, y: (np.sqrt(1 - t),)), (0, 2), [0.0], method)
+    assert sol.status == -1
+    assert "NaN or infinite" in sol.message
+    assert sol.t[-1] == pytest.approx(1, abs=1e-6)
+
+
+def test_signatures_are_checked_where_they_are_told():
+    wrong = numba.cfunc(DOUBLE(DOUBLE))(lambda t: t)
+    with pytest.raises(TypeError, match=r"fun has the signature .* expected void \(double t, const double\* y"):
+        iv.solve_ivp(wrong, (0, 1), [1.0])
+    with pytest.raises(TypeError, match=r"event .* has the signature"):
+        iv.solve_ivp(kepler, (0, 1), ORBIT, events=kepler_code)
+    told = scipy.LowLevelCallable(wrong.ctypes, signature="double (double)")
+    with pytest.raises(TypeError, match=r"fun has the signature double \(double\)"):
+        iv.solve_ivp(told, (0, 1), [1.0])
+    with pytest.raises(TypeError, match="fun takes 1 arguments"):
+        iv.solve_ivp(ctypes.CFUNCTYPE(None, ctypes.c_double)(wrong.address), (0, 1), [1.0])
+    with pytest.raises(ValueError, match="null pointer"):
+        iv.solve_ivp(CALLBACK(0), (0, 1), [1.0])
+    with pytest.raises(ValueError, match="give its value or its names"):
+        iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=iv.compile(integrals))
+
+
+SLOW = iv.compile(lambda t, y: (y[1], -y[0]))
+
+
+def test_two_threads_solve_at_the_same_time_and_the_interpreter_goes_on():
+    """While native code integrates, other threads run Python."""
+    ticks = []
+    done = threading.Event()
+
+    def tick():
+        while not done.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(0.001)
+
+    clock = threading.Thread(target=tick)
+    clock.start()
+    sol = iv.solve_ivp(SLOW, (0, 20000), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
+    done.set()
+    clock.join()
+    assert sol.success
+    assert len(ticks) > 10  # a thread that held the interpreter would have let it tick once or twice
+
+
+def test_ctrl_c_stops_native_code():
+    def press():
+        time.sleep(0.2)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
+    thread.join()
+    assert iv.solve_ivp(SLOW, (0, 1), [1, 0]).success
