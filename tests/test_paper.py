@@ -49,6 +49,22 @@ def test_every_number_of_the_paper_has_a_row():
     assert published <= {row.printed for row in results().paper}
 
 
+def test_words_of_the_paper_are_its_words_and_are_met_by_a_rule_that_is_said():
+    # P. 70 on the three bodies, p. 71 on Fig. 2; for Fig. 1 the paper prints no number.
+    words = {row.printed: row for row in results().paper if row.printed and not re.match(r"\d", row.printed)}
+    assert set(words) == {"virtually zero", "dramatic", "proper", "periodic", "substantial"}
+    assert all(row.rule.words for row in words.values())
+
+
+@pytest.mark.parametrize(
+    ("problem", "rows"), [("atol, ode45", 14), ("atol, ode113", 14), ("HIRES, ode15s", 5), ("0.05, ode15s", 1)]
+)
+def test_what_matlab_prints_is_compared_for_each_code(problem, rows):
+    compared = [row for row in results().matlab if problem in row.experiment]
+    assert len(compared) == rows
+    assert all(row.printed and row in results().compared for row in compared)
+
+
 @pytest.mark.parametrize(
     ("printed", "value", "shown"),
     [
@@ -153,6 +169,14 @@ def test_report_shows_every_figure_and_every_row():
         assert f'aria-label="{plot.title}"' in page()
     for row in results().rows:
         assert f'<td class="n">{row.here}</td>' in page()
+    for code in results().codes:
+        for sol, size in zip((code.plain, code.projected), code.residuals, strict=True):
+            s = sol.stats
+            assert f"<td>{s.steps}</td><td>{s.failed}</td><td>{s.nfev}</td><td>{size:.2e}</td>" in page()
+        assert all(f"<td>{gap:.3g}</td>" in page() for gap in code.gaps or ())
+    for one in results().kinetics:
+        given, differences = one.drifts
+        assert f"<td>{given:.1e}</td><td>{differences:.1e}</td>" in page()
     assert page().count("✓ agrees") == len(results().compared)
     assert "✗" not in page()
 
@@ -179,6 +203,12 @@ def test_command_paper_prints_the_table_and_writes_the_report(tmp_path):
     outcome = CliRunner().invoke(app, ["paper", "--output", str(output)], env={"COLUMNS": "120"})
     assert outcome.exit_code == 0, outcome.output
     assert "8.80e-5" in outcome.output
+    assert outcome.output.index("paper") < outcome.output.index("plain → projected") < outcome.output.index("MATLAB")
+    for code in results().codes:
+        s, t = code.plain.stats, code.projected.stats
+        assert f"{s.failed} → {t.failed}" in outcome.output
+        assert f"{s.nfev} → {t.nfev}" in outcome.output
+    assert "Robertson, y₁ + y₂ + y₃ = 1" in outcome.output
     assert f"All {len(results().compared)} published values are met" in outcome.output
     assert "</html>" in output.read_text(encoding="utf-8")
 
@@ -217,9 +247,12 @@ def test_command_paper_without_matplotlib_says_what_to_install(monkeypatch):
 def test_command_methods_lists_the_registry():
     outcome = CliRunner().invoke(app, ["methods"], env={"COLUMNS": "100"})
     assert outcome.exit_code == 0, outcome.output
+    text = " ".join(outcome.output.split())
     for method in iv.METHODS.values():
-        assert method.name in outcome.output
-        assert (method.scipy_name or method.name) in outcome.output
+        orders = str(method.order) if method.fixed_order else f"{method.min_order}–{method.order}"
+        assert f"{method.name} {method.scipy_name or '–'} {orders} {method.extension_order}" in text
+        assert f"options: {', '.join(method.options)}" in text
+    assert "BDF implies bdf=True" in text
 
 
 def command(*arguments: str, prelude: str = "") -> subprocess.CompletedProcess[str]:
@@ -263,6 +296,7 @@ def test_all_codes_run_on_all_problems_and_gain_by_projection():
     assert {code.method for code in codes} == set(iv.METHODS)
     assert len(codes) == 3 * len(iv.METHODS)
     for code in codes:
+        assert code.plain.success
         assert code.projected.success
         plain, projected = code.residuals
         assert projected < 0.02 * plain, f"{code.problem}, {code.method}"
@@ -270,14 +304,35 @@ def test_all_codes_run_on_all_problems_and_gain_by_projection():
             assert code.gaps[1] < 0.2 * code.gaps[0]
 
 
-def test_the_orbit_of_figure_1_closes_for_at_most_two_per_cent_more_f():
+def test_the_orbit_of_figure_1_closes_for_no_more_f():
     adams, projected = results().three_body.adams, results().three_body.adams_projected
     assert experiments.gap(adams) > 0.45
     assert experiments.gap(projected) <= 0.03
-    assert projected.nfev <= 1.02 * adams.nfev
+    assert projected.nfev <= adams.nfev
 
 
-def test_linear_invariants_of_stiff_problems_need_no_projection():
-    for one in results().kinetics:
-        assert one.given < 1e-13
-        assert one.differences < 1e-9
+@pytest.mark.parametrize("one", results().kinetics, ids=lambda one: one.problem.name)
+def test_linear_invariants_of_stiff_problems_need_no_projection(one):
+    for sol in (one.given, one.differences):
+        assert sol.t[-1] == one.problem.t_span[1]
+        assert not sol.stats.projections
+    held = sum(one.problem.y0[i] for i in one.problem.kept)
+    given, differences = one.drifts
+    assert given <= one.given.stats.steps * np.finfo(float).eps * held  # round-off of each step
+    assert differences <= 1e-3 * experiments.KINETICS_RTOL * held  # measured: 3e-11 and 2e-17
+
+
+@pytest.mark.parametrize("one", results().kinetics, ids=lambda one: one.problem.name)
+def test_jacobian_of_the_kinetics_keeps_the_invariant_and_is_that_of_differences(one):
+    problem = one.problem
+    kept = list(problem.kept)
+    for y in one.given.y.T[:: len(one.given.t) // 8]:
+        J = np.asarray(problem.jac(0, y))
+        scale = np.abs(J).max()
+        assert np.abs(J[kept].sum(axis=0)).max() <= 4 * np.finfo(float).eps * scale
+        # f is quadratic, so that central differences have no error but round-off.
+        h = 1e-3
+        columns = [
+            (np.subtract(problem.fun(0, y + h * e), problem.fun(0, y - h * e))) / (2 * h) for e in np.eye(len(y))
+        ]
+        np.testing.assert_allclose(J, np.transpose(columns), atol=1e-9 * np.abs(np.transpose(columns)).max())

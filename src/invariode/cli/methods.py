@@ -6,7 +6,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from ..methods import METHODS
+from ..methods import METHODS, Method
 
 __all__ = ["methods"]
 
@@ -25,6 +25,7 @@ def methods() -> None:
 
     Columns: SciPy's name of the method; the order of its formulas and of its continuous extension; evaluations of f
     per step, where they are a fixed number; projection iterations per step with invariants; points per step by default.
+    Options: those that not every method can use, and what SciPy's name implies.
     """
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method", style="bold", no_wrap=True)
@@ -39,4 +40,10 @@ def methods() -> None:
             numbers[0] = f"{method.min_order}–{method.order}"
         table.add_row(method.name, method.scipy_name or "–", *numbers)
         sources.add_row(method.name, f"{method.family}: {method.source}")
+        sources.add_row("", f"[dim]options:[/] {_options(method)}")
     Console().print(table, sources, sep="\n")
+
+
+def _options(method: Method) -> str:
+    implied = ", ".join(f"{name}={value}" for name, value in method.scipy_options.items())
+    return ", ".join(method.options) + (f"; {method.scipy_name} implies {implied}" if implied else "")

@@ -49,6 +49,7 @@ def paper(
     results = run()
     _print_table(console, results.paper, "paper")
     _print_codes(console, results)
+    _print_kinetics(console, results)
     _print_table(console, results.matlab, "MATLAB")
     console.print(_outcome(results))
     if not no_report:
@@ -71,16 +72,38 @@ def _print_table(console: Console, rows: Iterable[Row], published: str) -> None:
 
 
 def _print_codes(console: Console, results: Results) -> None:
-    """All codes on all problems, plain and projected."""
+    """All codes on all problems, plain → projected."""
     for problem, group in groupby(results.codes, key=lambda code: code.problem):
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-        for name in ("code", "steps, plain", "projected", "f, plain", "projected", "residual, plain", "projected"):
-            table.add_column(name, justify="left" if name == "code" else "right")
-        for code in group:
+        codes = list(group)
+        table = _numbers("code", ("steps", "failed", "f", "residual", *(("gap",) if codes[0].gaps else ())))
+        for code in codes:
             s, t = code.plain.stats, code.projected.stats
-            counts = (s.steps, t.steps, s.nfev, t.nfev)
-            table.add_row(code.method, *map(str, counts), *(f"{size:.1e}" for size in code.residuals))
-        console.print(Text(f"All codes, default tolerances: {problem}", style="bold"), table, "", sep="\n")
+            cells = [f"{a} → {b}" for a, b in ((s.steps, t.steps), (s.failed, t.failed), (s.nfev, t.nfev))]
+            sizes = [_change(code.residuals, ".1e"), *([_change(code.gaps, ".3g")] if code.gaps else [])]
+            table.add_row(code.method, *cells, *sizes)
+        console.print(Text(f"{problem}, default tolerances: plain → projected", style="bold"), table, "", sep="\n")
+
+
+def _print_kinetics(console: Console, results: Results) -> None:
+    """The drift of linear invariants, which nothing imposes."""
+    table = _numbers("problem", ("steps", "Jacobian given", "by differences"))
+    for one in results.kinetics:
+        drifts = (f"{drift:.1e}" for drift in one.drifts)
+        table.add_row(f"{one.problem.name}, {one.problem.invariant}", str(one.given.stats.steps), *drifts)
+    title = "Drift of linear invariants, ode15s without projection (no gain of it)"
+    console.print(Text(title, style="bold"), table, "", sep="\n")
+
+
+def _change(sizes: tuple[float, float], digits: str) -> str:
+    return " → ".join(format(size, digits) for size in sizes)
+
+
+def _numbers(first: str, others: Iterable[str]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column(first)
+    for name in others:
+        table.add_column(name, justify="right")
+    return table
 
 
 def _table(published: str, counts: Iterable[str], heading: bool) -> Table:

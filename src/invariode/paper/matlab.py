@@ -1,7 +1,7 @@
 """Numbers that MATLAB's codes print for problems other than the paper's: counts, errors, event times, a failure.
 
 They come from public material that shows MATLAB's output. Errors are those of the method's own continuous extension;
-the numbers of points are those of the suite's default of four per step.
+the numbers of points are those of the suite's defaults, four per step of ode45 and one of ode15s.
 """
 
 from __future__ import annotations

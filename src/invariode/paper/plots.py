@@ -246,7 +246,7 @@ FIGURES = (
         "projected",
         _orbit("adams_projected", "projected", PROJECTED),
         "Three-body orbit, projected (Fig. 1)",
-        "The same with the Jacobi integral imposed, for fewer evaluations of f: the orbit is closed.",
+        "The same with the Jacobi integral imposed, for fewer evaluations of f: to the eye, the orbit is closed.",
         height=3.0,
     ),
 )

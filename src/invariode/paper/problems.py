@@ -232,7 +232,7 @@ def _hires_jacobian(t: float, y: Array) -> Array:
 HIRES = Kinetic(
     "HIRES", _hires, _hires_jacobian, (0, 321.8122), [1, 0, 0, 0, 0, 0, 0, 0.0057], 1e-9, "y₇ + y₈ = 0.0057", (6, 7)
 )
-#: Problems whose linear invariants need no projection (paper, section 3).
+#: Problems whose linear invariants need no projection (paper, section 5).
 KINETICS = (
     Kinetic(
         "Robertson",
