@@ -262,11 +262,12 @@ Interpolate Adams::interpolate() const { return integrate_polynomial; }
 std::size_t Adams::extension_size() const { return n() + (static_cast<std::size_t>(previous_order_) + 1) * (n() + 1); }
 std::size_t Adams::max_extension_size() const { return n() + (static_cast<std::size_t>(max_order_) + 1) * (n() + 1); }
 
-void Adams::extension(double* data) const {
+Status Adams::extension(double* data) {
   data = std::copy(y(), y() + n(), data);
   data = std::copy(phi(1), phi(previous_order_ + 2), data);
   data = std::copy(&psi_[1], &psi_[1] + previous_order_, data);
   *data = previous_h_;
+  return Status::ok;
 }
 
 int Adams::undefined_component() const {

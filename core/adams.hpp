@@ -28,7 +28,7 @@ class Adams : public Step {
   [[nodiscard]] std::size_t max_extension_size() const override;
   [[nodiscard]] int degree() const override { return previous_order_ + 1; }
   [[nodiscard]] int max_degree() const override { return max_order_ + 1; }
-  void extension(double* data) const override;
+  Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return previous_order_; }
   [[nodiscard]] const double* slope() const override { return slope_; }

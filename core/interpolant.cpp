@@ -38,7 +38,7 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   return Status::ok;
 }
 
-StepInterpolant::StepInterpolant(const Step& step, Interpolation mode, Invariants* invariants, Projector* projector)
+StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Invariants* invariants, Projector* projector)
     : step_(step),
       invariants_(invariants),
       interpolant_(step.n(), invariants ? invariants->m() : 0, mode, step.interpolate(), projector),
@@ -59,7 +59,7 @@ Status StepInterpolant::make() {
   const std::size_t raw_size = step_.extension_size();
   size_ = raw_size + interpolant_.overhead();
   double* next = data_.data();
-  step_.extension(next);
+  if (step_.extension(next) == Status::stop) return Status::stop;
   if (interpolant_.mode_ != Interpolation::raw) {
     double* e0 = next + raw_size;
     double* e1 = e0 + n;

@@ -61,7 +61,7 @@ class Interpolant {
 /// that nobody looks into costs nothing.
 class StepInterpolant {
  public:
-  StepInterpolant(const Step& step, Interpolation mode, Invariants* invariants, Projector* projector);
+  StepInterpolant(Step& step, Interpolation mode, Invariants* invariants, Projector* projector);
 
   /// A step from (t0, y0) to the step's present (t, y) was accepted. `w`: the weights it was projected with.
   void begin(double t0, const double* y0, const double* w);
@@ -77,7 +77,7 @@ class StepInterpolant {
  private:
   Status make();
 
-  const Step& step_;
+  Step& step_;
   Invariants* invariants_;
   Interpolant interpolant_;
   std::vector<double> data_;

@@ -384,9 +384,10 @@ Interpolate Ndf::interpolate() const { return newton_backward; }
 std::size_t Ndf::extension_size() const { return static_cast<std::size_t>(memory_order_ + 1) * n(); }
 std::size_t Ndf::max_extension_size() const { return static_cast<std::size_t>(options_.max_order + 1) * n(); }
 
-void Ndf::extension(double* data) const {
+Status Ndf::extension(double* data) {
   data = std::copy(y_.begin(), y_.end(), data);
   std::copy(D(1), D(memory_order_ + 1), data);
+  return Status::ok;
 }
 
 int Ndf::undefined_component() const {

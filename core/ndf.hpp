@@ -38,7 +38,7 @@ class Ndf : public Step {
   [[nodiscard]] std::size_t max_extension_size() const override;
   [[nodiscard]] int degree() const override { return memory_order_; }
   [[nodiscard]] int max_degree() const override { return options_.max_order; }
-  void extension(double* data) const override;
+  Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return memory_order_; }
   [[nodiscard]] const double* slope() const override { return slope_.data(); }

@@ -10,13 +10,14 @@ namespace {
 constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
 constexpr double largest_growth = 5;  // of h after a success
 
-/// Horner's rule for y(θ) = Σ_j c_j θ^j, the coefficients c_j (n,) one after the other.
-void horner(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+/// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
+void nested(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
   const double* c = data + (size - n);
   std::copy(c, c + n, out);
-  while (c != data) {
+  for (std::size_t j = size / n - 1; j-- > 0;) {
+    const double factor = j % 2 == 1 ? 1 - theta : theta;
     c -= n;
-    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + theta * out[i];
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
   }
 }
 
@@ -24,10 +25,12 @@ template <const auto& T>
 class RungeKutta final : public Step {
   static constexpr std::size_t stages = T.stages;
   static constexpr std::size_t last = stages - 1;
+  static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
+  static constexpr bool last_in_error = T.E[last] != 0;        // else it is evaluated once y₁ is known
 
  public:
   RungeKutta(Callback& f, const Weights& weights, Fsal fsal)
-      : Step(f, weights), fsal_(fsal), values_((stages + 4) * weights.size()) {
+      : Step(f, weights), fsal_(fsal), values_((T.all_stages + 4) * weights.size()) {
     double* next = values_.data();
     const auto take = [&next, this] { return std::exchange(next, next + n()); };
     for (double*& k : k_) k = take();
@@ -60,7 +63,7 @@ class RungeKutta final : public Step {
     Outcome outcome = inner_stages(h, std::make_index_sequence<last - 1>{});
     if (outcome == Outcome::ok) {
       form_candidate();
-      outcome = evaluate(t1, candidate_, last);
+      if constexpr (last_in_error) outcome = evaluate(t1, candidate_, last);
     }
     if (outcome == Outcome::ok) error_ = error_norm();
     return {outcome, error_, candidate_};
@@ -80,7 +83,11 @@ class RungeKutta final : public Step {
 
   Outcome accept(const double* y1) override {
     projected_ = !std::equal(y1, y1 + n(), candidate_);
-    if (projected_ && fsal_ == Fsal::evaluate) {
+    if constexpr (!last_in_error) {
+      const Outcome outcome = evaluate(t1_, y1, last);
+      if (outcome == Outcome::stop) return outcome;
+      if (outcome != Outcome::ok || !all_finite(k_[last], n())) return Outcome::not_finite;
+    } else if (projected_ && fsal_ == Fsal::evaluate) {
       if (f_(t1_, y1, reevaluated_) == Status::stop) return Outcome::stop;
       reevaluation_failed_ = !all_finite(reevaluated_, n());
       if (reevaluation_failed_) return Outcome::not_finite;
@@ -97,13 +104,20 @@ class RungeKutta final : public Step {
     return Outcome::ok;
   }
 
-  [[nodiscard]] Interpolate interpolate() const override { return horner; }
+  [[nodiscard]] Interpolate interpolate() const override { return nested; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }
-  void extension(double* data) const override {
+  Status extension(double* data) override {
+    bool finite = true;
+    for (std::size_t k = stages; k < T.all_stages; ++k)
+      if (extra_stage(k, finite) == Status::stop) return Status::stop;
     data = std::copy(start_, start_ + n(), data);
-    coefficients(data, std::make_index_sequence<T.degree>{});
+    if (finite)
+      coefficients(data, std::make_index_sequence<T.degree>{});
+    else
+      cubic(data);
+    return Status::ok;
   }
 
   [[nodiscard]] int order() const override { return T.order; }
@@ -122,7 +136,7 @@ class RungeKutta final : public Step {
 
   /// The last stage of the accepted step is the first of the next one (FSAL).
   void advance_memory() {
-    if (projected_ && fsal_ == Fsal::evaluate)
+    if (last_in_error && projected_ && fsal_ == Fsal::evaluate)
       std::swap(k_[0], reevaluated_);
     else
       std::swap(k_[0], k_[last]);
@@ -164,6 +178,21 @@ class RungeKutta final : public Step {
     return evaluate(t_ + T.c[I] * h, stage_, I);
   }
 
+  /// A stage of the extension; its k may turn out not to be finite.
+  Status extra_stage(std::size_t k, bool& finite) {
+    const double h = purified_;
+    for (std::size_t i = 0; i < n(); ++i) {
+      double sum = 0;
+      for (std::size_t j = 0; j < k; ++j) sum += T.A[k][j] * k_[j][i];
+      stage_[i] = start_[i] + h * sum;
+    }
+    finite = finite && all_finite(stage_, n());
+    if (!finite) return Status::ok;
+    const Status status = f_(t1_ - (1 - T.c[k]) * h, stage_, k_[k]);
+    finite = all_finite(k_[k], n());
+    return status;
+  }
+
   /// y* = y + (t₁ − t) Σ b_k k_k
   void form_candidate() {
     for (std::size_t i = 0; i < n(); ++i)
@@ -172,25 +201,41 @@ class RungeKutta final : public Step {
 
   /// |h| ‖Σ E_k k_k‖ with weights max(|y|, |y*|, thr)
   [[nodiscard]] double error_norm() const {
-    MaxNorm norm;
-    for (std::size_t i = 0; i < n(); ++i)
-      norm.add(dot<stages>([](auto j) { return T.E[j]; }, i) / weights_.at(i, y_[i], candidate_[i]));
-    return std::abs(purified_) * norm.value();
+    MaxNorm norm, crude;
+    for (std::size_t i = 0; i < n(); ++i) {
+      const double w = weights_.at(i, y_[i], candidate_[i]);
+      norm.add(dot<stages>([](auto j) { return T.E[j]; }, i) / w);
+      if constexpr (T.crude_order > 0) crude.add(dot<stages>([](auto j) { return T.crude[j]; }, i) / w);
+    }
+    double error = norm.value();
+    if (T.crude_order > 0 && error > 0) error *= error / std::hypot(error, 0.1 * crude.value());
+    return std::abs(purified_) * error;
   }
 
-  /// Coefficients of θ, θ², … in the continuous extension: (t₁ − t) Σ_k B_kj k_k
+  /// Coefficients of the continuous extension: (t₁ − t) Σ_k B_kj k_k
   template <std::size_t... J>
   void coefficients(double* data, std::index_sequence<J...>) const {
     const auto fill = [&]<std::size_t J1>(std::integral_constant<std::size_t, J1>) {
       for (std::size_t i = 0; i < n(); ++i)
-        data[J1 * n() + i] = purified_ * dot<stages>([](auto k) { return T.B[k][J1]; }, i);
+        data[J1 * n() + i] = purified_ * dot<T.all_stages>([](auto k) { return T.B[k][J1]; }, i);
     };
     (fill(std::integral_constant<std::size_t, J>{}), ...);
   }
 
+  /// The cubic Hermite interpolant, where f is not defined at a stage of the extension.
+  void cubic(double* data) const {
+    std::fill(data, data + T.degree * n(), 0);
+    for (std::size_t i = 0; i < n(); ++i) {
+      const double rise = candidate_[i] - start_[i], k0 = purified_ * k_[0][i], k1 = purified_ * k_[last][i];
+      data[i] = rise;
+      data[n() + i] = k0 - rise;
+      data[2 * n() + i] = 2 * rise - k0 - k1;
+    }
+  }
+
   Fsal fsal_;
   std::vector<double> values_;
-  std::array<double*, stages> k_{};
+  std::array<double*, T.all_stages> k_{};
   double* start_ = nullptr;        // y at the start of the accepted step
   double* stage_ = nullptr;        // argument of the stage in work
   double* candidate_ = nullptr;    // y*
@@ -213,6 +258,10 @@ std::unique_ptr<Step> ode23_step(Callback& f, const Weights& weights, Fsal fsal)
 
 std::unique_ptr<Step> ode45_step(Callback& f, const Weights& weights, Fsal fsal) {
   return std::make_unique<RungeKutta<dormand_prince>>(f, weights, fsal);
+}
+
+std::unique_ptr<Step> dop853_step(Callback& f, const Weights& weights) {
+  return std::make_unique<RungeKutta<dop853>>(f, weights, Fsal::reuse);
 }
 
 }  // namespace invariode

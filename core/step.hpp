@@ -73,9 +73,9 @@ class Step {
   virtual Outcome accept(const double* y1) = 0;
 
   /// Raw continuous extension of the step just accepted: its evaluator, the doubles that it reads, and how many they
-  /// are, in this step and at most.
+  /// are, in this step and at most. `extension` may evaluate f, and is asked once per step, if at all.
   [[nodiscard]] virtual Interpolate interpolate() const = 0;
-  virtual void extension(double* data) const = 0;
+  virtual Status extension(double* data) = 0;
   [[nodiscard]] virtual std::size_t extension_size() const = 0;
   [[nodiscard]] virtual std::size_t max_extension_size() const = 0;
   /// Its degree, in this step and at most: so many roots inside a step has a linear event function.

@@ -8,24 +8,39 @@
 
 namespace invariode {
 
-/// A pair with local extrapolation: the higher formula b is the last row of A (first same as last), E = b − b̂ gives the
-/// error of the lower one, and y(θ) = y + h Σ_k k_k (B_k · [θ, θ², …]) is the continuous extension. (A pair without the
-/// FSAL property has it once f(t₁, y*) is appended as a stage of weight 0: that value is the next step's first stage in
-/// any case.)
-template <std::size_t Stages, std::size_t Degree>
+/// A pair with local extrapolation: the higher formula b is row `stages` − 1 of A (first same as last), E = b − b̂ gives
+/// the error of the lower one, and y(θ) = y + h Σ_k k_k P_k(θ), P = θ (B₀ + (1−θ) (B₁ + θ (B₂ + (1−θ) (B₃ + …)))), is
+/// the continuous extension, exact at both ends in roundoff too. It may take
+/// `Extra` stages of its own, evaluated only when someone looks between the ends. (A pair without the FSAL property has
+/// it once f(t₁, y*) is appended as a stage of weight 0: that value is the next step's first stage in any case. Where
+/// it has no part in E it is evaluated once y₁ is known.)
+///
+/// With two lower formulas the error is e₁² / √(e₁² + (e₂/10)²), e₁ and e₂ the norms of what E and `crude` give
+/// (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10).
+template <std::size_t Stages, std::size_t Degree, std::size_t Extra = 0>
 struct Tableau {
   static constexpr std::size_t stages = Stages;
   static constexpr std::size_t degree = Degree;
+  static constexpr std::size_t all_stages = Stages + Extra;
 
-  int order;            ///< q, of the higher formula; the lower one has q − 1. The controller's exponent is 1/q.
+  int order;            ///< q, of the higher formula. The controller's exponent is 1/q.
+  int error_order;      ///< of the formula that E compares with
+  int crude_order = 0;  ///< of the one that `crude` compares with; 0: there is none
   int extension_order;  ///< order of the continuous extension
   double floor;         ///< smallest factor by which a first failure cuts h
-  std::array<double, Stages> c;
-  std::array<std::array<double, Stages>, Stages> A;
+  std::array<double, all_stages> c;
+  std::array<std::array<double, all_stages>, all_stages> A;
   std::array<double, Stages> E;
-  std::array<std::array<double, Degree>, Stages> B;
+  std::array<double, Stages> crude{};
+  std::array<std::array<double, Degree>, all_stages> B;
 
-  [[nodiscard]] constexpr const std::array<double, Stages>& b() const { return A[Stages - 1]; }
+  [[nodiscard]] constexpr std::array<double, all_stages> b() const { return A[Stages - 1]; }
+  /// The weights of the formula that an error estimate compares with.
+  [[nodiscard]] constexpr std::array<double, all_stages> lower(const std::array<double, Stages>& estimate) const {
+    auto w = b();
+    for (std::size_t k = 0; k < Stages; ++k) w[k] -= estimate[k];
+    return w;
+  }
 };
 
 namespace detail {
@@ -73,6 +88,18 @@ struct RootedTree {
   }
 };
 
+/// From the coefficients of θ, θ², … of each stage those of the form θ (B₀ + (1−θ) (B₁ + θ (B₂ + …))).
+template <std::size_t S, std::size_t D>
+constexpr std::array<std::array<double, D>, S> nested(std::array<std::array<double, D>, S> B) {
+  for (auto& p : B)
+    for (std::size_t j = 0; j < D; ++j) {  // p_j, p_{j+1}, … are the coefficients of 1, θ, … of what is left
+      if (j % 2 == 1) continue;            // its value at 0 is p_j, and the rest is θ times a polynomial
+      for (std::size_t i = D - 1; i-- > j;) p[i] += p[i + 1];  // its value at 1, and minus the quotient by 1 − θ
+      for (std::size_t i = j + 1; i < D; ++i) p[i] = -p[i];
+    }
+  return B;
+}
+
 }  // namespace detail
 
 /// Largest |Σ_k w_k Φ_k(tree) − θ^r/γ(tree)| over all rooted trees of r ≤ order nodes: the defect in the order
@@ -80,7 +107,7 @@ struct RootedTree {
 template <std::size_t S>
 constexpr double order_defect(const std::array<std::array<double, S>, S>& A, const std::array<double, S>& w, int order,
                               double theta = 1) {
-  constexpr std::size_t most = 8;
+  constexpr std::size_t most = 9;
   double worst = 0;
   double power = 1;
   for (std::size_t r = 1; r <= static_cast<std::size_t>(order); ++r) {
@@ -107,13 +134,18 @@ constexpr double order_defect(const std::array<std::array<double, S>, S>& A, con
 }
 
 /// Weights of the continuous extension at θ, or of its derivative with respect to θ.
-template <std::size_t S, std::size_t D>
-constexpr std::array<double, S> extension_weights(const Tableau<S, D>& T, double theta, bool derivative = false) {
-  std::array<double, S> w{};
-  for (std::size_t k = 0; k < S; ++k) {
-    double power = derivative ? 1 : theta;
-    for (std::size_t j = 0; j < D; ++j, power *= theta)
-      w[k] += T.B[k][j] * power * (derivative ? static_cast<double>(j + 1) : 1);
+template <std::size_t S, std::size_t D, std::size_t X>
+constexpr std::array<double, S + X> extension_weights(const Tableau<S, D, X>& T, double theta,
+                                                      bool derivative = false) {
+  std::array<double, S + X> w{};
+  for (std::size_t k = 0; k < S + X; ++k) {
+    double value = T.B[k][D - 1], slope = 0;
+    for (std::size_t j = D - 1; j-- > 0;) {
+      const double factor = j % 2 == 0 ? 1 - theta : theta;
+      slope = factor * slope + (j % 2 == 0 ? -1 : 1) * value;
+      value = T.B[k][j] + factor * value;
+    }
+    w[k] = derivative ? value + theta * slope : theta * value;
   }
   return w;
 }
@@ -122,31 +154,30 @@ constexpr std::array<double, S> extension_weights(const Tableau<S, D>& T, double
 inline constexpr double tableau_roundoff = 1e-13;
 
 /// True where a tableau is what it says. Every condition that a misprint in one coefficient breaks is tested.
-template <std::size_t S, std::size_t D>
-constexpr bool consistent(const Tableau<S, D>& T) {
-  const auto close = [](double a, double b) { return detail::absolute(a - b) <= tableau_roundoff; };
-  for (std::size_t i = 0; i < S; ++i) {
+template <std::size_t S, std::size_t D, std::size_t X>
+constexpr bool consistent(const Tableau<S, D, X>& T, double roundoff = tableau_roundoff) {
+  const auto close = [roundoff](double a, double b) { return detail::absolute(a - b) <= roundoff; };
+  for (std::size_t i = 0; i < S + X; ++i) {
     double sum = 0;
-    for (std::size_t j = 0; j < S; ++j) {
+    for (std::size_t j = 0; j < S + X; ++j) {
       if (j >= i && T.A[i][j] != 0) return false;  // explicit
       sum += T.A[i][j];
     }
     if (!close(sum, T.c[i])) return false;
   }
-  if (T.c[0] != 0 || T.c[S - 1] != 1) return false;  // FSAL: the last stage is f(t₁, y*)
-  if (T.E[S - 1] == 0) return false;                 // the error estimate sees every stage, a NaN in the last one too
+  if (T.c[0] != 0 || T.c[S - 1] != 1) return false;      // FSAL: the last stage is f(t₁, y*)
+  if (T.E[S - 1] == 0 && T.E[S - 2] == 0) return false;  // the error estimate sees a NaN in the last stage it has
 
-  std::array<double, S> lower{};
-  for (std::size_t k = 0; k < S; ++k) lower[k] = T.b()[k] - T.E[k];
-  if (order_defect(T.A, T.b(), T.order) > tableau_roundoff) return false;
-  if (order_defect(T.A, lower, T.order - 1) > tableau_roundoff) return false;
+  if (order_defect(T.A, T.b(), T.order) > roundoff) return false;
+  if (order_defect(T.A, T.lower(T.E), T.error_order) > roundoff) return false;
+  if (T.crude_order > 0 && order_defect(T.A, T.lower(T.crude), T.crude_order) > roundoff) return false;
   for (const double theta : {0.25, 0.5, 0.75, 1.0})
-    if (order_defect(T.A, extension_weights(T, theta), T.extension_order, theta) > tableau_roundoff) return false;
+    if (order_defect(T.A, extension_weights(T, theta), T.extension_order, theta) > roundoff) return false;
 
   const auto end = extension_weights(T, 1);
   const auto slope0 = extension_weights(T, 0, true);
   const auto slope1 = extension_weights(T, 1, true);
-  for (std::size_t k = 0; k < S; ++k) {
+  for (std::size_t k = 0; k < S + X; ++k) {
     if (!close(end[k], T.b()[k])) return false;
     if (!close(slope0[k], k == 0 ? 1 : 0) || !close(slope1[k], k == S - 1 ? 1 : 0)) return false;
   }
@@ -157,12 +188,13 @@ constexpr bool consistent(const Tableau<S, D>& T) {
 /// interpolant.
 inline constexpr Tableau<4, 3> bogacki_shampine{
     .order = 3,
+    .error_order = 2,
     .extension_order = 3,
     .floor = 0.5,
     .c = {0, 1. / 2, 3. / 4, 1},
     .A = {{{}, {1. / 2}, {0, 3. / 4}, {2. / 9, 1. / 3, 4. / 9}}},
     .E = {-5. / 72, 1. / 12, 1. / 9, -1. / 8},
-    .B = {{{1, -4. / 3, 5. / 9}, {0, 1, -2. / 3}, {0, 4. / 3, -8. / 9}, {0, -1, 1}}},
+    .B = detail::nested<4, 3>({{{1, -4. / 3, 5. / 9}, {0, 1, -2. / 3}, {0, 4. / 3, -8. / 9}, {0, -1, 1}}}),
 };
 static_assert(consistent(bogacki_shampine));
 
@@ -170,6 +202,7 @@ static_assert(consistent(bogacki_shampine));
 /// MATLAB ODE Suite (Shampine & Reichelt, SIAM J. Sci. Comput. 18 (1997) 1).
 inline constexpr Tableau<7, 4> dormand_prince{
     .order = 5,
+    .error_order = 4,
     .extension_order = 4,
     .floor = 0.1,
     .c = {0, 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1, 1},
@@ -181,14 +214,88 @@ inline constexpr Tableau<7, 4> dormand_prince{
            {9017. / 3168, -355. / 33, 46732. / 5247, 49. / 176, -5103. / 18656},
            {35. / 384, 0, 500. / 1113, 125. / 192, -2187. / 6784, 11. / 84}}},
     .E = {71. / 57600, 0, -71. / 16695, 71. / 1920, -17253. / 339200, 22. / 525, -1. / 40},
-    .B = {{{1, -183. / 64, 37. / 12, -145. / 128},
-           {0, 0, 0, 0},
-           {0, 1500. / 371, -1000. / 159, 1000. / 371},
-           {0, -125. / 32, 125. / 12, -375. / 64},
-           {0, 9477. / 3392, -729. / 106, 25515. / 6784},
-           {0, -11. / 7, 11. / 3, -55. / 28},
-           {0, 3. / 2, -4, 5. / 2}}},
+    .B = detail::nested<7, 4>({{{1, -183. / 64, 37. / 12, -145. / 128},
+                                {0, 0, 0, 0},
+                                {0, 1500. / 371, -1000. / 159, 1000. / 371},
+                                {0, -125. / 32, 125. / 12, -375. / 64},
+                                {0, 9477. / 3392, -729. / 106, 25515. / 6784},
+                                {0, -11. / 7, 11. / 3, -55. / 28},
+                                {0, 3. / 2, -4, 5. / 2}}}),
 };
 static_assert(consistent(dormand_prince));
+
+namespace detail {
+
+/// B₀ … B₂ of the extension of DOP853: θ (Δ + (1−θ) (h f₀ − Δ + θ (2 Δ − h f₀ − h f₁ + …))) with Δ = y₁ − y₀; the
+/// others are D.
+constexpr std::array<std::array<double, 7>, 16> dop853_extension(const std::array<double, 16>& b,
+                                                                 const std::array<std::array<double, 16>, 4>& D) {
+  std::array<std::array<double, 7>, 16> B{};
+  for (std::size_t k = 0; k < 16; ++k) {
+    const double first = k == 0 ? 1 : 0, last = k == 12 ? 1 : 0;
+    B[k] = {b[k], first - b[k], 2 * b[k] - first - last, D[0][k], D[1][k], D[2][k], D[3][k]};
+  }
+  return B;
+}
+
+inline constexpr std::array<std::array<double, 16>, 4> dop853_D = {
+    {{-8.428938276109013, 0, 0, 0, 0, 0.5667149535193777, -3.0689499459498917, 2.38466765651207, 2.117034582445028,
+      -0.871391583777973, 2.2404374302607883, 0.6315787787694688, -0.08899033645133331, 18.148505520854727,
+      -9.194632392478356, -4.436036387594894},
+     {10.427508642579134, 0, 0, 0, 0, 242.28349177525817, 165.20045171727028, -374.5467547226902, -22.113666853125306,
+      7.733432668472264, -30.674084731089398, -9.332130526430229, 15.697238121770845, -31.139403219565178,
+      -9.35292435884448, 35.81684148639408},
+     {19.985053242002433, 0, 0, 0, 0, -387.0373087493518, -189.17813819516758, 527.8081592054236, -11.57390253995963,
+      6.8812326946963, -1.0006050966910838, 0.7777137798053443, -2.778205752353508, -60.19669523126412,
+      84.32040550667716, 11.99229113618279},
+     {-25.69393346270375, 0, 0, 0, 0, -154.18974869023643, -231.5293791760455, 357.6391179106141, 93.40532418362432,
+      -37.45832313645163, 104.0996495089623, 29.8402934266605, -43.53345659001114, 96.32455395918828,
+      -39.17726167561544, -149.72683625798564}}};
+inline constexpr std::array<std::array<double, 16>, 16> dop853_A = {
+    {{},
+     {0.05260015195876773},
+     {0.0197250569845379, 0.0591751709536137},
+     {0.02958758547680685, 0, 0.08876275643042054},
+     {0.2413651341592667, 0, -0.8845494793282861, 0.924834003261792},
+     {0.037037037037037035, 0, 0, 0.17082860872947386, 0.12546768756682242},
+     {0.037109375, 0, 0, 0.17025221101954405, 0.06021653898045596, -0.017578125},
+     {0.03709200011850479, 0, 0, 0.17038392571223998, 0.10726203044637328, -0.015319437748624402, 0.008273789163814023},
+     {0.6241109587160757, 0, 0, -3.3608926294469414, -0.868219346841726, 27.59209969944671, 20.154067550477894,
+      -43.48988418106996},
+     {0.47766253643826434, 0, 0, -2.4881146199716677, -0.590290826836843, 21.230051448181193, 15.279233632882423,
+      -33.28821096898486, -0.020331201708508627},
+     {-0.9371424300859873, 0, 0, 5.186372428844064, 1.0914373489967295, -8.149787010746927, -18.52006565999696,
+      22.739487099350505, 2.4936055526796523, -3.0467644718982196},
+     {2.273310147516538, 0, 0, -10.53449546673725, -2.0008720582248625, -17.9589318631188, 27.94888452941996,
+      -2.8589982771350235, -8.87285693353063, 12.360567175794303, 0.6433927460157636},
+     {0.054293734116568765, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585, 0.3111643669578199,
+      -0.1521609496625161, 0.20136540080403034, 0.04471061572777259},
+     {0.056167502283047954, 0, 0, 0, 0, 0, 0.25350021021662483, -0.2462390374708025, -0.12419142326381637,
+      0.15329179827876568, 0.00820105229563469, 0.007567897660545699, -0.008298},
+     {0.03183464816350214, 0, 0, 0, 0, 0.028300909672366776, 0.053541988307438566, -0.05492374857139099, 0, 0,
+      -0.00010834732869724932, 0.0003825710908356584, -0.00034046500868740456, 0.1413124436746325},
+     {-0.42889630158379194, 0, 0, 0, 0, -4.697621415361164, 7.683421196062599, 4.06898981839711, 0.3567271874552811, 0,
+      0, 0, -0.0013990241651590145, 2.9475147891527724, -9.15095847217987}}};
+
+}  // namespace detail
+
+/// Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer 1993, ch. II.5 and II.10: the
+/// pair of DOP853, after Dormand & Prince, with two lower formulas, and an extension of order 7 that takes three more
+/// stages. (200 order conditions are many for a compiler: they are checked by the tests.)
+inline constexpr Tableau<13, 7, 3> dop853{
+    .order = 8,
+    .error_order = 5,
+    .crude_order = 3,
+    .extension_order = 7,
+    .floor = 1. / 3,
+    .c = {0, 0.05260015195876773, 0.0789002279381516, 0.1183503419072274, 0.2816496580927726, 0.3333333333333333, 0.25,
+          0.3076923076923077, 0.6512820512820513, 0.6, 0.8571428571428571, 1, 1, 0.1, 0.2, 0.7777777777777778},
+    .A = detail::dop853_A,
+    .E = {0.01312004499419488, 0, 0, 0, 0, -1.2251564463762044, -0.4957589496572502, 1.6643771824549864,
+          -0.35032884874997366, 0.3341791187130175, 0.08192320648511571, -0.022355307863886294},
+    .crude = {-0.18980075407240762, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
+              -0.4226823213237919, -0.1521609496625161, 0.20136540080403034, 0.02265179219836082},
+    .B = detail::dop853_extension(detail::dop853_A[12], detail::dop853_D),
+};
 
 }  // namespace invariode

@@ -161,7 +161,8 @@ def test_registry():
         assert getattr(iv, name)(decay, (0, 1), [1, 2]).success
         sol = iv.solve_ivp(decay, (0, 1), [1, 2], name)
         if method.stages:
-            assert sol.nfev == 1 + method.stages * (sol.stats.steps + sol.stats.failed)
+            spared = sol.stats.failed if name == "dop853" else 0  # its last stage waits for the accepted value
+            assert sol.nfev == 1 + method.stages * (sol.stats.steps + sol.stats.failed) - spared
         assert method.min_order <= sol.steps.order.min() <= sol.steps.order.max() <= method.order
     with pytest.raises(TypeError):
         iv.METHODS["new"] = None

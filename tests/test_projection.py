@@ -25,13 +25,14 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_jacobian_gives_the_same_run(method, problem, kind):
-    given = problem.solve(method)
+    rtol = 1e-6 if method == "dop853" else 1e-3  # its long steps at 1e-3 magnify roundoff
+    given = problem.solve(method, rtol=rtol)
     invariants = iv.Invariants(problem.g, kind, problem.value)
     if kind == "complex-step" and "hypot" in problem.g.__code__.co_names:  # which takes no complex numbers
         with pytest.raises(TypeError):
             iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, invariants=invariants)
         return
-    differences = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, invariants=invariants)
+    differences = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, invariants=invariants, rtol=rtol)
     assert (given.stats.steps, given.stats.failed) == (differences.stats.steps, differences.stats.failed)
     assert given.stats.derivatives == "given"
     assert given.stats.ngdiff == 0 < differences.stats.ngdiff < differences.stats.ng

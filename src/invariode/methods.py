@@ -25,7 +25,8 @@ class Method:
     extension_order : int
         Order of the continuous extension, of the formula of highest order.
     stages : int or None
-        Evaluations of f per attempted step of a Runge-Kutta pair; None where they are not a fixed number.
+        Evaluations of f per step of a Runge-Kutta pair; None where they are not a fixed number. A failed attempt of
+        dop853 takes one less, and output or events inside a step take 3 more of it.
     iterations : int
         Projection iterations per step when invariants are imposed (paper, section 4).
     refine : int
@@ -93,6 +94,20 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 options=("fsal",),
             ),
             Method(
+                name="dop853",
+                family="explicit Runge-Kutta pair",
+                min_order=8,
+                order=8,
+                extension_order=7,
+                stages=12,
+                iterations=2,
+                refine=1,
+                scipy_name="DOP853",
+                source="E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., "
+                "Springer, Berlin, 1993, sections II.5 and II.10; not of the MATLAB ODE Suite",
+                options=(),
+            ),
+            Method(
                 name="ode113",
                 family="Adams PECE, variable order",
                 min_order=1,
@@ -127,7 +142,6 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 
 #: What to use instead of the methods of SciPy that have no counterpart here.
 _INSTEAD = {
-    "DOP853": "use method='ode113' for smooth problems at high accuracy, or 'ode45'",
     "Radau": "use method='ode15s' for stiff problems and index-1 algebraic equations",
     "LSODA": "use method='ode15s' if the problem is stiff, 'ode113' if it is not",
 }

@@ -12,7 +12,7 @@ from .methods import find_method
 from .problem import Problem, warn_unused
 from .solution import Solution
 
-__all__ = ["ode15s", "ode23", "ode45", "ode113", "solve_ivp"]
+__all__ = ["dop853", "ode15s", "ode23", "ode45", "ode113", "solve_ivp"]
 
 
 def solve_ivp(
@@ -167,6 +167,11 @@ def ode45(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **opt
     if options.get("t_eval") is None and options.get("save", "all") == "all":
         options.setdefault("refine", 4)
     return solve_ivp(fun, t_span, y0, "ode45", **options)
+
+
+def dop853(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+    """`solve_ivp` with the eighth-order pair DOP853, for tight tolerances and cheap f. Options as there."""
+    return solve_ivp(fun, t_span, y0, "dop853", **options)
 
 
 def ode113(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:

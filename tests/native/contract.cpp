@@ -19,9 +19,9 @@ struct Snapshot {
   bool operator==(const Snapshot& other) const { return t == other.t && same_bits(y, other.y); }
 };
 
-std::vector<double> extension_of(const Step& step) {
+std::vector<double> extension_of(Step& step) {
   std::vector<double> data(step.extension_size());
-  step.extension(data.data());
+  CHECK(step.extension(data.data()) == Status::ok);
   return data;
 }
 
@@ -125,7 +125,7 @@ TEST(a_retry_with_the_same_h_gives_bitwise_the_same_step) {
 }
 
 TEST(after_a_projection_the_next_step_starts_with_the_slope_that_fsal_says) {
-  for (const Method& method : pairs)
+  for (const Method& method : fsal_pairs)
     for (const Fsal fsal : {Fsal::reuse, Fsal::evaluate}) {
       const check::Case label(method.name, fsal == Fsal::reuse ? ", reuse" : ", evaluate");
       Bench bench(method, fsal);
@@ -136,11 +136,12 @@ TEST(after_a_projection_the_next_step_starts_with_the_slope_that_fsal_says) {
       const std::int64_t calls = bench.callback.calls();
       CHECK(bench.step->accept(bench.candidate(h).data()) == Outcome::ok);  // not projected: nothing to evaluate
       CHECK(bench.callback.calls() - calls == (method.order == 3 ? 3 : 6));
-      // The coefficient of θ in the extension is h k₁.
+      // The derivative of the extension at 0, the sum of its first two coefficients, is h k₁.
       const std::vector<double> data = extension_of(*bench.step);
       double slope[4];
       bench.problem.f(h, fsal == Fsal::reuse ? candidate.data() : y1.data(), slope);
-      for (int i = 0; i < 4; ++i) CHECK_CLOSE(data[4 + i], h * slope[i], 8 * eps * h * std::abs(slope[i]));
+      for (int i = 0; i < 4; ++i)
+        CHECK_CLOSE(data[4 + i] + data[8 + i], h * slope[i], 100 * eps * h * std::abs(slope[i]));
     }
 }
 
@@ -172,7 +173,7 @@ TEST(an_accept_that_fails_commits_nothing) {
 }
 
 TEST(an_accept_that_fails_is_retried_with_a_smaller_step_and_names_the_component) {
-  for (const Method& method : std::span(methods, 3))
+  for (const Method& method : explicit_methods)
     for (const double size : {h, h / 50}) {  // with an error that is close to the tolerance, and one far below
       const check::Case label(method.name, ", h ", size);
       Bench bench(method, Fsal::evaluate, 1e-3);
@@ -193,7 +194,7 @@ TEST(a_value_of_f_that_is_not_finite_fails_the_attempt_whichever_stage_it_is) {
       const std::int64_t before = counter.callback.calls();
       (void)counter.attempt(h);
       const std::int64_t stages = counter.callback.calls() - before;
-      CHECK(stages == (method.order == 3 ? 3 : 6));
+      CHECK(stages == (method.order == 3 ? 3 : method.order == 5 ? 6 : 11));
       for (std::int64_t k = 0; k < stages; ++k) {
         const check::Case label(method.name, ", stage ", k + 1, " is ", bad);
         Bench bench(method);

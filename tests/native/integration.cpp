@@ -33,7 +33,7 @@ TEST(the_end_is_assigned_and_not_added) {
 
 TEST(backwards_is_the_mirror_image_of_forwards) {
   // (Not with difference Jacobians: their increments go the way of f.)
-  for (const Method& method : std::span(methods, 3)) {
+  for (const Method& method : explicit_methods) {
     const check::Case label(method.name);
     Problem mirrored = kepler(0.5, -10);
     const Function f = mirrored.f;
@@ -64,7 +64,7 @@ TEST(no_step_is_longer_than_hmax_but_the_last_which_may_stretch) {
 
 TEST(a_failed_attempt_is_retried_inside_hmax_and_the_interval) {
   // f is undefined once, at the projected value of an accepted step. (An implicit method does not ask there.)
-  for (const Method& method : std::span(methods, 3)) {
+  for (const Method& method : explicit_methods) {
     const check::Case label(method.name);
     Problem problem = harmonic();
     bool spoilt = false;
@@ -258,7 +258,7 @@ TEST(pure_relative_control_at_zero_is_named_as_the_reason) {
 }
 
 TEST(the_counts_are_those_of_the_calls) {
-  for (const Method& method : pairs) {
+  for (const Method& method : fsal_pairs) {
     const int stages = method.order == 3 ? 3 : 6;
     Run plain(method, without_invariants(lotka_volterra())), projected(method, lotka_volterra()),
         evaluated(method, lotka_volterra(), {.fsal = Fsal::evaluate});
@@ -270,6 +270,42 @@ TEST(the_counts_are_those_of_the_calls) {
     }
     CHECK(plain->counts().projections == 0);
     CHECK(projected->counts().projections == projected->counts().steps);
+  }
+}
+
+TEST(a_pair_whose_last_stage_waits_for_y1_evaluates_it_once_per_step_and_its_extension_only_when_asked) {
+  for (const Problem& problem : {without_invariants(lotka_volterra()), lotka_volterra()}) {
+    Run plain(dop, problem), looked_into(dop, problem, {.settings = {.refine = 2}});
+    for (Run* run : {&plain, &looked_into}) {
+      CHECK(run->run() == State::reached_end);
+      const Counts& counts = (*run)->counts();
+      CHECK(counts.failed > 0);
+      const int in_extension = run == &looked_into ? 3 : 0;
+      CHECK(run->f.calls() == 1 + 11 * (counts.steps + counts.failed) + (1 + in_extension) * counts.steps);
+    }
+    CHECK(same_bits({plain.last(), plain.last() + 2}, {looked_into.last(), looked_into.last() + 2}));
+  }
+}
+
+TEST(where_f_is_not_defined_at_a_stage_of_the_extension_the_cubic_takes_its_place) {
+  // NaN at the times of the three further stages only
+  Problem problem = harmonic();
+  const Function f = problem.f;
+  int calls = 0;
+  problem.f = [&](double t, const double* y, double* out) {
+    f(t, y, out);
+    if (++calls > 13) out[0] = NaN;
+  };
+  Run run(dop, problem, {.settings = {.first_step = 0.1}});
+  CHECK(run.start() == State::running);
+  CHECK(run->advance() == State::running);
+  Step& step = const_cast<Step&>(run->step());
+  std::vector<double> data(step.extension_size()), y(2), start(2), exact(2);
+  CHECK(step.extension(data.data()) == Status::ok);
+  for (const double theta : {0.0, 0.5, 1.0}) {
+    step.interpolate()(data.data(), data.size(), 2, theta, y.data());
+    problem.solution(0.1 * theta, nullptr, exact.data());
+    CHECK_CLOSE(distance(y.data(), exact.data(), 2), 0, theta == 0.5 ? 1e-6 : 1e-12);
   }
 }
 

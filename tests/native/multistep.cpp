@@ -266,7 +266,7 @@ TEST(an_ndf_step_stores_differences_of_the_projected_solution) {
     for (double& y : y1) y += 1e-5;
     CHECK(step->accept(y1.data()) == Outcome::ok);
     std::vector<double> data(step->extension_size()), y(4);
-    step->extension(data.data());
+    CHECK(step->extension(data.data()) == Status::ok);
     step->interpolate()(data.data(), data.size(), 4, 0, y.data());
     CHECK_CLOSE(distance(y.data(), before.data(), 4), 0, 100 * eps);
     step->interpolate()(data.data(), data.size(), 4, 1, y.data());

@@ -235,14 +235,19 @@ inline std::unique_ptr<Step> ode113_step(Callback& f, const Weights& weights, Fs
 inline std::unique_ptr<Step> ode15s_step(Callback& f, const Weights& weights, Fsal) {
   return std::make_unique<Ndf>(f, weights, differences(weights), nullptr, Ndf::Options{.renew_on_error = true});
 }
-/// The codes of the suite; the first two are Runge-Kutta pairs, of one order each.
+inline std::unique_ptr<Step> eighth_step(Callback& f, const Weights& weights, Fsal) { return dop853_step(f, weights); }
+/// First the Runge-Kutta pairs, of one order each; the last stage of the first two is part of their error estimate.
 inline const Method methods[] = {{"ode23", ode23_step, 3, 3, 1},
                                  {"ode45", ode45_step, 5, 4, 2},
+                                 {"dop853", eighth_step, 8, 7, 2},
                                  {"ode113", ode113_step, 12, 12, 1},
                                  {"ode15s", ode15s_step, 5, 5, 1}};
-inline const std::span pairs(methods, 2);
-inline const Method& adams = methods[2];
-inline const Method& ndf = methods[3];
+inline const std::span pairs(methods, 3);
+inline const std::span fsal_pairs(methods, 2);
+inline const std::span explicit_methods(methods, 4);
+inline const Method& dop = methods[2];
+inline const Method& adams = methods[3];
+inline const Method& ndf = methods[4];
 
 struct Options {
   double rtol = 1e-3;
