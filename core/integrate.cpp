@@ -255,11 +255,11 @@ State Integration::finish_step() {
     }
   }
   if (settings_.save_all) {
-    steps.t.push_back(t);
-    steps.h.push_back(t - t0_);
-    steps.order.push_back(step_->order());
-    steps.error.push_back(error_ / weights_.rtol());
-    steps.correction.push_back(correction_ / weights_.rtol());
+    steps.push_back({.t = t,
+                     .h = t - t0_,
+                     .order = static_cast<double>(step_->order()),
+                     .error = error_ / weights_.rtol(),
+                     .correction = correction_ / weights_.rtol()});
   }
   if (dense) {
     const Segment segment = interpolant_.segment();

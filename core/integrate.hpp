@@ -109,7 +109,7 @@ class Integration {
   /// The results, to be moved out when the run has ended.
   Trajectory points;
   std::vector<Trajectory> occurrences;  ///< of each event
-  StepRecord steps;
+  Buffer<AcceptedStep> steps;
   std::optional<DenseOutput> dense;
   Drift drift;
   std::vector<Jump> jumps;

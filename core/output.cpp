@@ -15,13 +15,13 @@ void DenseOutput::start(double t, const double* y) {
 void DenseOutput::add(const Segment& segment, double t, const double* y) {
   end_.push_back(segment.t1);
   offset_.push_back(data_.size());
-  data_.insert(data_.end(), segment.data, segment.data + segment.size);
+  data_.append(segment.data, segment.size);
   knots_.add(t, y, n_);
 }
 
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
   Interpolant interpolant(n_, m_, mode_, raw_, projector);
-  const std::vector<double>& knots = knots_.t;
+  const Buffer<double>& knots = knots_.t;
   const double forward = knots.back() >= knots.front() ? 1 : -1;
   for (std::size_t p = 0; p < count; ++p, out += n_) {
     const double* y = knots_.y.data();

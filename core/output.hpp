@@ -2,21 +2,21 @@
 // What a run keeps: points, the record of its steps, the continuous solution.
 
 #include <cstddef>
-#include <cstdint>
 #include <vector>
 
+#include "buffer.hpp"
 #include "interpolant.hpp"
 
 namespace invariode {
 
 /// Points (t, y), one after the other.
 struct Trajectory {
-  std::vector<double> t;
-  std::vector<double> y;
+  Buffer<double> t;
+  Buffer<double> y;
 
   void add(double at, const double* point, std::size_t n) {
     t.push_back(at);
-    y.insert(y.end(), point, point + n);
+    y.append(point, n);
   }
   void clear() {
     t.clear();
@@ -24,10 +24,9 @@ struct Trajectory {
   }
 };
 
-/// The accepted steps: where each ended, its signed size, order, error and correction, both in units of rtol.
-struct StepRecord {
-  std::vector<double> t, h, error, correction;
-  std::vector<std::int32_t> order;
+/// An accepted step: where it ended, its signed size, order, error and correction, both in units of rtol.
+struct AcceptedStep {
+  double t, h, order, error, correction;
 };
 
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
@@ -43,7 +42,7 @@ class DenseOutput {
 
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
-  [[nodiscard]] const std::vector<double>& knots() const { return knots_.t; }
+  [[nodiscard]] const Buffer<double>& knots() const { return knots_.t; }
 
   /// y at `count` times into out (count, n): the stored value at a knot, else the segment's; before the first and after
   /// the last knot their segments are extrapolated. Where the mode projects, `projector` does it.
@@ -56,7 +55,7 @@ class DenseOutput {
   Trajectory knots_;
   std::vector<double> end_;          // t1 of each segment
   std::vector<std::size_t> offset_;  // of its data
-  std::vector<double> data_;
+  Buffer<double> data_;
 };
 
 }  // namespace invariode

@@ -134,13 +134,15 @@ def tolerance(name: str, value: ArrayLike, n: int) -> Array:
 
 def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, Array, Array | None]:
     """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y ('Tolerances')."""
+    pairs = 2 if y.dtype.kind == "c" else 1
+    if type(rtol) is float and type(atol) is float and 100 * EPS <= rtol < math.inf and 0 <= atol < math.inf:
+        return rtol, np.full(pairs * len(y), atol / rtol), None  # the common case, without arrays of one number
     relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
     least = 100 * EPS
     if (relative < least).any():
         warn(f"rtol is too small: raised to {least:.3g} (100 units of roundoff)")
         relative = np.maximum(relative, least)
     smallest = float(relative.min()) if relative.size else 1e-3
-    pairs = 2 if np.iscomplexobj(y) else 1
     threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)
     scale = np.repeat(relative / smallest, pairs) if relative.ndim == 1 and (relative != smallest).any() else None
     return smallest, threshold, scale

@@ -502,6 +502,13 @@ Array to_array(std::vector<T>&& values, Size... shape) {
   return Array(owner->data(), {static_cast<std::size_t>(shape)...}, free);
 }
 
+template <class Array, class T, class... Size>
+Array to_array(Buffer<T>&& values, Size... shape) {
+  void* block = values.release();
+  const nb::capsule free(block, [](void* p) noexcept { std::free(p); });
+  return Array(block, {static_cast<std::size_t>(shape)...}, free);
+}
+
 const char* name_of(State state) {
   switch (state) {
     case State::created: return "created";
@@ -684,7 +691,7 @@ struct Run {
   std::size_t n;
   Trajectory points;
   std::vector<Trajectory> occurrences;
-  StepRecord record;
+  Buffer<AcceptedStep> record;
   Drift drift;
   std::vector<Jump> jumps;
   std::optional<Dense> dense;
@@ -968,7 +975,8 @@ NB_MODULE(_core, module) {
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::kw_only(), nb::arg("invariants"), nb::arg("value"),
            nb::arg("args"), nb::arg("parameters"), "y at each t: (len(t), n).")
       .def("knots", [](const Dense& d) {
-        return to_array<Vector>(std::vector<double>(d.output.knots()), d.output.knots().size());
+        const Buffer<double>& knots = d.output.knots();
+        return to_array<Vector>(std::vector<double>(knots), knots.size());
       });
 
   nb::class_<Native>(module, "Native", "Machine code of the user, and what keeps it alive.")
@@ -1005,7 +1013,6 @@ NB_MODULE(_core, module) {
           "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },
           "Number of algebraic equations: the dimension of the left null space of M.");
 
-  using Integers = nb::ndarray<std::int32_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
   nb::class_<Run>(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.")
       .def("take_points", [](Run& r) { return Run::arrays(std::move(r.points), r.n); })
       .def("take_events",
@@ -1016,12 +1023,9 @@ NB_MODULE(_core, module) {
            })
       .def("take_steps",
            [](Run& r) {
-             StepRecord& s = r.record;
-             const std::size_t size = s.t.size();
-             return std::make_tuple(to_array<Vector>(std::move(s.t), size), to_array<Vector>(std::move(s.h), size),
-                                    to_array<Integers>(std::move(s.order), size),
-                                    to_array<Vector>(std::move(s.error), size),
-                                    to_array<Vector>(std::move(s.correction), size));
+             constexpr std::size_t columns = sizeof(AcceptedStep) / sizeof(double);
+             const std::size_t rows = r.record.size();
+             return to_array<Table>(std::move(r.record), rows, columns);
            })
       .def("take_drift",
            [](Run& r) {

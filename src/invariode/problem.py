@@ -280,8 +280,8 @@ class Problem:
     ) -> Solution:
         dtype = self.y0.dtype
         status, message = status_and_message(run, names, demanded, rmin, dtype.kind == "c")
-        forward = 1.0 if self.t_span[1] >= self.t_span[0] else -1.0
-        bound = replace(bound, jumps=tuple(run.take_jumps()), forward=forward)
+        if jumps := run.take_jumps():
+            bound = replace(bound, jumps=tuple(jumps), forward=1.0 if self.t_span[1] >= self.t_span[0] else -1.0)
         dense = run.take_dense()
         t, rows = run.take_points()
         happened = run.take_events()
@@ -313,7 +313,7 @@ class Problem:
                 derivatives=" and ".join(sorted(set(run.derivatives))) or None,
                 projected_start=run.projected_start or moved,
             ),
-            steps=Steps(*run.take_steps()) if keep_steps else None,
+            steps=Steps(run.take_steps()) if keep_steps else None,
             _invariants=bound,
             _drift=run.take_drift(),
             _rtol=rtol,

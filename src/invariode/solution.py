@@ -80,7 +80,6 @@ class Stats(Record):
     projected_start: bool
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Steps(Record):
     """The accepted steps, arrays of one value each.
 
@@ -94,14 +93,34 @@ class Steps(Record):
         The estimated error and the size of the correction by projection, max_i |·|_i / w_i, in units of rtol.
     """
 
-    t: Array
-    h: Array
-    order: Array
-    error: Array
-    correction: Array
+    def __init__(self, rows: Array) -> None:
+        self._rows = rows  # (n_steps, 5)
+
+    @cached_property
+    def t(self) -> Array:
+        return self._rows[:, 0].copy()
+
+    @cached_property
+    def h(self) -> Array:
+        return self._rows[:, 1].copy()
+
+    @cached_property
+    def order(self) -> Array:
+        return self._rows[:, 2].astype(np.int32)
+
+    @cached_property
+    def error(self) -> Array:
+        return self._rows[:, 3].copy()
+
+    @cached_property
+    def correction(self) -> Array:
+        return self._rows[:, 4].copy()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(("t", "h", "order", "error", "correction"))
 
     def __repr__(self) -> str:
-        return f"Steps({len(self.t)} steps)"
+        return f"Steps({len(self._rows)} steps)"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

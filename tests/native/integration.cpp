@@ -15,9 +15,9 @@ TEST(the_end_is_reached_exactly) {
       const check::Case label(method.name, ", tf ", tf);
       Run run(method, scalar("decay", 1, tf, [](double t, const double*, double* out) { out[0] = std::cos(t); }));
       CHECK(run.run() == State::reached_end);
-      CHECK(run->points.t.back() == tf && run->steps.t.back() == tf && run->step().t() == tf);
-      CHECK(run->points.t.front() == 0 && run->points.t.size() == run->steps.t.size() + 1);
-      CHECK(static_cast<std::int64_t>(run->steps.t.size()) == run->counts().steps);
+      CHECK(run->points.t.back() == tf && run->steps.back().t == tf && run->step().t() == tf);
+      CHECK(run->points.t.front() == 0 && run->points.t.size() == run->steps.size() + 1);
+      CHECK(static_cast<std::int64_t>(run->steps.size()) == run->counts().steps);
     }
 }
 
@@ -55,7 +55,8 @@ TEST(no_step_is_longer_than_hmax_but_the_last_which_may_stretch) {
     for (const double hmax : {0.5, 0.03}) {
       Run run(method, harmonic(), {.settings = {.tf = 10.01, .hmax = hmax, .first_step = 100}});
       CHECK(run.run() == State::reached_end);
-      std::vector<double>& h = run->steps.h;
+      std::vector<double> h;
+      for (const AcceptedStep& step : run->steps) h.push_back(step.h);
       CHECK(h.back() <= 1.1 * hmax);
       h.pop_back();
       CHECK(*std::max_element(h.begin(), h.end()) <= hmax * (1 + 1e-12));  // as t₁ − t
@@ -83,7 +84,7 @@ TEST(a_failed_attempt_is_retried_inside_hmax_and_the_interval) {
     CHECK(run->state() == State::reached_end);
     CHECK(spoilt && run->counts().failed == 1);
     CHECK(latest <= 2);
-    for (const double size : run->steps.h) CHECK(size <= 1.1 * 0.05);
+    for (const AcceptedStep& step : run->steps) CHECK(step.h <= 1.1 * 0.05);
   }
 }
 
@@ -91,7 +92,7 @@ TEST(a_first_step_that_is_given_is_taken) {
   for (const Method& method : methods) {
     Run run(method, harmonic(), {.settings = {.first_step = 0.001}});
     CHECK(run.run() == State::reached_end);
-    CHECK(run->steps.h.front() == 0.001);
+    CHECK(run->steps.front().h == 0.001);
   }
 }
 
@@ -152,12 +153,12 @@ TEST(output_does_not_change_the_integration) {
     Run plain(method, pendulum()), refined(method, pendulum(), {.settings = {.refine = 7}}),
         end(method, pendulum(), {.settings = {.save_all = false}});
     for (Run* run : {&plain, &refined, &end}) CHECK(run->run() == State::reached_end);
-    const std::size_t steps = plain->steps.t.size();
+    const std::size_t steps = plain->steps.size();
     CHECK(plain->points.t.size() == steps + 1);
     CHECK(refined->points.t.size() == 7 * steps + 1);
     CHECK(std::is_sorted(refined->points.t.begin(), refined->points.t.end()));
     for (std::size_t k = 0; k <= steps; ++k) CHECK(plain->points.t[k] == refined->points.t[7 * k]);
-    CHECK(end->points.t.size() == 1 && end->points.t[0] == 50 && end->steps.t.empty());
+    CHECK(end->points.t.size() == 1 && end->points.t[0] == 50 && end->steps.empty());
     for (Run* run : {&refined, &end}) CHECK(same_bits(plain.last(), run->last(), 4));
   }
 }
@@ -182,7 +183,8 @@ TEST(the_callback_sees_every_step_and_can_stop) {
     };
     Run run(method, harmonic(), {.callback = as_callback(callback)});
     CHECK(run.run() == State::stopped_by_callback);
-    CHECK(seen == run->steps.t && seen.size() == 5);
+    CHECK(seen.size() == 5 && run->steps.size() == 5);
+    for (std::size_t k = 0; k < seen.size(); ++k) CHECK(seen[k] == run->steps[k].t);
     CHECK(run->points.t.back() == seen.back());
   }
 }

@@ -46,7 +46,7 @@ TEST(at_the_steps_the_stored_values_are_returned) {
   for_runs({modes[0], modes[1], modes[2]}, [](Run& run) {
     Dense dense(run);
     const std::vector<double>& knots = run->dense->knots();
-    CHECK(knots.size() == run->steps.t.size() + 1);
+    CHECK(knots.size() == run->steps.size() + 1);
     for (std::size_t k = 0; k < knots.size(); ++k) {
       CHECK(knots[k] == run->points.t[4 * k]);  // refine = 4
       CHECK(same_bits(dense(knots[k]).data(), &run->points.y[4 * k * run.n()], run.n()));

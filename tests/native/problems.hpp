@@ -218,6 +218,10 @@ inline Problem without_invariants(Problem problem) {
 
 // -------------------------------------------------------------------------------------------------- methods and runs
 
+inline bool operator==(const Buffer<double>& a, const std::vector<double>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end());
+}
+
 struct Method {
   const char* name;
   std::unique_ptr<Step> (*make)(Callback& f, const Weights& weights, Fsal fsal);

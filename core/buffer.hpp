@@ -1,0 +1,91 @@
+#pragma once
+// A growing array for output. Large blocks grow where they are, or by moving pages: a std::vector would copy them and
+// touch new memory each time, which costs as much as the steps that fill it.
+
+#include <cstddef>
+#include <cstdlib>
+#include <cstring>
+#include <new>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+namespace invariode {
+
+template <class T>
+class Buffer {
+  static_assert(std::is_trivially_copyable_v<T>);
+
+ public:
+  Buffer() = default;
+  Buffer(const Buffer&) = delete;
+  Buffer& operator=(const Buffer&) = delete;
+  Buffer(Buffer&& other) noexcept { swap(other); }
+  Buffer& operator=(Buffer&& other) noexcept {
+    swap(other);
+    return *this;
+  }
+  ~Buffer() { std::free(data_); }
+
+  void push_back(const T& value) {
+    if (size_ == capacity_) {
+      const T copy = value;  // which may be one of ours
+      grow(size_ + 1);
+      data_[size_++] = copy;
+    } else {
+      data_[size_++] = value;
+    }
+  }
+  void append(const T* values, std::size_t count) {
+    if (count == 0) return;
+    if (size_ + count > capacity_) grow(size_ + count);
+    std::memcpy(data_ + size_, values, count * sizeof(T));
+    size_ += count;
+  }
+  void reserve(std::size_t capacity) {
+    if (capacity > capacity_) resize_block(capacity);
+  }
+  void clear() { size_ = 0; }
+
+  [[nodiscard]] std::size_t size() const { return size_; }
+  [[nodiscard]] bool empty() const { return size_ == 0; }
+  [[nodiscard]] T* data() { return data_; }
+  [[nodiscard]] const T* data() const { return data_; }
+  [[nodiscard]] const T* begin() const { return data_; }
+  [[nodiscard]] const T* end() const { return data_ + size_; }
+  [[nodiscard]] const T& front() const { return data_[0]; }
+  [[nodiscard]] const T& back() const { return data_[size_ - 1]; }
+  [[nodiscard]] const T& operator[](std::size_t i) const { return data_[i]; }
+
+  operator std::vector<T>() const { return {begin(), end()}; }  // a copy
+
+  /// Gives the values away, in a block of their size that is to be returned with std::free.
+  [[nodiscard]] T* release() {
+    if (size_ < capacity_ && size_ > 0) resize_block(size_);
+    size_ = capacity_ = 0;
+    return std::exchange(data_, nullptr);
+  }
+
+ private:
+  void grow(std::size_t least) {
+    constexpr std::size_t smallest = 64;
+    std::size_t capacity = capacity_ < smallest ? smallest : 2 * capacity_;
+    resize_block(capacity < least ? least : capacity);
+  }
+  void resize_block(std::size_t capacity) {
+    void* block = std::realloc(data_, capacity * sizeof(T));
+    if (block == nullptr) throw std::bad_alloc();
+    data_ = static_cast<T*>(block);
+    capacity_ = capacity;
+  }
+  void swap(Buffer& other) noexcept {
+    std::swap(data_, other.data_);
+    std::swap(size_, other.size_);
+    std::swap(capacity_, other.capacity_);
+  }
+
+  T* data_ = nullptr;
+  std::size_t size_ = 0, capacity_ = 0;
+};
+
+}  // namespace invariode

@@ -1,0 +1,263 @@
+#pragma once
+// The step of all explicit Runge-Kutta pairs.
+
+#include <array>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "runge_kutta.hpp"
+
+namespace invariode::runge_kutta {
+
+inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
+inline constexpr double largest_growth = 5;  // of h after a success
+
+/// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
+inline void nested(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+  const double* c = data + (size - n);
+  std::copy(c, c + n, out);
+  for (std::size_t j = size / n - 1; j-- > 0;) {
+    const double factor = j % 2 == 1 ? 1 - theta : theta;
+    c -= n;
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
+  }
+}
+
+/// The pair T. `Few`: compiled for few equations, without vector instructions, by core/runge_kutta_few.cpp.
+template <const auto& T, bool Few>
+class Pair final : public Step {
+  static constexpr std::size_t stages = T.stages;
+  static constexpr std::size_t last = stages - 1;
+  static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
+  static constexpr bool last_in_error = T.E[last] != 0;        // else it is evaluated once y₁ is known
+
+ public:
+  Pair(Callback& f, const Weights& weights, Fsal fsal)
+      : Step(f, weights), fsal_(fsal), values_((T.all_stages + 4) * weights.size()) {
+    double* next = values_.data();
+    const auto take = [&next, this] { return std::exchange(next, next + n()); };
+    for (double*& k : k_) k = take();
+    start_ = take();
+    stage_ = take();
+    candidate_ = take();
+    reevaluated_ = take();
+  }
+
+  Outcome start(double t, const double* y, const Span& span) override {
+    t_ = t;
+    std::copy(y, y + n(), y_.data());
+    accepted_ = failed_ = false;
+    evaluated_ = 1;
+    if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
+    if (!all_finite(k_[0], n())) return Outcome::not_finite;
+    MaxNorm norm;
+    for (std::size_t i = 0; i < n(); ++i) norm.add(k_[0][i] / weights_.at(i, y[i]));
+    h_ = first_h(norm.value() / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    return Outcome::ok;
+  }
+
+  Attempt attempt(double h, double t1) override {
+    if (accepted_) advance_memory();
+    t1_ = t1;
+    h_ = std::abs(h);
+    purified_ = t1 - t_;
+    reevaluation_failed_ = false;
+    error_ = std::numeric_limits<double>::quiet_NaN();
+    Outcome outcome = inner_stages(h, std::make_index_sequence<last - 1>{});
+    if (outcome == Outcome::ok) {
+      form_candidate();
+      if constexpr (last_in_error) outcome = evaluate(t1, candidate_, last);
+    }
+    if (outcome == Outcome::ok) error_ = error_norm();
+    return {outcome, error_, candidate_};
+  }
+
+  bool reject(Cause cause, double hmin) override {
+    if (h_ <= hmin) return false;
+    double factor = 0.5;
+    if (!failed_ && cause == Cause::error)
+      factor = std::max(T.floor, safety * std::pow(weights_.rtol() / error_, exponent));
+    else if (!failed_ && cause == Cause::not_finite)
+      factor = T.floor;
+    h_ = std::max(hmin, h_ * factor);
+    failed_ = true;
+    return true;
+  }
+
+  Outcome accept(const double* y1) override {
+    projected_ = y1 != candidate_ && !std::equal(y1, y1 + n(), candidate_);
+    if constexpr (!last_in_error) {
+      const Outcome outcome = evaluate(t1_, y1, last);
+      if (outcome == Outcome::stop) return outcome;
+      if (outcome != Outcome::ok || !all_finite(k_[last], n())) return Outcome::not_finite;
+    } else if (projected_ && fsal_ == Fsal::evaluate) {
+      if (f_(t1_, y1, reevaluated_) == Status::stop) return Outcome::stop;
+      reevaluation_failed_ = !all_finite(reevaluated_, n());
+      if (reevaluation_failed_) return Outcome::not_finite;
+    }
+    std::copy(y_.begin(), y_.end(), start_);
+    std::copy(y1, y1 + n(), y_.begin());
+    t_ = t1_;
+    if (!failed_) {
+      const double tau = std::pow(error_ / weights_.rtol(), exponent) / safety;
+      h_ = tau > 1 / largest_growth ? h_ / tau : h_ * largest_growth;
+    }
+    failed_ = false;
+    accepted_ = true;
+    return Outcome::ok;
+  }
+
+  [[nodiscard]] Interpolate interpolate() const override { return nested; }
+  [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
+  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
+  [[nodiscard]] int degree() const override { return T.degree; }
+  Status extension(double* data) override {
+    bool finite = true;
+    for (std::size_t k = stages; k < T.all_stages; ++k)
+      if (extra_stage(k, finite) == Status::stop) return Status::stop;
+    data = std::copy(start_, start_ + n(), data);
+    if (finite)
+      coefficients(data, std::make_index_sequence<T.degree>{});
+    else
+      cubic(data);
+    return Status::ok;
+  }
+
+  [[nodiscard]] int order() const override { return T.order; }
+  [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
+  [[nodiscard]] int undefined_component() const override {
+    for (std::size_t i = 0; i < n(); ++i) {
+      bool finite = !reevaluation_failed_ || std::isfinite(reevaluated_[i]);
+      for (std::size_t k = 0; k < evaluated_; ++k) finite &= std::isfinite(k_[k][i]);
+      if (!finite) return static_cast<int>(i);
+    }
+    return -1;
+  }
+
+ private:
+  static constexpr double exponent = 1.0 / T.order;
+
+  /// The last stage of the accepted step is the first of the next one (FSAL).
+  void advance_memory() {
+    if (last_in_error && projected_ && fsal_ == Fsal::evaluate)
+      std::swap(k_[0], reevaluated_);
+    else
+      std::swap(k_[0], k_[last]);
+    accepted_ = false;
+  }
+
+  /// Σ_j w(j) k_j[i] over the stages j < Count whose weight, known at compile time, is not zero.
+  template <std::size_t Count, class W>
+  [[nodiscard]] double dot(W w, std::size_t i) const {
+    return [&]<std::size_t... J>(std::index_sequence<J...>) {
+      double sum = 0;
+      const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {
+        if constexpr (w(index) != 0) sum += w(index) * k_[j][i];
+      };
+      (add(std::integral_constant<std::size_t, J>{}), ...);
+      return sum;
+    }(std::make_index_sequence<Count>{});
+  }
+
+  /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later
+  /// one, and what the last stage got wrong in the error.
+  Outcome evaluate(double t, const double* y, std::size_t k) {
+    if (!all_finite(y, n())) return Outcome::not_finite;
+    evaluated_ = k + 1;
+    return f_(t, y, k_[k]) == Status::ok ? Outcome::ok : Outcome::stop;
+  }
+
+  /// Stages 1 … last − 1, formed with h as it is (docs/algorithms.md, 'Every method').
+  template <std::size_t... I>
+  Outcome inner_stages(double h, std::index_sequence<I...>) {
+    Outcome outcome = Outcome::ok;
+    ((outcome == Outcome::ok ? void(outcome = stage<I + 1>(h)) : void()), ...);
+    return outcome;
+  }
+
+  template <std::size_t I>
+  Outcome stage(double h) {
+    for (std::size_t i = 0; i < n(); ++i) stage_[i] = y_[i] + h * dot<I>([](auto j) { return T.A[I][j]; }, i);
+    return evaluate(t_ + T.c[I] * h, stage_, I);
+  }
+
+  /// A stage of the extension; its k may turn out not to be finite.
+  Status extra_stage(std::size_t k, bool& finite) {
+    const double h = purified_;
+    for (std::size_t i = 0; i < n(); ++i) {
+      double sum = 0;
+      for (std::size_t j = 0; j < k; ++j) sum += T.A[k][j] * k_[j][i];
+      stage_[i] = start_[i] + h * sum;
+    }
+    finite = finite && all_finite(stage_, n());
+    if (!finite) return Status::ok;
+    const Status status = f_(t1_ - (1 - T.c[k]) * h, stage_, k_[k]);
+    finite = all_finite(k_[k], n());
+    return status;
+  }
+
+  /// y* = y + (t₁ − t) Σ b_k k_k
+  void form_candidate() {
+    for (std::size_t i = 0; i < n(); ++i)
+      candidate_[i] = y_[i] + purified_ * dot<last>([](auto j) { return T.b()[j]; }, i);
+  }
+
+  /// |h| ‖Σ E_k k_k‖ with weights max(|y|, |y*|, thr)
+  [[nodiscard]] double error_norm() const {
+    MaxNorm norm, crude;
+    for (std::size_t i = 0; i < n(); ++i) {
+      const double w = weights_.at(i, y_[i], candidate_[i]);
+      norm.add(dot<stages>([](auto j) { return T.E[j]; }, i) / w);
+      if constexpr (T.crude_order > 0) crude.add(dot<stages>([](auto j) { return T.crude[j]; }, i) / w);
+    }
+    double error = norm.value();
+    if (T.crude_order > 0 && error > 0) error *= error / std::hypot(error, 0.1 * crude.value());
+    return std::abs(purified_) * error;
+  }
+
+  /// Coefficients of the continuous extension: (t₁ − t) Σ_k B_kj k_k
+  template <std::size_t... J>
+  void coefficients(double* data, std::index_sequence<J...>) const {
+    const auto fill = [&]<std::size_t J1>(std::integral_constant<std::size_t, J1>) {
+      for (std::size_t i = 0; i < n(); ++i)
+        data[J1 * n() + i] = purified_ * dot<T.all_stages>([](auto k) { return T.B[k][J1]; }, i);
+    };
+    (fill(std::integral_constant<std::size_t, J>{}), ...);
+  }
+
+  /// The cubic Hermite interpolant, where f is not defined at a stage of the extension.
+  void cubic(double* data) const {
+    std::fill(data, data + T.degree * n(), 0);
+    for (std::size_t i = 0; i < n(); ++i) {
+      const double rise = candidate_[i] - start_[i], k0 = purified_ * k_[0][i], k1 = purified_ * k_[last][i];
+      data[i] = rise;
+      data[n() + i] = k0 - rise;
+      data[2 * n() + i] = 2 * rise - k0 - k1;
+    }
+  }
+
+  Fsal fsal_;
+  std::vector<double> values_;
+  std::array<double*, T.all_stages> k_{};
+  double* start_ = nullptr;        // y at the start of the accepted step
+  double* stage_ = nullptr;        // argument of the stage in work
+  double* candidate_ = nullptr;    // y*
+  double* reevaluated_ = nullptr;  // f(t₁, y₁), with Fsal::evaluate
+  std::size_t evaluated_ = 0;      // stages of the last attempt that were evaluated
+  double t1_ = 0;
+  double error_ = 0;
+  double purified_ = 0;               // t₁ − t
+  bool reevaluation_failed_ = false;  // f(t₁, y₁) was not finite
+  bool failed_ = false;               // an attempt of this step failed
+  bool accepted_ = false;
+  bool projected_ = false;  // y₁ differs from y*
+};
+
+/// The pair T compiled for few equations, where vector instructions cost more than they gain: what f has just written
+/// one number at a time cannot be read two at a time before it has reached the cache (docs/benchmarks.md, 'Native
+/// functions').
+template <const auto& T>
+std::unique_ptr<Step> step_for_few(Callback& f, const Weights& weights, Fsal fsal);
+
+}  // namespace invariode::runge_kutta
