@@ -52,7 +52,8 @@ State Integration::refuse(const Finding& finding) {
 }
 
 State Integration::start(const double* y0) {
-  t0_ = report_.t = settings_.t0;
+  t0_ = report_.t = reached_t_ = settings_.t0;
+  reached_y_ = y0_.data();
   std::copy(y0, y0 + n_, y0_.begin());
   if (inspect_start(y0_.data()) != State::created) return state_;
   if (dense) dense->start(t0_, y0_.data());
@@ -64,6 +65,7 @@ State Integration::start(const double* y0) {
     case Events::Result::ok: break;
   }
   if (t0_ != settings_.tf && n_ > 0) return state_ = State::running;
+  reached_t_ = settings_.tf;
   if (settings_.save_all && !settings_.output_at_times) points.add(settings_.tf, y0_.data(), n_);
   return end(State::reached_end);  // nothing to integrate
 }
@@ -229,6 +231,7 @@ void Integration::explain_failure(Cause cause) {
 
 /// After the commitment: is the invariant one, what happened in the step, what is to be kept?
 State Integration::finish_step() {
+  reached_y_ = y0_.data();  // until events and guard have passed the step
   if (projector_) {
     for (std::size_t i = 0; i < drift.residual.size(); ++i) {
       drift.residual[i] = std::max(drift.residual[i], std::abs(projector_->residual_before()[i]));
@@ -254,7 +257,9 @@ State Integration::finish_step() {
       y = point_.data();
     }
   }
-  if (settings_.save_all) {
+  reached_t_ = t;
+  reached_y_ = y;
+  if (settings_.save_all && settings_.record) {
     steps.push_back({.t = t,
                      .h = t - t0_,
                      .order = static_cast<double>(step_->order()),
@@ -312,6 +317,7 @@ State Integration::jump(double t) {
     case Events::Result::ok: break;
   }
   t1_ = t;
+  reached_y_ = y0_.data();
   return emit(t, y0_.data());
 }
 

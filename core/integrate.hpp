@@ -30,6 +30,7 @@ struct Settings {
   Interpolation interpolation = Interpolation::projected;
   bool dense = false;
   bool save_all = true;   ///< false: the final point only
+  bool record = true;     ///< with save_all: the steps too
   bool check = true;      ///< the tests that may find an invariant to be none
   double negligible = 0;  ///< candidates so close to the manifold, in units of rtol, are not projected
 };
@@ -103,6 +104,9 @@ class Integration {
   [[nodiscard]] const Report& report() const { return report_; }
   [[nodiscard]] const Counts& counts() const { return counts_; }
   [[nodiscard]] const Step& step() const { return *step_; }
+  /// The point reached, which a terminal event moves back into the last step.
+  [[nodiscard]] double t() const { return reached_t_; }
+  [[nodiscard]] const double* y() const { return reached_y_; }
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
 
@@ -152,9 +156,11 @@ class Integration {
   double h_ = 0, t1_ = 0, hmin_ = 0;  // of the attempt; h_ is signed
   bool landing_ = false;              // t1_ is tf
   double error_ = 0;
-  double correction_ = 0;              // max_i |y*_i − y₁_i| / w_i
-  double oversized_[2] = {0, 0};       // sizes of the latest two corrections refused in this step
-  int oversized_count_ = 0;            // how many were refused
+  double correction_ = 0;         // max_i |y*_i − y₁_i| / w_i
+  double oversized_[2] = {0, 0};  // sizes of the latest two corrections refused in this step
+  int oversized_count_ = 0;       // how many were refused
+  double reached_t_ = 0;
+  const double* reached_y_ = nullptr;
   double t0_ = 0;                      // start of the step
   std::vector<double> y0_;             // y there
   std::vector<double> y1_;             // the projected candidate

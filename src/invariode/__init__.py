@@ -9,6 +9,7 @@ from importlib.metadata import version
 from .check import CheckReport, check_invariants
 from .compiled import CompiledFunction, compile
 from .discovery import PolynomialInvariant, find_invariants
+from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ensemble
 from .events import Event
 from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .methods import METHODS, Method
@@ -22,6 +23,9 @@ __all__ = [
     "CompiledFunction",
     "DenseSolution",
     "Drift",
+    "EnsembleEvents",
+    "EnsembleSolution",
+    "EnsembleStats",
     "Event",
     "ImposeResult",
     "InvariantError",
@@ -41,6 +45,7 @@ __all__ = [
     "ode23",
     "ode45",
     "ode113",
+    "solve_ensemble",
     "solve_ivp",
 ]
 

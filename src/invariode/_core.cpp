@@ -8,13 +8,18 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 #include <numpy/arrayobject.h>
 
+#include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <complex>
 #include <cstring>
+#include <limits>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <tuple>
@@ -22,6 +27,7 @@
 #include <vector>
 
 #include "adams.hpp"
+#include "ensemble.hpp"
 #include "integrate.hpp"
 #include "jacobian.hpp"
 #include "mass.hpp"
@@ -419,13 +425,18 @@ struct LinearSpec {
   nb::object lapack;      // None, or capsules by name
 };
 
+std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
+
 /// Owns the Python functions of a call and makes callbacks of them.
 class Functions {
  public:
-  Functions(Space space, nb::tuple args) : space_(space), args_(std::move(args)) {}
+  /// `parameters`: what native functions get as p.
+  Functions(Space space, nb::tuple args, std::vector<double> parameters)
+      : space_(space), args_(std::move(args)), parameters_(std::move(parameters)) {}
 
-  /// What native functions get as p.
-  void set_parameters(const ConstVector& p) { parameters_.assign(p.data(), p.data() + p.size()); }
+  /// Other values of the same parameters.
+  void set_parameters(const double* p) { std::copy(p, p + parameters_.size(), parameters_.begin()); }
+  [[nodiscard]] std::size_t parameters() const { return parameters_.size(); }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return owned_.empty() && matrices_.empty(); }
 
@@ -487,8 +498,6 @@ class Functions {
   std::vector<std::unique_ptr<PythonFunction>> owned_;
   std::vector<std::unique_ptr<PythonMatrix>> matrices_;
 };
-
-std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
 
 Weights to_weights(double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale) {
   return {rtol, to_vector(threshold), scale ? to_vector(*scale) : std::vector<double>{}};
@@ -637,22 +646,24 @@ struct MethodOptions {
   int max_order;
   bool bdf;
   bool projected;
-  LinearProblem* linear;
 };
 
-using MakeStep = std::unique_ptr<Step> (*)(Callback&, const Weights&, const MethodOptions&);
+using MakeStep = std::unique_ptr<Step> (*)(Callback&, const Weights&, const MethodOptions&, LinearProblem*);
 constexpr std::pair<const char*, MakeStep> steps[] = {
-    {"ode23", [](Callback& f, const Weights& w, const MethodOptions& o) { return ode23_step(f, w, o.fsal); }},
-    {"ode45", [](Callback& f, const Weights& w, const MethodOptions& o) { return ode45_step(f, w, o.fsal); }},
-    {"dop853", [](Callback& f, const Weights& w, const MethodOptions&) { return dop853_step(f, w); }},
+    {"ode23",
+     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) { return ode23_step(f, w, o.fsal); }},
+    {"ode45",
+     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) { return ode45_step(f, w, o.fsal); }},
+    {"dop853", [](Callback& f, const Weights& w, const MethodOptions&, LinearProblem*) { return dop853_step(f, w); }},
     {"ode113",
-     [](Callback& f, const Weights& w, const MethodOptions& o) -> std::unique_ptr<Step> {
+     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) -> std::unique_ptr<Step> {
        return std::make_unique<Adams>(f, w, o.max_order);
      }},
-    {"ode15s", [](Callback& f, const Weights& w, const MethodOptions& o) -> std::unique_ptr<Step> {
+    {"ode15s",
+     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem* linear) -> std::unique_ptr<Step> {
        const Ndf::Options options{
-           .max_order = o.max_order, .bdf = o.bdf, .renew_on_error = o.projected, .lapack = o.linear->lapack()};
-       return std::make_unique<Ndf>(f, w, o.linear->jacobian(), o.linear->mass(), options);
+           .max_order = o.max_order, .bdf = o.bdf, .renew_on_error = o.projected, .lapack = linear->lapack()};
+       return std::make_unique<Ndf>(f, w, linear->jacobian(), linear->mass(), options);
      }}};
 constexpr std::pair<const char*, Structure::Kind> structures[] = {
     {"dense", Structure::Kind::dense}, {"banded", Structure::Kind::banded}, {"sparse", Structure::Kind::sparse}};
@@ -671,8 +682,7 @@ struct Dense {
 
   Table evaluate(const ConstVector& t, const std::vector<InvariantSpec>& invariants, const ConstVector& value,
                  const nb::tuple& args, const ConstVector& parameters) const {
-    Functions functions({output.n(), complex}, args);
-    functions.set_parameters(parameters);
+    Functions functions({output.n(), complex}, args, to_vector(parameters));
     std::optional<Invariants> g;
     std::optional<Projector> projector;
     if (output.projects()) {
@@ -685,6 +695,9 @@ struct Dense {
     return to_array<Table>(std::move(y), t.size(), output.n());
   }
 };
+
+/// How long native code runs before someone looks for signals.
+constexpr auto patience = std::chrono::milliseconds(50);
 
 /// What `integrate` returns: arrays with one row per point, counts, and why the run ended.
 struct Run {
@@ -704,6 +717,8 @@ struct Run {
   std::vector<const char*> derivatives;
   std::vector<int> dropped;
   double dropped_at = 0;
+  double t_end = 0;
+  std::vector<double> y_end = {};
 
   static std::pair<Vector, Table> arrays(Trajectory&& points, std::size_t n) {
     const std::size_t size = points.t.size();
@@ -711,11 +726,198 @@ struct Run {
   }
 };
 
+/// A problem with a method: everything that is known before the initial value. Made with the interpreter held; where
+/// all functions are native, its runs do not need it.
+class Solver {
+ public:
+  Solver(const std::string& method, const nb::object& fun, const nb::tuple& args, double t0, double tf, bool complex,
+         double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale, double max_step,
+         double first_step, const std::string& fsal, int max_order, bool bdf, const std::optional<LinearSpec>& linear,
+         const std::string& interpolation, int refine, const std::optional<ConstVector>& times, bool dense,
+         bool save_all, bool check, const std::vector<EventSpec>& events, const nb::object& callback,
+         const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations, double negligible,
+         const ConstVector& parameters)
+      : n(threshold.size()),
+        complex(complex),
+        weights(to_weights(rtol, threshold, scale)),
+        functions({n, complex}, args, to_vector(parameters)),
+        make_step(find_name(steps, method, "method")),
+        f(functions.state_valued(fun, "fun(t, y)")),
+        notify(callback.is_none() ? Callback() : functions.truth(callback, "callback(t, y)")),
+        blocks(functions.invariants(invariants)),
+        value(to_vector(value)),
+        settings{.t0 = t0,
+                 .tf = tf,
+                 .hmax = max_step,
+                 .first_step = first_step,
+                 .iterations = iterations,
+                 .refine = refine,
+                 .output_at_times = times.has_value(),
+                 .times = times ? to_vector(*times) : std::vector<double>{},
+                 .interpolation = find_name(interpolations, interpolation, "interpolation"),
+                 .dense = dense,
+                 .save_all = save_all,
+                 .check = check,
+                 .negligible = negligible},
+        options{.fsal = find_name(fsals, fsal, "fsal"),
+                .max_order = max_order,
+                .bdf = bdf,
+                .projected = !invariants.empty()} {
+    if (linear) implicit.emplace(*linear, functions, weights);
+    for (const auto& [function, terminal, direction, name, action, rehold] : events) {
+      EventFunction event;
+      event.function = functions.scalar(function, "event " + name);
+      event.terminal = terminal;
+      event.direction = direction;
+      if (!action.is_none()) event.action = functions.state_valued(action, "the action of event " + name);
+      event.rehold = rehold;
+      event_functions.push_back(event);
+    }
+  }
+  Solver(const Solver&) = delete;
+  Solver& operator=(const Solver&) = delete;
+
+  std::size_t n;
+  bool complex;
+  Weights weights;
+  Functions functions;
+  MakeStep make_step;
+  Callback f, notify;
+  std::vector<EventFunction> event_functions;
+  std::optional<LinearProblem> implicit;
+  std::vector<InvariantBlock> blocks;
+  std::vector<double> value;
+  Settings settings;
+  MethodOptions options;
+};
+
+/// One run of a solver: everything that changes while it integrates.
+class Course {
+ public:
+  explicit Course(const Solver& solver)
+      : f(solver.f),
+        implicit_(solver.implicit),
+        g_(make_invariants(solver)),
+        integration(make_step(solver), solver.weights, manifold_, solver.event_functions, solver.notify,
+                    solver.settings),
+        complex_(solver.complex),
+        weights_(solver.weights) {}
+  Course(const Course&) = delete;
+  Course& operator=(const Course&) = delete;
+
+  /// Holds the invariants whose values are not demanded at those of the initial value, which is moved before where the
+  /// algebraic equations of a singular mass matrix ask for it.
+  Consistency prepare(double t0, double* y0) {
+    Consistency verdict = Consistency::consistent;
+    Mass* mass = implicit_ ? implicit_->mass() : nullptr;
+    if (mass && mass->singular())
+      verdict = make_consistent(f, implicit_->jacobian(), *mass, weights_, implicit_->lapack(), t0, y0);
+    if (g_ && g_->hold(t0, y0) == Status::stop) return Consistency::stop;
+    if (between_ && between_->hold(t0, y0) == Status::stop) return Consistency::stop;
+    return verdict;
+  }
+
+  /// What the run did, when it has ended; arrays are moved out.
+  Run result();
+
+  [[nodiscard]] Invariants* invariants() { return between_ ? &*between_ : g_ ? &*g_ : nullptr; }
+
+  Callback f;
+
+ private:
+  std::optional<LinearProblem> implicit_;
+  // With a singular mass matrix the invariants are imposed together with the algebraic equations.
+  std::optional<Invariants> between_;
+  std::optional<AlgebraicConstraints> algebraic_;
+  std::optional<MassSlope> slope_;
+  Integration::Manifold manifold_;
+  std::optional<Invariants> g_;
+
+  std::optional<Invariants> make_invariants(const Solver& solver);
+  std::unique_ptr<Step> make_step(const Solver& solver);
+
+ public:
+  Integration integration;
+
+ private:
+  bool complex_;
+  const Weights& weights_;
+};
+
+std::optional<Invariants> Course::make_invariants(const Solver& solver) {
+  manifold_.slope = f;
+  if (solver.blocks.empty()) return {};
+  std::vector<InvariantBlock> blocks = solver.blocks;
+  std::vector<double> values = solver.value;
+  Mass* mass = implicit_ ? implicit_->mass() : nullptr;
+  if (mass)
+    manifold_.slope = slope_.emplace(f, implicit_->jacobian(), *mass, solver.weights, implicit_->lapack()).callback();
+  if (mass && mass->singular()) {
+    manifold_.between = &between_.emplace(solver.n, blocks, values, solver.weights);
+    algebraic_.emplace(f, implicit_->jacobian(), *mass);
+    InvariantBlock block;
+    block.g = algebraic_->residual();
+    block.jacobian = algebraic_->jacobian();
+    block.m = algebraic_->count();
+    block.certain = true;
+    blocks.push_back(block);
+    values.resize(values.size() + algebraic_->count());
+  }
+  return std::optional<Invariants>(std::in_place, solver.n, std::move(blocks), std::move(values), solver.weights);
+}
+
+std::unique_ptr<Step> Course::make_step(const Solver& solver) {
+  if (g_) {
+    manifold_.steps = &*g_;
+    if (!between_) manifold_.between = &*g_;
+  }
+  return solver.make_step(f, solver.weights, solver.options, implicit_ ? &*implicit_ : nullptr);
+}
+
+Run Course::result() {
+  Run run{.n = integration.step().n(),
+          .points = std::move(integration.points),
+          .occurrences = std::move(integration.occurrences),
+          .record = std::move(integration.steps),
+          .drift = std::move(integration.drift),
+          .jumps = std::move(integration.jumps),
+          .dense = {},
+          .state = integration.state(),
+          .report = integration.report(),
+          .counts = integration.counts(),
+          .linear = integration.step().linear_work(),
+          .nfev = f.calls(),
+          .nfev_check = slope_ ? slope_->evaluations()
+                        : g_   ? integration.guard()->calls()
+                               : 0,
+          .ng = g_ ? g_->calls() : 0,
+          .ngjac = g_ ? g_->jacobian_calls() : 0,
+          .ngdiff = g_ ? g_->derivative_calls() : 0,
+          .derivatives = {},
+          .dropped = {}};
+  if (between_) {  // the block of the algebraic equations is none of the user's functions
+    run.ng += between_->calls() - g_->blocks().back().g.calls();
+    run.ngjac += between_->jacobian_calls() - g_->blocks().back().jacobian.calls();
+  }
+  if (integration.dense) run.dense.emplace(Dense{std::move(*integration.dense), weights_, complex_});
+  if (g_) {
+    for (const InvariantBlock& block : g_->blocks())
+      if (!block.certain) run.derivatives.push_back(name_of(block.derivative));
+    run.projected_start = integration.guard()->projected_start();
+    const Projector& projector = *integration.projector();
+    for (std::size_t i = 0; i < projector.dropped().size(); ++i)
+      if (projector.dropped()[i] != 0) run.dropped.push_back(static_cast<int>(i));
+    run.dropped_at = projector.dropped_at();
+  }
+  run.t_end = integration.t();
+  run.y_end.assign(integration.y(), integration.y() + integration.step().n());
+  return run;
+}
+
 /// Runs an integration whose functions are all native, without holding the interpreter; looks for signals now and then.
 /// False: one has raised.
 bool run_without_interpreter(Integration& integration, const double* y0) {
   using Clock = std::chrono::steady_clock;
-  constexpr auto patience = std::chrono::milliseconds(50);
   constexpr int steps_between_looks = 16;
   auto looked = Clock::now();
   State state = integration.start(y0);
@@ -729,122 +931,186 @@ bool run_without_interpreter(Integration& integration, const double* y0) {
   return true;
 }
 
-Run integrate(const std::string& method, const nb::object& fun, const nb::tuple& args, double t0, double tf,
-              const ConstVector& y0, bool complex, double rtol, const ConstVector& threshold,
-              const std::optional<ConstVector>& scale, double max_step, double first_step, const std::string& fsal,
-              int max_order, bool bdf, const std::optional<LinearSpec>& linear, const std::string& interpolation,
-              int refine, const std::optional<ConstVector>& times, bool dense, bool save_all, bool check,
-              const std::vector<EventSpec>& events, const nb::object& callback,
-              const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations, double negligible,
-              const ConstVector& parameters) {
-  const std::size_t n = y0.size();
-  const Weights weights = to_weights(rtol, threshold, scale);
-  Functions functions({n, complex}, args);
-  functions.set_parameters(parameters);
-  bool integration_interrupted = false;
-  Callback f = functions.state_valued(fun, "fun(t, y)");
-  std::vector<EventFunction> event_functions;
-  for (const auto& [function, terminal, direction, name, action, rehold] : events) {
-    EventFunction event;
-    event.function = functions.scalar(function, "event " + name);
-    event.terminal = terminal;
-    event.direction = direction;
-    if (!action.is_none()) event.action = functions.state_valued(action, "the action of event " + name);
-    event.rehold = rehold;
-    event_functions.push_back(event);
-  }
-  const Callback notify = callback.is_none() ? Callback() : functions.truth(callback, "callback(t, y)");
-  std::optional<LinearProblem> implicit;
-  if (linear) implicit.emplace(*linear, functions, weights);
-  Mass* mass = implicit ? implicit->mass() : nullptr;
-
-  // With a singular mass matrix the invariants are imposed together with the algebraic equations.
-  std::optional<Invariants> g, between;
-  std::optional<AlgebraicConstraints> algebraic;
-  std::optional<MassSlope> slope;
-  Integration::Manifold manifold{.slope = f};
-  if (!invariants.empty()) {
-    std::vector<InvariantBlock> blocks = functions.invariants(invariants);
-    std::vector<double> values = to_vector(value);
-    if (mass) manifold.slope = slope.emplace(f, implicit->jacobian(), *mass, weights, implicit->lapack()).callback();
-    if (mass && mass->singular()) {
-      manifold.between = &between.emplace(n, blocks, values, weights);
-      algebraic.emplace(f, implicit->jacobian(), *mass);
-      InvariantBlock block;
-      block.g = algebraic->residual();
-      block.jacobian = algebraic->jacobian();
-      block.m = algebraic->count();
-      block.certain = true;
-      blocks.push_back(block);
-      values.resize(values.size() + algebraic->count());
-    }
-    manifold.steps = &g.emplace(n, std::move(blocks), std::move(values), weights);
-    if (!between) manifold.between = manifold.steps;
-  }
-
-  Settings settings{.t0 = t0,
-                    .tf = tf,
-                    .hmax = max_step,
-                    .first_step = first_step,
-                    .iterations = iterations,
-                    .refine = refine,
-                    .output_at_times = times.has_value(),
-                    .times = times ? to_vector(*times) : std::vector<double>{},
-                    .interpolation = find_name(interpolations, interpolation, "interpolation"),
-                    .dense = dense,
-                    .save_all = save_all,
-                    .check = check,
-                    .negligible = negligible};
-  const MethodOptions options{.fsal = find_name(fsals, fsal, "fsal"),
-                              .max_order = max_order,
-                              .bdf = bdf,
-                              .projected = g.has_value(),
-                              .linear = implicit ? &*implicit : nullptr};
-  Integration integration(find_name(steps, method, "method")(f, weights, options), weights, manifold,
-                          std::move(event_functions), notify, std::move(settings));
-  if (functions.native()) {
+Run integrate(const Solver& solver, const ConstVector& y0) {
+  Course course(solver);
+  bool interrupted = false;
+  if (solver.functions.native()) {
     nb::gil_scoped_release released;
-    if (!run_without_interpreter(integration, y0.data())) integration_interrupted = true;
-  } else if (integration.start(y0.data()) == State::running) {
-    integration.run();
+    interrupted = !run_without_interpreter(course.integration, y0.data());
+  } else if (course.integration.start(y0.data()) == State::running) {
+    course.integration.run();
   }
-  if (integration_interrupted || integration.state() == State::interrupted) throw nb::python_error();
+  if (interrupted || course.integration.state() == State::interrupted) throw nb::python_error();
+  return course.result();
+}
 
-  Run run{.n = n,
-          .points = std::move(integration.points),
-          .occurrences = std::move(integration.occurrences),
-          .record = std::move(integration.steps),
-          .drift = std::move(integration.drift),
-          .jumps = std::move(integration.jumps),
-          .dense = {},
-          .state = integration.state(),
-          .report = integration.report(),
-          .counts = integration.counts(),
-          .linear = integration.step().linear_work(),
-          .nfev = f.calls(),
-          .nfev_check = slope ? slope->evaluations()
-                        : g   ? integration.guard()->calls()
-                              : 0,
-          .ng = g ? g->calls() : 0,
-          .ngjac = g ? g->jacobian_calls() : 0,
-          .ngdiff = g ? g->derivative_calls() : 0,
-          .derivatives = {},
-          .dropped = {}};
-  if (g)
-    for (const InvariantBlock& block : g->blocks())
-      if (!block.certain) run.derivatives.push_back(name_of(block.derivative));
-  if (between) {  // the block of the algebraic equations is none of the user's functions
-    run.ng += between->calls() - g->blocks().back().g.calls();
-    run.ngjac += between->jacobian_calls() - g->blocks().back().jacobian.calls();
+/// What `integrate_all` returns: one row per trajectory.
+struct EnsembleRun {
+  /// Occurrences of one event: in which trajectory, when and where.
+  struct Occurrences {
+    std::vector<std::int64_t> trajectory;
+    Trajectory points;
+  };
+  /// Why a trajectory ended early.
+  struct Failure {
+    std::size_t trajectory;
+    State state;
+    Report report;
+  };
+  /// States that only trajectories of an ensemble have: the initial value is not finite, or not consistent.
+  static constexpr std::int8_t not_finite = -1, inconsistent = -2;
+  enum Count {
+    steps,
+    failed,
+    nfev,
+    nfev_check,
+    njev,
+    nlu,
+    nsolve,
+    projections,
+    skipped,
+    ng,
+    ngjac,
+    ngdiff,
+    dropped,
+    counts
+  };
+
+  EnsembleRun(std::size_t size, std::size_t n, std::size_t m, std::size_t n_t, std::size_t events)
+      : size(size),
+        n(n),
+        m(m),
+        n_t(n_t),
+        t(size),
+        y_end(size * n),
+        y(size * n * n_t, std::numeric_limits<double>::quiet_NaN()),
+        value(size * m),
+        before(size * m),
+        after(size * m),
+        correction(size),
+        count(size * counts),
+        state(size),
+        occurrences(events) {}
+
+  /// Trajectory i cannot start.
+  void refuse(std::size_t i, std::int8_t why, double t0, const double* y0) {
+    state[i] = why;
+    t[i] = t0;
+    std::copy(y0, y0 + n, &y_end[i * n]);
   }
-  if (integration.dense) run.dense.emplace(Dense{std::move(*integration.dense), weights, complex});
-  if (g) {
-    run.projected_start = integration.guard()->projected_start();
-    const Projector& projector = *integration.projector();
-    for (std::size_t i = 0; i < projector.dropped().size(); ++i)
-      if (projector.dropped()[i] != 0) run.dropped.push_back(static_cast<int>(i));
-    run.dropped_at = projector.dropped_at();
+  /// Keeps what trajectory i did. The rows of y that it did not reach stay NaN.
+  void keep(std::size_t i, Course& course, std::vector<double> held);
+
+  std::size_t size, n, m, n_t;
+  std::vector<double> t, y_end, y, value, before, after, correction;
+  std::vector<std::int64_t> count;
+  std::vector<std::int8_t> state;
+  std::vector<Occurrences> occurrences;
+  std::vector<Failure> failures;
+  std::mutex shared;  // for the last two
+};
+
+void EnsembleRun::keep(std::size_t i, Course& course, std::vector<double> held) {
+  const Run run = course.result();
+  t[i] = run.t_end;
+  std::copy(run.y_end.begin(), run.y_end.end(), &y_end[i * n]);
+  state[i] = static_cast<std::int8_t>(run.state);
+  const std::int64_t counted[counts] = {run.counts.steps,
+                                        run.counts.failed,
+                                        run.nfev,
+                                        run.nfev_check,
+                                        run.linear.jacobians,
+                                        run.linear.factorizations,
+                                        run.linear.solves,
+                                        run.counts.projections,
+                                        run.counts.skipped,
+                                        run.ng,
+                                        run.ngjac,
+                                        run.ngdiff,
+                                        static_cast<std::int64_t>(run.dropped.size())};
+  std::copy(counted, counted + counts, &count[i * counts]);
+  for (std::size_t j = 0; j < run.points.t.size() && n_t > 0; ++j)
+    for (std::size_t c = 0; c < n; ++c) y[(i * n + c) * n_t + j] = run.points.y[j * n + c];
+  if (m > 0) {
+    std::copy(held.begin(), held.end(), &value[i * m]);
+    std::copy_n(run.drift.residual.begin(), m, &before[i * m]);
+    correction[i] = run.drift.correction;
+    std::vector<double> g(m);
+    const auto measure = [&](double at, const double* point) {
+      if (course.invariants()->evaluate(at, point, g.data()) == Status::stop) return;
+      for (std::size_t k = 0; k < m; ++k) after[i * m + k] = std::max(after[i * m + k], std::abs(g[k] - held[k]));
+    };
+    auto jump = run.jumps.begin();
+    const auto pass_jumps = [&](std::size_t row) {
+      for (; jump != run.jumps.end() && jump->row <= row; ++jump)
+        held.assign(jump->value.begin(), jump->value.begin() + static_cast<std::ptrdiff_t>(m));
+    };
+    for (std::size_t j = 0; j < run.points.t.size() && n_t > 0; ++j) {
+      pass_jumps(j);
+      measure(run.points.t[j], &run.points.y[j * n]);
+    }
+    pass_jumps(std::numeric_limits<std::size_t>::max());
+    measure(t[i], &y_end[i * n]);
   }
+  const bool failure =
+      run.state != State::reached_end && run.state != State::terminal_event && run.state != State::stopped_by_callback;
+  bool happened = failure;
+  for (const Trajectory& found : run.occurrences) happened = happened || !found.t.empty();
+  if (!happened) return;
+  const std::lock_guard lock(shared);
+  if (failure) failures.push_back({i, run.state, run.report});
+  for (std::size_t e = 0; e < run.occurrences.size(); ++e) {
+    const Trajectory& found = run.occurrences[e];
+    occurrences[e].trajectory.insert(occurrences[e].trajectory.end(), found.t.size(), static_cast<std::int64_t>(i));
+    occurrences[e].points.t.append(found.t.data(), found.t.size());
+    occurrences[e].points.y.append(found.y.data(), found.y.size());
+  }
+}
+
+/// Integrates from each row of y0, with the row of `parameters` of the same number, on as many threads as there are
+/// solvers, all of the same problem and native. `progress(done)` is called now and then.
+std::unique_ptr<EnsembleRun> integrate_all(const std::vector<Solver*>& solvers, const ConstMatrix& y0,
+                                           const ConstMatrix& parameters, const nb::object& progress) {
+  const Solver& first = *solvers.at(0);
+  const std::size_t size = y0.shape(0), n = first.n, m = first.value.size();
+  for (const Solver* solver : solvers)
+    if (!solver->functions.native()) throw nb::value_error("functions of an ensemble on threads must be native");
+  if (size >= std::numeric_limits<std::uint32_t>::max()) throw nb::value_error("too many trajectories");
+  auto run = std::make_unique<EnsembleRun>(size, n, m, first.settings.times.size(), first.event_functions.size());
+  const auto work = [&](std::size_t worker, std::uint32_t i, const std::atomic<bool>& cancelled) {
+    Solver& solver = *solvers[worker];
+    solver.functions.set_parameters(parameters.data() + i * parameters.shape(1));
+    std::vector<double> start(y0.data() + i * n, y0.data() + (i + 1) * n);
+    Course course(solver);
+    std::vector<double> held;
+    if (!all_finite(start.data(), n)) return run->refuse(i, EnsembleRun::not_finite, solver.settings.t0, start.data());
+    const Consistency verdict = course.prepare(solver.settings.t0, start.data());
+    if (verdict != Consistency::consistent && verdict != Consistency::corrected)
+      return run->refuse(i, EnsembleRun::inconsistent, solver.settings.t0, start.data());
+    if (const Invariants* g = course.invariants()) held = g->value();
+    State state = course.integration.start(start.data());
+    while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = course.integration.advance();
+    run->keep(i, course, std::move(held));
+  };
+  bool raised = false;
+  const auto watch = [&](std::uint32_t done) {
+    const nb::gil_scoped_acquire held;
+    if (raised || PyErr_CheckSignals() != 0) return false;
+    if (progress.is_none()) return true;
+    try {
+      progress(done);
+    } catch (nb::python_error& error) {
+      error.restore();
+      raised = true;
+    }
+    return !raised;
+  };
+  bool finished;
+  {
+    const nb::gil_scoped_release released;
+    finished = for_each_index(static_cast<std::uint32_t>(size), solvers.size(), patience, work, watch);
+  }
+  if (!finished) throw nb::python_error();
   return run;
 }
 
@@ -856,8 +1122,7 @@ std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, cons
                                                      const ConstVector& parameters) {
   const std::size_t n = y0.size();
   const Weights weights = to_weights(rtol, threshold, scale);
-  Functions functions({n, complex}, args);
-  functions.set_parameters(parameters);
+  Functions functions({n, complex}, args, to_vector(parameters));
   Callback f = functions.state_valued(fun, "fun(t, y)");
   LinearProblem problem(linear, functions, weights);
   std::vector<double> y = to_vector(y0);
@@ -873,8 +1138,7 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
             const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights = to_weights(rtol, threshold, scale);
-  Functions functions({n, complex}, args);
-  functions.set_parameters(parameters);
+  Functions functions({n, complex}, args, to_vector(parameters));
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Projector projector(g, weights, 1);
   std::vector<double> points(y.data(), y.data() + y.size()), residual(count * m);
@@ -899,8 +1163,7 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
                    const ConstVector& parameters) {
   const std::size_t n = y.size(), m = value.size();
   const Weights weights = to_weights(rtol, threshold, scale);
-  Functions functions({n, complex}, args);
-  functions.set_parameters(parameters);
+  Functions functions({n, complex}, args, to_vector(parameters));
   const Callback f = functions.state_valued(fun, "fun(t, y)");
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Guard guard(g, weights, f);
@@ -937,8 +1200,7 @@ Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const s
                const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights(1, std::vector<double>(n), {});
-  Functions functions({n, complex}, args);
-  functions.set_parameters(parameters);
+  Functions functions({n, complex}, args, to_vector(parameters));
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   std::vector<double> r(count * m);
   for (std::size_t p = 0; p < count; ++p)
@@ -952,8 +1214,7 @@ Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double 
                const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights = to_weights(rtol, threshold, scale);
-  Functions functions({n, complex}, args);
-  functions.set_parameters(parameters);
+  Functions functions({n, complex}, args, to_vector(parameters));
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Projector projector(g, weights, 1);
   std::vector<double> d(count * m);
@@ -1042,6 +1303,7 @@ NB_MODULE(_core, module) {
              }
              return jumps;
            })
+      .def("take_end", [](Run& r) { return std::make_pair(r.t_end, to_array<Vector>(std::move(r.y_end), r.n)); })
       .def("take_dense", [](Run& r) { return std::exchange(r.dense, {}); })
       .def_prop_ro("state", [](const Run& r) { return name_of(r.state); })
       .def_prop_ro("t", [](const Run& r) { return r.report.t; })
@@ -1075,13 +1337,74 @@ NB_MODULE(_core, module) {
       .def_ro("dropped", &Run::dropped)
       .def_ro("dropped_at", &Run::dropped_at);
 
-  module.def("integrate", &integrate, nb::kw_only(), nb::arg("method"), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
-             nb::arg("tf"), nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"),
-             nb::arg("scale").none(), nb::arg("max_step"), nb::arg("first_step"), nb::arg("fsal"), nb::arg("max_order"),
-             nb::arg("bdf"), nb::arg("linear").none(), nb::arg("interpolation"), nb::arg("refine"),
-             nb::arg("times").none(), nb::arg("dense"), nb::arg("save_all"), nb::arg("check"), nb::arg("events"),
-             nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"),
-             nb::arg("negligible"), nb::arg("parameters"), "Integrates one problem with one method.");
+  using Bytes = nb::ndarray<std::int8_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+  using Indices = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+  using Counted = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<2>, nb::c_contig>;
+  using Block = nb::ndarray<double, nb::numpy, nb::ndim<3>, nb::c_contig>;
+  nb::class_<EnsembleRun>(module, "EnsembleRun",
+                          "Results of `integrate_all`. Arrays are handed over: each `take_…` works once.")
+      .def("take_t", [](EnsembleRun& r) { return to_array<Vector>(std::move(r.t), r.size); })
+      .def("take_end", [](EnsembleRun& r) { return to_array<Table>(std::move(r.y_end), r.size, r.n); })
+      .def("take_y", [](EnsembleRun& r) { return to_array<Block>(std::move(r.y), r.size, r.n, r.n_t); })
+      .def("take_drift",
+           [](EnsembleRun& r) {
+             return std::make_tuple(
+                 to_array<Table>(std::move(r.value), r.size, r.m), to_array<Table>(std::move(r.before), r.size, r.m),
+                 to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
+           })
+      .def("take_counts",
+           [](EnsembleRun& r) { return to_array<Counted>(std::move(r.count), r.size, EnsembleRun::counts); })
+      .def("take_states", [](EnsembleRun& r) { return to_array<Bytes>(std::move(r.state), r.size); })
+      .def("take_events",
+           [](EnsembleRun& r) {
+             std::vector<std::tuple<Indices, Vector, Table>> all;
+             for (EnsembleRun::Occurrences& one : r.occurrences) {
+               const std::size_t count = one.trajectory.size();
+               auto [t, y] = Run::arrays(std::move(one.points), r.n);
+               all.emplace_back(to_array<Indices>(std::move(one.trajectory), count), t, y);
+             }
+             return all;
+           })
+      .def(
+          "failures",
+          [](const EnsembleRun& r) {
+            std::vector<std::pair<std::size_t, Run>> all;
+            for (const EnsembleRun::Failure& failure : r.failures) {
+              all.emplace_back(failure.trajectory, Run{});
+              all.back().second.state = failure.state;
+              all.back().second.report = failure.report;
+            }
+            return all;
+          },
+          "(trajectory, Run that tells why it ended) of those that failed.");
+  module.attr("COUNTS") = nb::make_tuple("steps", "failed", "nfev", "nfev_check", "njev", "nlu", "nsolve",
+                                         "projections", "skipped", "ng", "ngjac", "ngdiff", "dropped");
+  std::vector<const char*> states;
+  for (int i = 0; i <= static_cast<int>(State::invariant_convicted); ++i)
+    states.push_back(name_of(static_cast<State>(i)));
+  module.attr("STATES") = nb::cast(states);
+  module.def("integrate_all", &integrate_all, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
+             nb::arg("progress").none(), "Integrates from each row of y0, on as many threads as there are solvers.");
+
+  nb::class_<Solver>(module, "Solver", "A problem with a method: all that is known before the initial value.")
+      .def(nb::init<const std::string&, const nb::object&, const nb::tuple&, double, double, bool, double,
+                    const ConstVector&, const std::optional<ConstVector>&, double, double, const std::string&, int,
+                    bool, const std::optional<LinearSpec>&, const std::string&, int, const std::optional<ConstVector>&,
+                    bool, bool, bool, const std::vector<EventSpec>&, const nb::object&,
+                    const std::vector<InvariantSpec>&, const ConstVector&, int, double, const ConstVector&>(),
+           nb::kw_only(), nb::arg("method"), nb::arg("fun"), nb::arg("args"), nb::arg("t0"), nb::arg("tf"),
+           nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("max_step"),
+           nb::arg("first_step"), nb::arg("fsal"), nb::arg("max_order"), nb::arg("bdf"), nb::arg("linear").none(),
+           nb::arg("interpolation"), nb::arg("refine"), nb::arg("times").none(), nb::arg("dense"), nb::arg("save_all"),
+           nb::arg("check"), nb::arg("events"), nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"),
+           nb::arg("iterations"), nb::arg("negligible"), nb::arg("parameters"))
+      .def_prop_ro(
+          "native", [](const Solver& solver) { return solver.functions.native(); },
+          "Whether no function needs the interpreter.")
+      .def_prop_rw(
+          "record", [](const Solver& solver) { return solver.settings.record; },
+          [](Solver& solver, bool record) { solver.settings.record = record; }, "Whether the steps are kept.")
+      .def("integrate", &integrate, nb::arg("y0"), "Integrates from (t0, y0).");
   module.def("consistent_start", &make_consistent_start, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
              nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(),
              nb::arg("linear"), nb::arg("parameters"),

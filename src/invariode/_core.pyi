@@ -47,6 +47,8 @@ class Run:
 
     def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
 
+    def take_end(self) -> tuple[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
     def take_dense(self) -> Dense | None: ...
 
     @property
@@ -142,8 +144,55 @@ class Run:
     @property
     def dropped_at(self) -> float: ...
 
-def integrate(*, method: str, fun: object, args: tuple, t0: float, tf: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str, object, bool]], callback: object | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int, negligible: float, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Run:
-    """Integrates one problem with one method."""
+class EnsembleRun:
+    """
+    Results of `integrate_all`. Arrays are handed over: each `take_…` works once.
+    """
+
+    def take_t(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    def take_end(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]: ...
+
+    def take_y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]: ...
+
+    def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
+    def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
+
+    def take_states(self) -> Annotated[NDArray[numpy.int8], dict(shape=(None,), order='C')]: ...
+
+    def take_events(self) -> list[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
+
+    def failures(self) -> list[tuple[int, Run]]:
+        """(trajectory, Run that tells why it ended) of those that failed."""
+
+COUNTS: tuple = ...
+
+STATES: list = ...
+
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None) -> EnsembleRun:
+    """
+    Integrates from each row of y0, on as many threads as there are solvers.
+    """
+
+class Solver:
+    """A problem with a method: all that is known before the initial value."""
+
+    def __init__(self, *, method: str, fun: object, args: tuple, t0: float, tf: float, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str, object, bool]], callback: object | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int, negligible: float, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
+
+    @property
+    def native(self) -> bool:
+        """Whether no function needs the interpreter."""
+
+    @property
+    def record(self) -> bool:
+        """Whether the steps are kept."""
+
+    @record.setter
+    def record(self, arg: bool, /) -> None: ...
+
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Run:
+        """Integrates from (t0, y0)."""
 
 def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
     """

@@ -124,7 +124,7 @@ def to_invariants(invariants: object) -> list[Invariants]:
     raise TypeError(f"invariants must be a function g(t, y), an Invariants, or a list of these, got {invariants!r}")
 
 
-@dataclass(frozen=True)
+@dataclass
 class BoundInvariants:
     """Invariants together with the values they are held at and the arguments of their functions."""
 
@@ -219,6 +219,8 @@ def _as_columns(rows: Array, dtype: np.dtype[Any]) -> Array:
 def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: Array) -> BoundInvariants:
     """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
     complex y. `threshold`: thr of the reals of y, the size below which components tell no scale."""
+    if not invariants:
+        return BoundInvariants([], np.zeros(0), [], args, np.zeros(0), None)
     specs, values, names = [], [], []
     evaluations = len(invariants)
     p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,6 +69,57 @@ class Matrices:
     lband: Any
     uband: Any
     mass: Any
+
+
+class Options(TypedDict, total=False):
+    """The options of a solve; `invariode.solve_ivp` says what they mean."""
+
+    t_eval: ArrayLike | None
+    dense_output: bool
+    rtol: ArrayLike
+    atol: ArrayLike
+    first_step: float | None
+    max_step: float | None
+    refine: int
+    interpolation: str
+    fsal: str
+    max_order: int | None
+    bdf: bool | None
+    callback: Callable[[float, Array], object] | None
+    save: str
+    check: bool
+    min_step: float | None
+
+
+@dataclass
+class Plan:
+    """A problem with a method and its options, checked."""
+
+    solver: dict[str, Any]  # what the core is told
+    y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
+    moved: bool
+    bound: BoundInvariants
+    names: list[str]  # of the invariants, algebraic equations last
+    demanded: list[bool]  # of the invariants, whether their values were
+    event_names: list[str]
+    rtol: ArrayLike
+    atol: ArrayLike
+    keep_steps: bool
+
+    def verdict(self, run: _core.Run) -> tuple[int, str]:
+        """The status of the run and its message."""
+        return status_and_message(run, self.names, self.demanded, self.solver["rtol"], self.solver["complex"])
+
+    def exception(self, run: _core.Run) -> ValueError | None:
+        """The exception with which a single solve ends where the run did."""
+        if run.state == "invariant_refused":
+            text = refusal(run, self.names, self.demanded, self.solver["rtol"], self.solver["complex"])
+            return InvariantError(text)
+        if run.state == "event_undefined":
+            return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
+        if run.state == "action_undefined":
+            return ValueError(f"the action of event {self.event_names[run.event]} returned NaN at t = {run.t}")
+        return None
 
 
 class Problem:
@@ -141,7 +192,17 @@ class Problem:
     def __repr__(self) -> str:
         return f"Problem({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
 
-    def solve(
+    def solve(self, method: str = "ode45", **options: Unpack[Options]) -> Solution:
+        """Solves the problem. The options are those of `solve_ivp`."""
+        plan = self.plan(method, **options)
+        run = _core.Solver(**plan.solver).integrate(plan.y0.view(float))
+        if exception := plan.exception(run):
+            raise exception
+        if run.dropped:
+            _warn_dropped(run, plan.names)
+        return self._solution(run, plan)
+
+    def plan(
         self,
         method: str = "ode45",
         *,
@@ -160,8 +221,8 @@ class Problem:
         save: str = "all",
         check: bool = True,
         **options: Any,
-    ) -> Solution:
-        """Solves the problem. The options are those of `solve_ivp`."""
+    ) -> Plan:
+        """The options checked, and everything that the core needs but y0."""
         chosen, implied = find_method(method)
         _foreign_options(chosen, {**options, "fsal": fsal != "reuse", "max_order": max_order, "bdf": bdf})
         bdf = implied.get("bdf", False) if bdf is None else flag("bdf", bdf)
@@ -202,47 +263,48 @@ class Problem:
         demanded = [not held for _, _, m, _, held in bound.specs for _ in range(m)]
         names = [*bound.names, *(f"algebraic equation {i + 1}" for i in range(linear.algebraic if linear else 0))]
 
-        run = _core.integrate(
-            method=chosen.name,
-            fun=fun,
-            args=self.args,
-            t0=t0,
-            tf=tf,
-            y0=y0.view(float),
-            complex=np.iscomplexobj(y0),
-            rtol=rmin,
-            threshold=threshold,
-            scale=scale,
-            max_step=span / 10 if max_step is None else positive("max_step", max_step),
-            first_step=first,
-            fsal=choice("fsal", fsal, ("reuse", "evaluate")),
-            max_order=_highest_order(chosen, max_order),
-            bdf=bdf,
-            linear=linear,
-            interpolation=choice("interpolation", interpolation, ("projected", "corrected", "raw")),
-            refine=refine,
-            times=times,
-            dense=dense_output,
-            save_all=save == "all",
-            check=flag("check", check),
-            events=[event_spec(event, n, p) for event in self.events],
-            callback=None if callback is None else function("callback", callback, "callback(t, y)"),
-            invariants=bound.specs,
-            value=bound.value,
-            iterations=bound.iterations or chosen.iterations,
-            negligible=bound.negligible,
-            parameters=p,
+        solver = {
+            "method": chosen.name,
+            "fun": fun,
+            "args": self.args,
+            "t0": t0,
+            "tf": tf,
+            "complex": np.iscomplexobj(y0),
+            "rtol": rmin,
+            "threshold": threshold,
+            "scale": scale,
+            "max_step": span / 10 if max_step is None else positive("max_step", max_step),
+            "first_step": first,
+            "fsal": choice("fsal", fsal, ("reuse", "evaluate")),
+            "max_order": _highest_order(chosen, max_order),
+            "bdf": bdf,
+            "linear": linear,
+            "interpolation": choice("interpolation", interpolation, ("projected", "corrected", "raw")),
+            "refine": refine,
+            "times": times,
+            "dense": dense_output,
+            "save_all": save == "all",
+            "check": flag("check", check),
+            "events": [event_spec(event, n, p) for event in self.events],
+            "callback": None if callback is None else function("callback", callback, "callback(t, y)"),
+            "invariants": bound.specs,
+            "value": bound.value,
+            "iterations": bound.iterations or chosen.iterations,
+            "negligible": bound.negligible,
+            "parameters": p,
+        }
+        return Plan(
+            solver=solver,
+            y0=y0,
+            moved=y0 is not self.y0,
+            bound=bound,
+            names=names,
+            demanded=demanded,
+            event_names=[event.__name__ for event in self.events],
+            rtol=rtol,
+            atol=atol,
+            keep_steps=save == "all",
         )
-        if run.state == "invariant_refused":
-            raise InvariantError(refusal(run, names, demanded, rmin, np.iscomplexobj(y0)))
-        if run.state == "event_undefined":
-            raise ValueError(f"event {self.events[run.event].__name__} returned NaN at t = {run.t}")
-        if run.state == "action_undefined":
-            raise ValueError(f"the action of event {self.events[run.event].__name__} returned NaN at t = {run.t}")
-        if run.dropped:
-            _warn_dropped(run, names)
-        moved = y0 is not self.y0
-        return self._solution(run, bound, names, demanded, rtol, atol, rmin, save == "all", moved)
 
     def _consistent_start(
         self, linear: _core.Linear, fun: Any, p: Array, rtol: float, threshold: Array, scale: Array | None
@@ -266,20 +328,10 @@ class Problem:
             raise ValueError(inconsistent_start(verdict, self.t_span[0]))
         return y.view(self.y0.dtype) if verdict == "corrected" else self.y0
 
-    def _solution(
-        self,
-        run: _core.Run,
-        bound: BoundInvariants,
-        names: list[str],
-        demanded: list[bool],
-        rtol: ArrayLike,
-        atol: ArrayLike,
-        rmin: float,
-        keep_steps: bool,
-        moved: bool,
-    ) -> Solution:
+    def _solution(self, run: _core.Run, plan: Plan) -> Solution:
         dtype = self.y0.dtype
-        status, message = status_and_message(run, names, demanded, rmin, dtype.kind == "c")
+        status, message = plan.verdict(run)
+        bound = plan.bound
         if jumps := run.take_jumps():
             bound = replace(bound, jumps=tuple(jumps), forward=1.0 if self.t_span[1] >= self.t_span[0] else -1.0)
         dense = run.take_dense()
@@ -311,13 +363,13 @@ class Problem:
                 ngjac=run.ngjac,
                 ngdiff=run.ngdiff + bound.evaluations - len(bound.specs),
                 derivatives=" and ".join(sorted(set(run.derivatives))) or None,
-                projected_start=run.projected_start or moved,
+                projected_start=run.projected_start or plan.moved,
             ),
-            steps=Steps(run.take_steps()) if keep_steps else None,
+            steps=Steps(run.take_steps()) if plan.keep_steps else None,
             _invariants=bound,
             _drift=run.take_drift(),
-            _rtol=rtol,
-            _atol=atol,
+            _rtol=plan.rtol,
+            _atol=plan.atol,
         )
 
 

@@ -38,7 +38,7 @@ class Record(Mapping[str, Any]):
     __hash__ = object.__hash__
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False)
 class Stats(Record):
     """Counts of a run.
 
@@ -219,7 +219,7 @@ class DenseSolution:
         return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+@dataclasses.dataclass(eq=False, repr=False)
 class Solution(Record):
     """Result of a solve. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
 
