@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
+os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
 
 import invariode as iv
 from problems import PROBLEMS, TestProblem

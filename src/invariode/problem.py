@@ -31,7 +31,7 @@ from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
 from .methods import Method, find_method
-from .solution import DenseSolution, Solution, Stats, Steps
+from .solution import DenseSolution, Names, Solution, Stats, Steps
 
 __all__ = ["Problem"]
 
@@ -185,6 +185,7 @@ class Problem:
             terminal_count(event), direction_sign(event)
         self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
         self.name = call_name(self.fun, "problem") if name is None else name
+        self._title = name
         self.labels = [f"y{i}" for i in range(len(self.y0))] if labels is None else list(labels)
         if len(self.labels) != len(self.y0):
             raise ValueError(f"labels must name the {len(self.y0)} components of y0, got {labels!r}")
@@ -370,6 +371,7 @@ class Problem:
             _drift=run.take_drift(),
             _rtol=plan.rtol,
             _atol=plan.atol,
+            _names=Names(self._title, self.labels, plan.event_names),
         )
 
 

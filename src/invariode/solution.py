@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, warn
 from ._core import Dense
 from .invariants import BoundInvariants
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes  # the extra `plot`
 
 __all__ = ["DenseSolution", "Drift", "Solution", "Stats", "Steps"]
 
@@ -219,6 +222,15 @@ class DenseSolution:
         return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
 
 
+@dataclasses.dataclass
+class Names:
+    """What pictures call things."""
+
+    problem: str | None
+    components: list[str]
+    events: list[str]
+
+
 @dataclasses.dataclass(eq=False, repr=False)
 class Solution(Record):
     """Result of a solve. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
@@ -264,6 +276,7 @@ class Solution(Record):
     _rtol: ArrayLike
     _atol: ArrayLike
     _drift: tuple[Array, Array, float]
+    _names: Names
 
     @cached_property
     def residual(self) -> Array:
@@ -325,6 +338,30 @@ class Solution(Record):
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
         return dataclasses.replace(self, y=y, y_events=events, sol=dense)
+
+    def plot(self, ax: Axes | None = None, components: Any = None, **line: Any) -> Axes:
+        """Components over t, on `ax` or a new figure: `invariode.plotting.plot`."""
+        from . import plotting
+
+        return plotting.plot(self, ax, components, **line)
+
+    def plot_phase(self, i: int | str, j: int | str | None = None, ax: Axes | None = None, **line: Any) -> Axes:
+        """One component over another, or a complex one in its plane: `invariode.plotting.plot_phase`."""
+        from . import plotting
+
+        return plotting.plot_phase(self, i, j, ax, **line)
+
+    def plot_drift(self, ax: Axes | None = None, invariants: Any = None, **line: Any) -> Axes:
+        """Residuals of the invariants, before and after projection: `invariode.plotting.plot_drift`."""
+        from . import plotting
+
+        return plotting.plot_drift(self, ax, invariants, **line)
+
+    def plot_steps(self, axes: Any = None, **line: Any) -> Array:
+        """Size, order and error of the accepted steps: `invariode.plotting.plot_steps`."""
+        from . import plotting
+
+        return plotting.plot_steps(self, axes, **line)
 
     def __repr__(self) -> str:
         width = max(map(len, self))

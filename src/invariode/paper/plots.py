@@ -14,22 +14,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._arguments import EPS, Array
+from .._style import IMPOSED, INK, LOOK, PLAIN, PROJECTED, QUIET
 from ..solution import Solution
 from .experiments import REFINE, Results, residual
 from .problems import MU, MU_STAR, ORBITS, PENDULUM
 
 __all__ = ["FIGURES", "Plot", "svg"]
 
-PLAIN, PROJECTED, IMPOSED, QUIET = "#d1495b", "#1f5f9e", "#2a8c6e", "#8a8f98"
-
-STYLE: dict[Any, Any] = {  # rc parameters, which mypy knows by name
+STYLE: dict[Any, Any] = {
+    **LOOK,
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
     "axes.edgecolor": "#555b66",
-    "axes.labelcolor": "#20242c",
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    "axes.labelcolor": INK,
     "axes.unicode_minus": True,
     "grid.color": "#e4e7ec",
     "grid.linewidth": 0.7,
@@ -66,7 +63,6 @@ def svg(plot: Plot, results: Results) -> str:
         figure = Figure(figsize=(WIDTH, plot.height), layout="constrained")
         axes = figure.add_subplot()
         axes.grid(True)
-        axes.set_axisbelow(True)
         plot.draw(axes, results)
         page = io.StringIO()
         figure.savefig(page, format="svg", transparent=True, metadata={"Date": None})
@@ -106,7 +102,7 @@ def _phase_plane(axes: Axes, results: Results) -> None:
     t = np.linspace(0, 50, 4000)
     axes.plot(*_dense(runs.plain, t), color=PLAIN, lw=0.9, label="plain")
     axes.plot(*_dense(runs.continuous, t), color=PROJECTED, lw=1.4, label="projected")
-    axes.plot(1, 3, "o", color="#20242c", ms=4, label="start")
+    axes.plot(1, 3, "o", color=INK, ms=4, label="start")
     axes.set(xlabel="prey $x$", ylabel="predator $y$", xlim=(0, None), ylim=(0, None))
     _above(axes, 3)
 
@@ -180,10 +176,8 @@ def _rod_length(axes: Axes, results: Results) -> None:
 def _orbit(name: str, label: str, colour: str) -> Callable[[Axes, Results], None]:
     def draw(axes: Axes, results: Results) -> None:
         sol: Solution = getattr(results.three_body, name)
-        axes.plot(*_dense(sol, np.linspace(sol.t[0], sol.t[-1], 1500))[:2], color=colour, label=label)
-        axes.plot(*sol.y[:2, 0], "o", color=IMPOSED, ms=6.5, label="start")
-        axes.plot(*sol.y[:2, -1], "s", mfc="white", mec="#20242c", ms=3.5, label="end")
-        axes.plot([-MU, MU_STAR], [0, 0], ".", color="#20242c", ms=5)
+        sol.plot_phase("x", "y", axes, color=colour, label=label)
+        axes.plot([-MU, MU_STAR], [0, 0], ".", color=INK, ms=5)
         _name(axes, "Earth", (-MU, 0), (0, -26))
         _name(axes, "Moon", (MU_STAR, 0), (-4, 9))
         axes.set(xlabel="$x$", ylabel="$y$", xlim=(-1.5, 1.5), ylim=(-1.05, 1.05), aspect="equal")
@@ -194,7 +188,7 @@ def _orbit(name: str, label: str, colour: str) -> Callable[[Axes, Results], None
 
 
 def _name(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float]) -> None:
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8.5, "color": "#20242c"}
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8.5, "color": INK}
     axes.annotate(text, at, xytext=offset, textcoords="offset points", **style)
 
 

@@ -1,0 +1,330 @@
+"""Pictures show what the solution is, on the axes that they are given, and do nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import invariode as iv
+from invariode import plotting
+from problems import PROBLEMS
+
+DRAWINGS = {
+    "plot": lambda sol, ax=None: sol.plot(ax),
+    "phase": lambda sol, ax=None: sol.plot_phase(0, 1, ax),
+    "drift": lambda sol, ax=None: sol.plot_drift(ax),
+    "steps": lambda sol, ax=None: sol.plot_steps(ax),
+}
+
+
+@pytest.fixture(autouse=True)
+def _figures_are_closed():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(params=list(DRAWINGS))
+def draw(request):
+    return DRAWINGS[request.param]
+
+
+def axes():
+    """Axes that pyplot does not know."""
+    return Figure(layout="constrained").add_subplot()
+
+
+def circle(t, y):
+    return [-y[1], y[0]]
+
+
+def radius(t, y):
+    return y[0] ** 2 + y[1] ** 2
+
+
+def turning(t_span=(0, 20), **described):
+    return iv.Problem(circle, t_span, [1, 0], **{"invariants": radius, "labels": ["east", "north"], **described})
+
+
+def ball(**options):
+    """Free fall from height 1; the floor gives back half of the speed."""
+    hit = iv.Event(lambda t, y: y[0], direction=-1, action=lambda t, y: [0, -y[1] / 2])
+    hit.__name__ = "impact"
+    return iv.solve_ivp(lambda t, y: [y[1], -1.0], (0, 3), [1, 0], events=hit, **options)
+
+
+def shown(ax):
+    """The curves that the legend or the axis names."""
+    return [line for line in ax.lines if line.get_linestyle() != "None" and len(line.get_xdata())]
+
+
+def legend(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_axes_returned_are_those_given(draw):
+    ax = axes()
+    assert np.ravel(draw(turning().solve(), ax)) == [ax]
+
+
+def test_given_axes_need_no_figure_of_pyplot_and_none_are_shown_or_saved(draw, monkeypatch):
+    for name in ("show", "savefig"):
+        monkeypatch.setattr(plt, name, lambda *args, **kwargs: pytest.fail("shown or saved"))
+    monkeypatch.setattr(Figure, "savefig", lambda *args, **kwargs: pytest.fail("saved"))
+    sol = turning().solve()
+    draw(sol, axes())
+    assert not plt.get_fignums()
+    draw(sol)
+    assert len(plt.get_fignums()) == 1
+
+
+def test_settings_of_matplotlib_stay_as_they_are(draw):
+    before = dict(mpl.rcParams)
+    draw(turning().solve())
+    assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize("t_span", [(0, 20), (0, -20), (1, 1)], ids=["forwards", "backwards", "zero length"])
+@pytest.mark.parametrize("dense", [False, True])
+def test_pictures_can_be_drawn_without_warnings_and_keep_their_legends_inside_the_figure(draw, t_span, dense):
+    sol = turning(t_span, name="Circle").solve(dense_output=dense)
+    ax = np.ravel(draw(sol))[0]
+    figure = ax.figure
+    figure.canvas.draw()
+    if ax.get_legend():
+        box = ax.get_legend().get_window_extent()
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.width
+        assert not box.overlaps(ax.bbox)  # and cover no data
+    assert ax.get_title() == "Circle"
+
+
+def test_every_picture_of_every_problem(problem, draw, method):
+    draw(problem.solve(method), axes())
+
+
+def test_names_are_those_of_the_problem():
+    sol = turning().solve()
+    assert legend(sol.plot(axes())) == ["east", "north"]
+    assert sol.plot(axes(), "north").get_ylabel() == "north"
+    ax = sol.plot_phase("north", "east", axes())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("north", "east")
+    assert sol.plot_drift(axes()).get_ylabel() == "residual of radius"
+    assert sol.impose().plot(axes(), "north").get_ylabel() == "north"
+    assert legend(iv.solve_ivp(circle, (0, 1), [1, 0]).plot(axes())) == ["y0", "y1"]
+    assert iv.solve_ivp(circle, (0, 1), [1, 0]).plot().get_title() == ""  # no name was given
+    ax = sol.plot(axes(), label="first")
+    assert legend(sol.plot(ax, [0], label="second")) == ["east, first", "north, first", "east, second"]
+
+
+def test_lines_are_the_points_of_the_output_marked_where_they_are_few():
+    few, many = turning().solve(t_eval=np.linspace(0, 20, 9)), turning().solve(t_eval=np.linspace(0, 20, 99))
+    for sol, marker in ((few, "."), (many, "none")):
+        for line, values in zip(shown(sol.plot(axes())), sol.y, strict=True):
+            np.testing.assert_array_equal(line.get_xdata(), sol.t)
+            np.testing.assert_array_equal(line.get_ydata(), values)
+            assert str(line.get_marker()).lower() == marker
+    (line,) = shown(few.plot_phase(0, 1, axes()))
+    np.testing.assert_array_equal(line.get_xydata().T, few.y)
+
+
+def test_lines_are_the_dense_output_where_there_is_one():
+    sol = turning().solve(dense_output=True, t_eval=[0, 20])
+    for k, line in enumerate(shown(sol.plot(axes()))):
+        t, y = line.get_data()
+        assert len(t) > 30 * sol.stats.steps
+        assert set(sol.sol.ts) <= set(t)
+        np.testing.assert_array_equal(y, sol.sol(t)[k])
+
+
+@pytest.mark.parametrize("options", [{}, {"refine": 3}, {"dense_output": True}, {"t_eval": np.linspace(0, 3, 100)}])
+def test_jumps_interrupt_the_line(options):
+    sol = ball(**options)
+    _, speed = shown(sol.plot(axes()))
+    t, v = speed.get_data()
+    gaps = np.flatnonzero(np.isnan(v))
+    assert len(gaps) == len(sol.t_events[0]) == 2
+    assert (v[gaps - 1] < 0).all()
+    assert (v[gaps + 1] > 0).all()
+    rises = np.diff(v)
+    assert (rises[~np.isnan(rises)] <= 0).all()  # in flight the speed only falls: no line goes up
+    if "t_eval" not in options:
+        np.testing.assert_allclose(t[gaps - 1], sol.t_events[0], rtol=1e-15)
+        np.testing.assert_array_equal(t[gaps + 1], sol.t_events[0])
+        np.testing.assert_allclose(v[gaps + 1], -v[gaps - 1] / 2, rtol=1e-12)
+
+
+def test_events_are_marked_where_they_were_found():
+    sol = ball()
+    over_t, phase = sol.plot(axes(), [1]), sol.plot_phase(0, 1, axes())
+    for ax, x in ((over_t, sol.t_events[0]), (phase, sol.y_events[0][:, 0])):
+        (mark,) = [line for line in ax.lines if line.get_label() == "impact"]
+        np.testing.assert_array_equal(mark.get_xdata(), x)
+        np.testing.assert_array_equal(mark.get_ydata(), sol.y_events[0][:, 1])
+        assert "impact" in legend(ax)
+
+
+def test_complex_components_are_real_parts_solid_and_imaginary_parts_dashed():
+    sol = iv.solve_ivp(lambda t, y: 1j * y, (0, 5), [1 + 0j])
+    ax = sol.plot(axes())
+    assert legend(ax) == ["Re y0", "Im y0"]
+    real, imaginary = shown(ax)
+    assert (real.get_linestyle(), imaginary.get_linestyle()) == ("-", "--")
+    assert real.get_color() == imaginary.get_color()
+    np.testing.assert_array_equal(real.get_ydata(), sol.y[0].real)
+    np.testing.assert_array_equal(imaginary.get_ydata(), sol.y[0].imag)
+    ax = sol.plot_phase("y0", ax=axes())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Re y0", "Im y0")
+    np.testing.assert_array_equal(shown(ax)[0].get_ydata(), sol.y[0].imag)
+    with pytest.raises(ValueError, match=r"the solution is complex: plot_phase\(0\) draws one component"):
+        sol.plot_phase(0, 0)
+
+
+def test_a_dozen_components_at_the_most_which_the_legend_says():
+    sol = iv.solve_ivp(lambda t, y: -y, (0, 1), np.ones(30))
+    ax = sol.plot(axes())
+    assert len(shown(ax)) == 12
+    assert ax.get_legend().get_title().get_text() == "12 of 30 components"
+    assert len({(line.get_color(), line.get_linestyle()) for line in shown(ax)}) == 12
+    assert legend(sol.plot(axes(), [3, "y20", -1])) == ["y3", "y20", "y29"]
+    assert len(shown(sol.plot(axes(), range(30)))) == 30
+
+
+@pytest.mark.parametrize("wrong", ["west", 2, -3, 0.5, None])
+def test_components_that_do_not_exist_are_refused_with_those_that_do(wrong):
+    sol = turning().solve()
+    with pytest.raises(ValueError, match=r"there is no component .*: choose from east, north, or by index"):
+        sol.plot(components=[wrong])
+    with pytest.raises(ValueError, match="there is no component"):
+        sol.plot_phase(wrong, 0)
+    with pytest.raises(ValueError, match="plot_phase needs two components of east, north"):
+        sol.plot_phase(0)
+    assert not plt.get_fignums()  # what is refused leaves no empty figure
+
+
+def test_orbits_are_not_distorted_and_their_ends_are_marked():
+    sol = turning().solve()
+    ax = sol.plot_phase(0, 1, axes())
+    assert ax.get_aspect() == 1
+    start, end = ax.lines[1:]
+    np.testing.assert_array_equal(start.get_xydata(), [sol.y[:, 0]])
+    np.testing.assert_array_equal(end.get_xydata(), [sol.y[:, -1]])
+    assert legend(sol.plot_phase(0, 1, ax, label="again")) == ["again", "start", "end"]
+    stretched = iv.solve_ivp(lambda t, y: [-y[1] / 100, 100 * y[0]], (0, 7), [1, 0])
+    assert stretched.plot_phase(0, 1, axes()).get_aspect() == "auto"
+
+
+def test_drift_is_the_residual_and_the_largest_before_projection():
+    sol = turning().solve("ode23")
+    after, before, _ = sol.plot_drift(axes()).lines
+    r = np.abs(sol.residual[0])
+    np.testing.assert_array_equal(after.get_ydata()[r > 0], r[r > 0])
+    assert np.isnan(after.get_ydata()[0])  # zero by definition
+    assert set(before.get_ydata()) == {sol.drift().residual_before[0]}
+    assert before.get_linestyle() == ":"
+    imposed = sol.impose()
+    drawn = imposed.plot_drift(axes()).lines[0].get_ydata()[1:]
+    assert (imposed.residual == 0).any()
+    assert np.nanmin(drawn) >= np.finfo(float).eps / 2  # of the value 1
+
+
+def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
+    sol = turning(invariants=None).solve("ode23")
+    with pytest.raises(ValueError, match=r"the run had no invariants.*plot_drift\(invariants=g\)"):
+        sol.plot_drift()
+    (line,) = sol.plot_drift(axes(), radius).lines
+    np.testing.assert_allclose(line.get_ydata()[1:], np.abs(radius(0, sol.y) - 1)[1:], rtol=1e-12)
+    (line,) = sol.plot_drift(axes(), iv.Invariants(radius, value=2)).lines
+    np.testing.assert_allclose(line.get_ydata(), np.abs(radius(0, sol.y) - 2), rtol=1e-12)
+
+
+def test_empty_output_has_no_drift():
+    sol = turning().solve(t_eval=[])
+    for invariants in (None, radius):
+        with pytest.raises(ValueError, match="t_eval was empty"):
+            sol.plot_drift(invariants=invariants)
+    assert legend(sol.plot(axes())) == ["east", "north"]
+
+
+def test_drift_after_a_jump_is_from_the_value_held_since():
+    def energy(t, y):
+        return y[1] ** 2 / 2 + y[0]
+
+    imposed, plain = ball(invariants=energy), ball()
+    assert plain.plot_drift(axes(), energy).get_ylim()[1] < 1e-6
+    np.testing.assert_allclose(np.nanmax(imposed.plot_drift(axes()).lines[0].get_ydata()), 0, atol=1e-12)
+
+
+def test_drift_passes_the_arguments_of_the_run():
+    sol = iv.solve_ivp(lambda t, y, c: -c * y, (0, 1), [1.0], args=(3.0,))
+    (line,) = sol.plot_drift(axes(), lambda t, y, c: y[0] * np.exp(c * t)).lines
+    assert 0 < np.nanmax(line.get_ydata()) < 1e-2
+
+
+def test_steps_are_drawn_over_the_interval_that_they_span(method):
+    sol = turning().solve(method)
+    size, order, errors = sol.plot_steps()
+    for panel, values in ((size, np.abs(sol.steps.h)), (order, sol.steps.order)):
+        (line,) = panel.lines
+        assert line.get_drawstyle() == "steps-pre"
+        np.testing.assert_allclose(line.get_xdata(), [0, *sol.steps.t], atol=1e-12)
+        np.testing.assert_array_equal(line.get_ydata()[1:], values)
+    dots = {line.get_label(): line.get_ydata() for line in errors.lines[1:]}
+    np.testing.assert_array_equal(dots["error"], np.where(sol.steps.error > 0, sol.steps.error, np.nan))
+    np.testing.assert_array_equal(dots["correction"], np.where(sol.steps.correction > 0, sol.steps.correction, np.nan))
+    assert size.get_yscale() == errors.get_yscale() == "log"
+
+
+def test_steps_on_fewer_axes_and_on_too_many():
+    sol = turning().solve()
+    for count in (1, 2, 3):
+        given = Figure().subplots(count, squeeze=False)[:, 0]
+        np.testing.assert_array_equal(sol.plot_steps(given), given)
+    with pytest.raises(ValueError, match="one to three axes, got 4"):
+        sol.plot_steps(Figure().subplots(2, 2))
+    with pytest.raises(ValueError, match='save="all"'):
+        turning().solve(save="end").plot_steps()
+
+
+@pytest.mark.parametrize("over_t", ["plot", "drift", "steps"])
+def test_a_logarithmic_axis_of_time_shows_all_but_time_zero(over_t):
+    sol = turning().solve(dense_output=True)
+    before, after = axes(), axes()
+    before.set_xscale("log")
+    DRAWINGS[over_t](sol, before)
+    DRAWINGS[over_t](sol, after)
+    after.set_xscale("log")
+    for ax in (before, after):
+        ax.figure.canvas.draw()
+        low, high = ax.get_xlim()
+        assert 0 < low <= sol.t[1]
+        assert high >= sol.t[-1]
+
+
+def test_runs_on_the_same_axes_have_different_colours():
+    ax = axes()
+    for _ in range(3):
+        turning().solve().plot(ax)
+    assert len({line.get_color() for line in shown(ax)}) == 6
+    assert shown(turning().solve().plot(axes(), 0, c="black", ls="--"))[0].get_color() == "black"
+
+
+def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch):
+    sol = PROBLEMS["pendulum"].solve("ode45")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "invariode.plotting")
+    monkeypatch.delattr(iv, "plotting")
+    for draw in DRAWINGS.values():
+        with pytest.raises(ModuleNotFoundError, match=r"pip install invariode\[plot\]"):
+            draw(sol)
+    subprocess.run([sys.executable, "-c", "import invariode, sys; assert 'matplotlib' not in sys.modules"], check=True)
+
+
+@pytest.mark.parametrize("name", plotting.__all__)
+def test_every_function_is_a_method(name):
+    assert f"invariode.plotting.{name}" in getattr(iv.Solution, name).__doc__
