@@ -10,6 +10,7 @@ from .check import CheckReport, check_invariants
 from .compiled import CompiledFunction, compile
 from .discovery import PolynomialInvariant, find_invariants
 from .events import Event
+from .export import load
 from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .methods import METHODS, Method
 from .problem import Problem
@@ -37,6 +38,7 @@ __all__ = [
     "dop853",
     "find_invariants",
     "impose",
+    "load",
     "ode15s",
     "ode23",
     "ode45",

@@ -318,6 +318,9 @@ class Problem:
             _drift=run.take_drift(),
             _rtol=rtol,
             _atol=atol,
+            _name=self.name,
+            _labels=self.labels,
+            _event_names=[event.__name__ for event in self.events],
         )
 
 
