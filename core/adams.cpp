@@ -15,8 +15,8 @@ constexpr double gamma_star[] = {0,      0.5,     0.0833,  0.0417,  0.0264,  0.0
 
 constexpr double starting_fraction = 0.25;  // of √rtol: what the first step may change y by
 
-/// The polynomial of [SG] 'INTRP': y₁ + (t − t₁) Σ_{i≤k+1} g_i(t) φ_i, the integral of the polynomial that interpolates
-/// f at t₁ and at the k points before it. data = [y₁ | φ_1 … φ_{k+1} | ψ_1 … ψ_k | h].
+}  // namespace
+
 void integrate_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
   const std::size_t terms = (size - n) / (n + 1);
   const double* phi = data + n;
@@ -36,8 +36,6 @@ void integrate_polynomial(const double* data, std::size_t size, std::size_t n, d
     for (std::size_t i = 0; i < n; ++i) out[i] += weight * phi[j * n + i];
   }
 }
-
-}  // namespace
 
 Adams::Adams(Callback& f, const Weights& weights, int max_order)
     : Step(f, weights),

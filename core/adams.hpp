@@ -10,6 +10,10 @@
 
 namespace invariode {
 
+/// The polynomial of [SG] 'INTRP': y₁ + (t − t₁) Σ_{i≤k+1} g_i(t) φ_i, the integral of the polynomial that interpolates
+/// f at t₁ and at the k points before it. data = [y₁ | φ_1 … φ_{k+1} | ψ_1 … ψ_k | h].
+void integrate_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+
 /// The code ode113. Projection comes between the corrector and the last evaluation, so that everything stored is data
 /// of the projected solution.
 class Adams : public Step {

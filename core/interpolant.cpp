@@ -24,7 +24,7 @@ void Interpolant::corrected(const Segment& segment, double t, double* y) const {
 Status Interpolant::value(const Segment& segment, double t, double* y) {
   corrected(segment, t, y);
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
-  if (m_ == 0 || theta <= 0 || theta >= 1) return Status::ok;
+  if (projector_ == nullptr || m_ == 0 || theta <= 0 || theta >= 1) return Status::ok;
   const double* w = segment.data + segment.size - n_ - 2 * m_;
   const double* g0 = w + n_;
   const double* g1 = g0 + m_;

@@ -25,7 +25,8 @@ struct Segment {
   std::size_t size;
 };
 
-/// Evaluates segments. Without invariants `projector` is null.
+/// Evaluates segments. Without invariants `projector` is null; without their functions too, and values are corrected
+/// only.
 class Interpolant {
  public:
   Interpolant(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector)

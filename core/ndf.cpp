@@ -49,7 +49,8 @@ Small differences_at(double rho, int k) {
   return R;
 }
 
-/// y₁ + Σ_{j≤k} D_j Π_{m<j} (s + m)/(m + 1), s = (t − t₁)/h. data = [y₁ | D_1 … D_k].
+}  // namespace
+
 void newton_backward(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
   std::copy(data, data + n, out);
   const double s = theta - 1;
@@ -60,8 +61,6 @@ void newton_backward(const double* data, std::size_t size, std::size_t n, double
     for (std::size_t i = 0; i < n; ++i) out[i] += D[i] * product;
   }
 }
-
-}  // namespace
 
 Ndf::Ndf(Callback& f, const Weights& weights, Jacobian jacobian, Mass* mass, const Options& options)
     : Step(f, weights),

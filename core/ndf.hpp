@@ -13,6 +13,9 @@
 
 namespace invariode {
 
+/// y₁ + Σ_{j≤k} D_j Π_{m<j} (s + m)/(m + 1), s = (t − t₁)/h. data = [y₁ | D_1 … D_k].
+void newton_backward(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+
 /// The code ode15s, for M y' = f(t, y).
 class Ndf : public Step {
  public:

@@ -34,7 +34,7 @@ Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Pr
       continue;
     }
     std::size_t s = std::min(k, end_.size() - 1);
-    if (s > 0 && end_[s] == knots[s]) --s;  // beyond a jump that ended the run
+    while (s > 0 && end_[s] == knots[s]) --s;  // beyond a jump that ended the run
     const std::size_t stop = s + 1 < offset_.size() ? offset_[s + 1] : data_.size();
     const Segment segment{knots[s], end_[s], data_.data() + offset_[s], stop - offset_[s]};
     if (interpolant.value(segment, t[p], out) == Status::stop) return Status::stop;

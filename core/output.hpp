@@ -44,8 +44,21 @@ class DenseOutput {
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
   [[nodiscard]] const Buffer<double>& knots() const { return knots_.t; }
 
+  /// What it consists of, for storing it: given to `start` and `add` again, it makes the same function.
+  struct Parts {
+    std::size_t m;
+    Interpolation mode;
+    Interpolate raw;
+    const Trajectory& knots;
+    const std::vector<double>& end;          ///< segment s is from knot s to knot s + 1, empty at a jump; its t1
+    const std::vector<std::size_t>& offset;  ///< where its data starts
+    const Buffer<double>& data;
+  };
+  [[nodiscard]] Parts parts() const { return {m_, mode_, raw_, knots_, end_, offset_, data_}; }
+
   /// y at `count` times into out (count, n): the stored value at a knot, else the segment's; before the first and after
-  /// the last knot their segments are extrapolated. Where the mode projects, `projector` does it.
+  /// the last knot their segments are extrapolated. Where the mode projects, `projector` does it; without one the
+  /// values are corrected only.
   Status evaluate(const double* t, std::size_t count, double* out, Projector* projector) const;
 
  private:

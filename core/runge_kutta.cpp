@@ -1,5 +1,7 @@
 #include "runge_kutta.hpp"
 
+#include <algorithm>
+
 #include "runge_kutta_step.hpp"
 
 namespace invariode {
@@ -14,6 +16,16 @@ std::unique_ptr<Step> make(Callback& f, const Weights& weights, Fsal fsal) {
 }
 
 }  // namespace
+
+void nested(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+  const double* c = data + (size - n);
+  std::copy(c, c + n, out);
+  for (std::size_t j = size / n - 1; j-- > 0;) {
+    const double factor = j % 2 == 1 ? 1 - theta : theta;
+    c -= n;
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
+  }
+}
 
 std::unique_ptr<Step> ode23_step(Callback& f, const Weights& weights, Fsal fsal) {
   return make<bogacki_shampine>(f, weights, fsal);

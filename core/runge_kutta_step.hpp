@@ -13,17 +13,6 @@ namespace invariode::runge_kutta {
 inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
 inline constexpr double largest_growth = 5;  // of h after a success
 
-/// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
-inline void nested(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
-  const double* c = data + (size - n);
-  std::copy(c, c + n, out);
-  for (std::size_t j = size / n - 1; j-- > 0;) {
-    const double factor = j % 2 == 1 ? 1 - theta : theta;
-    c -= n;
-    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
-  }
-}
-
 /// The pair T. `Few`: compiled for few equations, without vector instructions, by core/runge_kutta_few.cpp.
 template <const auto& T, bool Few>
 class Pair final : public Step {

@@ -56,6 +56,8 @@ class Weights {
 
   [[nodiscard]] double rtol() const { return rtol_; }
   [[nodiscard]] std::size_t size() const { return threshold_.size(); }
+  [[nodiscard]] const std::vector<double>& threshold() const { return threshold_; }
+  [[nodiscard]] const std::vector<double>& scale() const { return scale_; }
   [[nodiscard]] double absolute_tolerance(std::size_t i) const { return rtol_ * threshold_[i]; }
   [[nodiscard]] bool pure_relative(std::size_t i) const { return threshold_[i] == std::numeric_limits<double>::min(); }
 

@@ -20,8 +20,9 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_code_blocks_print_what_the_page_says(page):
+def test_code_blocks_print_what_the_page_says(page, tmp_path, monkeypatch):
     """Python blocks run one after the other in one namespace; a text block that follows is their output."""
+    monkeypatch.chdir(tmp_path)  # for the files that they write
     namespace: dict[str, object] = {}
     for code, shown in re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", page.read_text(), re.DOTALL):
         printed = io.StringIO()

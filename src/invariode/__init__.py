@@ -11,6 +11,7 @@ from .compiled import CompiledFunction, compile
 from .discovery import PolynomialInvariant, find_invariants
 from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ensemble
 from .events import Event
+from .export import load
 from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .methods import METHODS, Method
 from .problem import Problem
@@ -41,6 +42,7 @@ __all__ = [
     "dop853",
     "find_invariants",
     "impose",
+    "load",
     "ode15s",
     "ode23",
     "ode45",

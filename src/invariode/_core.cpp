@@ -41,6 +41,8 @@ namespace {
 
 using Vector = nb::ndarray<double, nb::numpy, nb::ndim<1>, nb::c_contig>;
 using Table = nb::ndarray<double, nb::numpy, nb::ndim<2>, nb::c_contig>;
+using Offsets = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+using ConstOffsets = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
@@ -671,6 +673,27 @@ constexpr std::pair<const char*, Fsal> fsals[] = {{"reuse", Fsal::reuse}, {"eval
 constexpr std::pair<const char*, Interpolation> interpolations[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
 
+/// A raw extension under its name in files, and the sizes that its data may have.
+struct Extension {
+  const char* name;
+  Interpolate evaluate;
+  bool (*fits)(std::size_t size, std::size_t n);
+};
+bool rows_of_n(std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
+bool rows_and_steps(std::size_t size, std::size_t n) {
+  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
+}
+constexpr Extension extensions[] = {{"Runge-Kutta", nested, rows_of_n},
+                                    {"Adams", integrate_polynomial, rows_and_steps},
+                                    {"NDF", newton_backward, rows_of_n}};
+
+template <class Value>
+const char* name_in(const std::pair<const char*, Value> (&names)[3], Value value) {
+  for (const auto& [name, one] : names)
+    if (one == value) return name;
+  return "";
+}
+
 // ---------------------------------------------------------------------------------------------------------------------
 // What Python calls
 
@@ -685,7 +708,8 @@ struct Dense {
     Functions functions({output.n(), complex}, args, to_vector(parameters));
     std::optional<Invariants> g;
     std::optional<Projector> projector;
-    if (output.projects()) {
+    if (output.projects() && !invariants.empty()) {
+      if (value.size() != output.parts().m) throw nb::value_error("not the number of invariants of the run");
       g.emplace(output.n(), functions.invariants(invariants), to_vector(value), weights);
       projector.emplace(*g, weights, 1);
     }
@@ -693,6 +717,70 @@ struct Dense {
     if (output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr) == Status::stop)
       throw nb::python_error();
     return to_array<Table>(std::move(y), t.size(), output.n());
+  }
+
+  /// Everything, as the arguments of `from_parts`.
+  [[nodiscard]] nb::dict parts() const {
+    const DenseOutput::Parts all = output.parts();
+    const std::vector<std::int64_t> offset(all.offset.begin(), all.offset.end());
+    nb::dict d;
+    d["t"] = copied(all.knots.t);
+    d["y"] = to_array<Table>(std::vector<double>(all.knots.y), all.knots.t.size(), output.n());
+    d["end"] = copied(all.end);
+    d["offset"] = to_array<Offsets>(std::vector<std::int64_t>(offset), offset.size());
+    d["data"] = copied(all.data);
+    d["m"] = all.m;
+    d["interpolation"] = name_in(interpolations, all.mode);
+    for (const Extension& one : extensions)
+      if (one.evaluate == all.raw) d["extension"] = one.name;
+    d["rtol"] = weights.rtol();
+    d["threshold"] = copied(weights.threshold());
+    d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));
+    d["complex"] = complex;
+    return d;
+  }
+
+  /// From parts, which may be of a file that anyone wrote: each segment is checked to be one that can be evaluated.
+  static Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& end,
+                          const ConstOffsets& offset, const ConstVector& data, std::size_t m,
+                          const std::string& interpolation, const std::string& extension, double rtol,
+                          const ConstVector& threshold, const std::optional<ConstVector>& scale, bool complex) {
+    const std::size_t n = y.shape(1), segments = end.size();
+    const Interpolation mode = find_name(interpolations, interpolation, "interpolation");
+    const Extension* raw = nullptr;
+    for (const Extension& one : extensions)
+      if (one.name == extension) raw = &one;
+    const auto require = [](bool right, const char* what) {
+      if (!right) throw nb::value_error(what);
+    };
+    require(raw != nullptr, "unknown extension");
+    require(n > 0 || segments == 0, "there is nothing to interpolate");
+    require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
+    require(threshold.size() == n && (!scale || scale->size() == n), "weights do not match");
+    Dense dense{DenseOutput(n, m, mode, raw->evaluate), to_weights(rtol, threshold, scale), complex};
+    const std::size_t overhead = Interpolant(n, m, mode, raw->evaluate, nullptr).overhead();
+    dense.output.start(t.data()[0], y.data());
+    for (std::size_t s = 0; s < segments; ++s) {
+      const auto begin = static_cast<std::size_t>(offset.data()[s]);
+      const std::size_t stop = s + 1 < segments ? static_cast<std::size_t>(offset.data()[s + 1]) : data.size();
+      require((s > 0 || begin == 0) && begin <= stop && stop <= data.size(), "segments do not match");
+      const double t0 = t.data()[s], t1 = end.data()[s];
+      const double* next = y.data() + (s + 1) * n;
+      if (t1 == t0) {  // a jump
+        require(s > 0 && begin == stop && t.data()[s + 1] == t0, "jumps do not match");
+        dense.output.start(t0, next);
+        continue;
+      }
+      const std::size_t size = stop - begin;
+      require(size >= overhead && raw->fits(size - overhead, n), "segments do not match");
+      dense.output.add({t0, t1, data.data() + begin, size}, t.data()[s + 1], next);
+    }
+    return dense;
+  }
+
+ private:
+  static Vector copied(const std::vector<double>& values) {
+    return to_array<Vector>(std::vector<double>(values), values.size());
   }
 };
 
@@ -1233,6 +1321,11 @@ NB_MODULE(_core, module) {
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
 
   nb::class_<Dense>(module, "Dense")
+      .def_static("from_parts", &Dense::from_parts, nb::kw_only(), nb::arg("t"), nb::arg("y"), nb::arg("end"),
+                  nb::arg("offset"), nb::arg("data"), nb::arg("m"), nb::arg("interpolation"), nb::arg("extension"),
+                  nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("complex"),
+                  "What `parts` gave, put together again.")
+      .def("parts", &Dense::parts, "What it consists of: arrays, numbers and names.")
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::kw_only(), nb::arg("invariants"), nb::arg("value"),
            nb::arg("args"), nb::arg("parameters"), "y at each t: (len(t), n).")
       .def("knots", [](const Dense& d) {

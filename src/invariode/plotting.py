@@ -316,8 +316,8 @@ def _new_panels(sol: Solution, rows: int = 3, **options: Any) -> Array:
         )
     for ax in axes.flat:
         ax.grid(True, color="0.5", alpha=0.2, lw=0.7)  # on dark backgrounds too
-    if sol._names.problem is not None:
-        axes[0, 0].set_title(sol._names.problem)
+    if sol._names.title is not None:
+        axes[0, 0].set_title(sol._names.title)
     panels: Array = axes[:, 0]
     return panels
 

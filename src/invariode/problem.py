@@ -371,7 +371,7 @@ class Problem:
             _drift=run.take_drift(),
             _rtol=plan.rtol,
             _atol=plan.atol,
-            _names=Names(self._title, self.labels, plan.event_names),
+            _names=Names(self.name, self._title, self.labels, plan.event_names),
         )
 
 

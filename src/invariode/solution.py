@@ -15,7 +15,11 @@ from ._core import Dense
 from .invariants import BoundInvariants
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes  # the extra `plot`
+    import os
+
+    import pandas
+    import xarray
+    from matplotlib.axes import Axes
 
 __all__ = ["DenseSolution", "Drift", "Solution", "Stats", "Steps"]
 
@@ -224,9 +228,10 @@ class DenseSolution:
 
 @dataclasses.dataclass
 class Names:
-    """What pictures call things."""
+    """What tables and pictures call things."""
 
-    problem: str | None
+    problem: str
+    title: str | None  # the problem's name, where one was given
     components: list[str]
     events: list[str]
 
@@ -320,7 +325,7 @@ class Solution(Record):
             Points that did not converge stay as they are, with a warning.
         """
         g = self._invariants
-        if not g.specs:
+        if len(g) == 0:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
 
         def project(t: Array, y: Array, pieces: Array) -> Array:
@@ -362,6 +367,66 @@ class Solution(Record):
         from . import plotting
 
         return plotting.plot_steps(self, axes, **line)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The solution as a labelled data set of xarray, which can be written as netCDF.
+
+        Returns
+        -------
+        xarray.Dataset
+            `y` (component, t), with the problem's labels and the times as coordinates, complex where the problem is.
+            With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
+            `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
+            a name are numbered. Of the accepted steps, if kept, `h, order, error, correction` (t_step). The attributes
+            are the problem's name, the outcome, the tolerances, and all counts of `stats`.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            xarray, of the extra `data`, is not installed.
+        """
+        from .export import to_xarray
+
+        return to_xarray(self)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The outputs as a table of pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per output, with the index `t`; a column per component under its label (complex ones have two,
+            LABEL.real and LABEL.imag, so that they can be written), then ``residual of NAME`` for each invariant. Its
+            `attrs` hold what the attributes of `to_xarray` do, and the invariants' values.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            pandas, of the extra `data`, is not installed.
+        """
+        from .export import to_dataframe
+
+        return to_dataframe(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes everything but the functions to one file, from which `invariode.load` makes an equal Solution.
+
+        The residuals of the invariants and their distances are evaluated for it, at all outputs.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced, all at
+            once when the new one is complete.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        from .export import save
+
+        save(self, path)
 
     def __repr__(self) -> str:
         width = max(map(len, self))
