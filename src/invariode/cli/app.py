@@ -8,21 +8,29 @@ import typer
 from rich.console import Console
 
 from .. import __version__
+from .check import EXAMPLES as CHECK_EXAMPLES
+from .check import check
+from .compare import EXAMPLES as COMPARE_EXAMPLES
+from .compare import compare
 from .methods import methods
 from .paper import paper
+from .solve import EXAMPLES as SOLVE_EXAMPLES
+from .solve import solve
 
 __all__ = ["app"]
 
 app = typer.Typer(
     name="invariode",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(paper)
+app.command(epilog=SOLVE_EXAMPLES)(solve)
+app.command(epilog=COMPARE_EXAMPLES)(compare)
+app.command(epilog=CHECK_EXAMPLES)(check)
 app.command()(methods)
+app.command()(paper)
 
 
 def _print_version(wanted: bool) -> None:
