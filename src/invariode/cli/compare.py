@@ -91,7 +91,7 @@ def compare(
         raise typer.BadParameter("must be a number that is not negative", param_hint="--atol-ratio")
     if not limit > 0:
         raise typer.BadParameter("must be positive", param_hint="--limit")
-    named = [method_of(name) for name in method or ()]
+    named = [_own_name(name) for name in method or ()]
     if plot is not None:
         writable(plot, PICTURES, "--plot", "plot", force)
     console, errors = Console(highlight=False), Console(stderr=True)
@@ -132,6 +132,14 @@ def _rtols(decades: str) -> list[float]:
     return [float(f"1e-{k}") for k in range(first, last + 1)]
 
 
+def _own_name(name: str) -> Method:
+    """The method; SciPy's BDF means options too, which are not compared."""
+    found = method_of(name)
+    if name == found.scipy_name and found.scipy_options:
+        raise typer.BadParameter(f"{name} is {found.name} with options; say {found.name}", param_hint="--method")
+    return found
+
+
 def _methods(problem: Problem, named: Sequence[Method]) -> Sequence[Method]:
     possible = able(problem)
     for one in named:
@@ -153,7 +161,7 @@ def _all(
     try:
         truth = reference(problem, ratio, limit)
     except NoReferenceError as none:
-        raise stop(f"{str(none).capitalize()}, within {6 * limit:g} s each; --limit allows more.", code=1) from None
+        raise stop(str(none), code=1) from None
     rows = []
     for row in compare_runs(problem, methods, rtols, ratio, limit, truth):
         rows.append(row)
@@ -268,7 +276,7 @@ def _verdict(one: Judgement) -> Text:
 def answer(one: Judgement) -> str:
     """The paper's question (section 4), answered in a sentence, for the best method with and without projection."""
     if not one.errors:
-        return "Plain and projected runs have no error in common here; try other --decades."
+        return "Plain and projected runs have no range of errors in common here; try other --decades."
     kind, border = one.kind
     takes = f"at equal error it takes {_range(one.time)} × the time of a tighter tolerance"
     if kind == "worth it":

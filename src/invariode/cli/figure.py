@@ -42,7 +42,7 @@ def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:
         methods = list(dict.fromkeys(row.method for row in rows))
         keys = _keys(methods, any(row.projected for row in rows))
         columns = math.ceil(len(keys) / math.ceil(len(keys) / IN_A_LINE))
-        figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=2.6, columnspacing=1.4)
+        figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=2.4, columnspacing=1.4)
         figure.savefig(path, dpi=200)
 
 

@@ -16,7 +16,7 @@ from ..invariants import InvariantError
 from ..methods import METHODS, Method
 from ..problem import Problem
 from ..solution import Solution
-from .session import unprojected
+from .session import power, unprojected
 
 __all__ = ["WAYS", "Judgement", "NoReferenceError", "Reference", "Row", "Run", "able", "best", "compare_runs", "judge"]
 __all__ += ["reference"]
@@ -47,7 +47,7 @@ _MARGIN = 0.1
 
 
 class NoReferenceError(Exception):
-    """No two methods reach the end with stringent tolerances."""
+    """No two methods agree on the final state."""
 
 
 @dataclass(frozen=True)
@@ -138,17 +138,26 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
     problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
     plain = unprojected(problem)
     pairs = [_IMPLICIT] if problem.matrices.mass is not None or _stiff(plain, seconds) else [_EXPLICIT, _IMPLICIT]
+    obstacles: list[str] = []
     for pair in pairs:
         for rtol in _TIGHT:
-            found = [_to_the_end(plain, name, rtol, ratio, _PATIENCE * seconds, options) for name, options in pair]
-            first, second = found
-            if first is None:
-                break  # tighter or looser, it takes too long
-            if second is not None and first.status == second.status:
-                return _agreed(first, second, _names(pair, rtol))
-    raise NoReferenceError(
-        f"no reference: {' and '.join(name for name, _ in pairs[-1])} do not reach the end at rtol 1e-10"
-    )
+            found = []
+            for name, options in pair:
+                limit = _Limit(_PATIENCE * seconds)
+                sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, callback=limit, **options)
+                if sol.status not in (0, 1):
+                    why = (
+                        sol.message if sol.status < 0 else f"It takes longer than {_PATIENCE * seconds:g} s (--limit)."
+                    )
+                    obstacles.append(f"{name}, rtol {power(rtol)}: {why}")
+                    break
+                found.append(sol)
+            if len(found) == len(pair) and found[0].status == found[1].status:
+                return _agreed(found[0], found[1], _names(pair, rtol))
+            if not found:
+                break  # tighter or looser, the first method is none for this problem
+    first = obstacles[0] if obstacles else "They end at different events."
+    raise NoReferenceError(f"No two methods reach the end with stringent tolerances. {first}")
 
 
 def _stiff(problem: Problem, seconds: float) -> bool:
@@ -159,13 +168,6 @@ def _stiff(problem: Problem, seconds: float) -> bool:
     return problem.solve("ode45", callback=_Limit(seconds, steps), save="end").status not in (0, 1)
 
 
-def _to_the_end(
-    problem: Problem, method: str, rtol: float, ratio: float, seconds: float, options: dict[str, Any]
-) -> Solution | None:
-    sol = problem.solve(method, rtol=rtol, atol=ratio * rtol, callback=_Limit(seconds), **options)
-    return sol if sol.status in (0, 1) else None
-
-
 def _agreed(first: Solution, second: Solution, by: str) -> Reference:
     size = np.abs(first.y).max(axis=1)
     size[size == 0] = size.max(initial=0) or 1.0
@@ -174,7 +176,7 @@ def _agreed(first: Solution, second: Solution, by: str) -> Reference:
 
 
 def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
-    return " and ".join(name + (" as BDF" if options else "") for name, options in pair) + f" at rtol {rtol:.0e}"
+    return " and ".join(name + (" as BDF" if options else "") for name, options in pair) + f" at rtol {power(rtol)}"
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -375,7 +377,7 @@ def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_Curve, _Curv
 
 def _decades(least: float, largest: float) -> list[float]:
     """The powers of ten between the two, from the largest on; if there is none, their geometric mean."""
-    if not 0 < least <= largest < math.inf:
+    if not 0 < least < largest < math.inf:
         return []
     powers = range(math.floor(math.log10(largest)), math.ceil(math.log10(least)) - 1, -1)
     return [10.0**k for k in powers] or [math.sqrt(least * largest)]

@@ -116,8 +116,9 @@ def solve(
             sol = run.solve(method, callback=callback, **options)
             seconds = perf_counter() - start
         if not quiet:
+            named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
             console = Console(highlight=False)
-            console.print(_summary(problem, sol, f"{chosen.name}, rtol {rtol:g}, atol {atol:g}", seconds))
+            console.print(_summary(problem, sol, f"{named}, rtol {rtol:g}, atol {atol:g}", seconds))
             console.print()
             _print_drift(console, problem, sol, project, rtol, atol)
     if output is not None:
@@ -198,7 +199,9 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("f", f"{stats.nfev} evaluations{checks}{linear}")
     if stats.projections or stats.skipped:
         counts = f"{stats.projections} ({stats.skipped} not needed)" if stats.skipped else str(stats.projections)
-        table.add_row("projections", f"{counts}; {stats.ng} evaluations of g, {stats.ngjac} of its Jacobian")
+        jacobians = f", {stats.ngjac} of its Jacobian" if stats.ngjac else ""
+        differences = f", {stats.ngdiff} of these for its Jacobian" if stats.ngdiff else ""
+        table.add_row("projections", f"{counts}; {stats.ng} evaluations of g{jacobians}{differences}")
     if sol.t_events is not None:
         found = (f"{len(t)} of {event.__name__}" for event, t in zip(problem.events, sol.t_events, strict=True))
         table.add_row("events", Text(", ".join(found)))
