@@ -14,6 +14,7 @@ from .compare import EXAMPLES as COMPARE_EXAMPLES
 from .compare import compare
 from .methods import methods
 from .paper import paper
+from .session import paragraphs
 from .solve import EXAMPLES as SOLVE_EXAMPLES
 from .solve import solve
 
@@ -26,11 +27,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command(epilog=SOLVE_EXAMPLES)(solve)
-app.command(epilog=COMPARE_EXAMPLES)(compare)
-app.command(epilog=CHECK_EXAMPLES)(check)
-app.command()(methods)
-app.command()(paper)
+for command, epilog in (
+    (solve, SOLVE_EXAMPLES),
+    (compare, COMPARE_EXAMPLES),
+    (check, CHECK_EXAMPLES),
+    (methods, None),
+    (paper, None),
+):
+    app.command(help=paragraphs(command), epilog=epilog)(command)
 
 
 def _print_version(wanted: bool) -> None:

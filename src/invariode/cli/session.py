@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from importlib.util import find_spec
@@ -34,6 +35,7 @@ __all__ = [
     "method_of",
     "needs",
     "numbers",
+    "paragraphs",
     "power",
     "print_traceback",
     "stop",
@@ -53,6 +55,11 @@ _PACKAGE = str(Path(__file__).parents[1])
 def examples(*lines: str) -> str:
     """The end of a help text: one command in a line."""
     return "\n\n".join([f"Example{'s' * (len(lines) > 1)}:", *(f"[bold]invariode {line}[/]" for line in lines)])
+
+
+def paragraphs(command: Callable[..., Any]) -> str:
+    """The docstring of a command as its help: a line per paragraph, to be wrapped at the width of the terminal."""
+    return "\n\n".join(" ".join(text.split()) for text in (inspect.getdoc(command) or "").split("\n\n"))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
