@@ -301,7 +301,7 @@ def test_warnings_are_lines():
 @pytest.mark.parametrize("option", ["--output", "--plot"])
 def test_files_are_overwritten_by_force_only(option, monkeypatch):
     for name in ("_save", "_draw"):
-        monkeypatch.setattr(f"invariode.cli.solve.{name}", lambda sol, path: path.write_text("new"))
+        monkeypatch.setattr(f"invariode.cli.solve.{name}", lambda *about: about[-1].write_text("new"))
     path = Path("a.csv" if option == "--output" else "a.png")
     path.write_text("old")
     outcome = invariode("solve", "pendulum.py", option, path)
@@ -328,6 +328,7 @@ def test_what_cannot_be_written_is_said(monkeypatch):
         ("--output", "a.csv", "pandas", "data"),
         ("--output", "a.parquet", "pyarrow", "data"),
         ("--output", "a.nc", "h5netcdf", "data"),
+        ("--output", "a.nc", "h5py", "data"),
         ("--plot", "a.png", "matplotlib", "plot"),
     ],
 )
@@ -341,6 +342,8 @@ def test_missing_package_is_named_before_the_work(option, file, package, extra, 
 @pytest.mark.skipif(not hasattr(iv.Solution, "to_dataframe"), reason="needs Solution.to_dataframe and its company")
 @pytest.mark.parametrize("ending", list(OUTPUTS))
 def test_output_holds_the_solution(ending):
+    for package in OUTPUTS[ending]:
+        pytest.importorskip(package)
     sol = problem().solve(t_eval=np.linspace(0, 10, 5))
     path = Path(f"out{ending}")
     outcome = invariode("solve", "pendulum.py", "--t-eval", "5", "-o", path)
@@ -354,10 +357,13 @@ def numbers_in(path: Path) -> np.ndarray:
         with np.load(path, allow_pickle=False) as data:
             arrays = [data[name] for name in data.files]
     elif path.suffix == ".nc":
-        with pytest.importorskip("xarray").open_dataset(path, engine="h5netcdf") as data:
+        import xarray
+
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
             arrays = [data[name].values for name in data.data_vars]
     else:
-        pandas = pytest.importorskip("pandas")
+        import pandas
+
         frame = pandas.read_csv(path) if path.suffix == ".csv" else pandas.read_parquet(path)
         arrays = [frame.select_dtypes("number").to_numpy()]
     return np.concatenate([array.ravel() for array in arrays if array.dtype.kind == "f"])

@@ -36,6 +36,7 @@ __all__ = [
     "needs",
     "numbers",
     "paragraphs",
+    "plain_warnings",
     "power",
     "print_traceback",
     "stop",
@@ -87,8 +88,7 @@ def guarded() -> Iterator[None]:
     A function of the user raised: its traceback, exit code 1. An invariant is refused: 1. Other misuse, such as a
     method that cannot solve the problem: 2. Ctrl-C: 130.
     """
-    with warnings.catch_warnings():
-        warnings.showwarning = _Lines()
+    with plain_warnings():
         try:
             yield
         except (typer.Exit, typer.BadParameter):
@@ -104,6 +104,14 @@ def guarded() -> Iterator[None]:
                 raise
             print_traceback(error)
             raise stop(f"The problem's functions raised {type(error).__name__}.", code=1) from None
+
+
+@contextmanager
+def plain_warnings() -> Iterator[None]:
+    """Warnings in a line each, without where they come from; which of them are errors or ignored is left as it is."""
+    with warnings.catch_warnings():
+        warnings.showwarning = _Lines()
+        yield
 
 
 def _ours(filename: str) -> bool:

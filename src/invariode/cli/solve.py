@@ -27,6 +27,7 @@ from .session import (
     guarded,
     method_of,
     numbers,
+    plain_warnings,
     stop,
     unprojected,
     writable,
@@ -44,7 +45,7 @@ EXAMPLES = examples(
 OUTPUTS: Mapping[str, tuple[str, ...]] = {
     ".csv": ("pandas",),
     ".parquet": ("pandas", "pyarrow"),
-    ".nc": ("xarray", "h5netcdf"),
+    ".nc": ("xarray", "h5netcdf", "h5py"),
     ".npz": (),
 }
 
@@ -124,7 +125,7 @@ def solve(
     if output is not None:
         _write(output, lambda: _save(sol, output), quiet)
     if plot is not None:
-        _write(plot, lambda: _draw(sol, plot), quiet)
+        _write(plot, lambda: _draw(sol, problem.name, plot), quiet)
     if not sol.success:
         raise stop(sol.message, code=1) if quiet else typer.Exit(1)
 
@@ -253,7 +254,8 @@ def _add_rows(table: Table, names: Iterable[str], values: Array, sizes: Iterable
 
 def _write(path: Path, write: Callable[[], object], quiet: bool) -> None:
     try:
-        write()
+        with plain_warnings():
+            write()
     except OSError as error:
         raise stop(f"{path} cannot be written: {error.strerror or error}", code=1) from None
     if not quiet:
@@ -271,9 +273,15 @@ def _save(sol: Any, path: Path) -> None:
         sol.to_dataframe().to_csv(path)
 
 
-def _draw(sol: Any, path: Path) -> None:
+def _draw(sol: Any, name: str, path: Path) -> None:
+    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    figure = Figure(layout="constrained")
-    sol.plot(figure.add_subplot())
-    figure.savefig(path, dpi=200)
+    from ..paper.plots import STYLE
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 3.9), layout="constrained")
+        axes = figure.add_subplot()
+        sol.plot(axes)
+        axes.set_title(name)
+        figure.savefig(path, dpi=200)
