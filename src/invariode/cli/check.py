@@ -1,0 +1,123 @@
+"""`invariode check`: are these invariants invariants? At the start, and along a solution."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from ..check import CheckReport, check_invariants
+from ..problem import Problem
+from .load import File, load
+from .session import complete_method, examples, guarded, method_of, numbers, stop, unprojected
+
+__all__ = ["EXAMPLES", "check"]
+
+EXAMPLES = examples("check pendulum.py", "check orbits.py:kepler --along 20 --method dop853")
+
+#: Tolerances of the solution along which is checked, relative to those that its points have to meet.
+TIGHTER = 1e-3
+
+
+def check(
+    file: File,
+    along: Annotated[
+        int,
+        typer.Option(
+            "--along", metavar="N", min=0, help="Check at N points along a solution, too.", show_default=False
+        ),
+    ] = 0,
+    method: Annotated[
+        str,
+        typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="For that solution."),
+    ] = "ode45",
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Unit of distances.")] = 1e-3,
+    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Where components count as small.")] = 1e-6,
+) -> None:
+    """Report whether the invariants of a problem are invariants of its equations.
+
+    At the initial point: the value held, how far the point is off, the rate d/dt of the invariant along the equations,
+    absolute and in units of its terms (roundoff for invariants). With [bold]--along[/], at points along a solution that
+    is computed without projection, with tolerances a thousand times smaller.
+
+    Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
+    """
+    method_of(method)
+    console = Console(highlight=False)
+    with guarded():
+        problem = load(file)
+        _checkable(problem)
+        t0, tf = problem.t_span
+        report = _report(problem, t0, problem.y0, rtol, atol)
+        _print_report(console, problem, report)
+        findings = list(report.findings)
+        if along:
+            if not np.isfinite(tf):
+                raise typer.BadParameter(f"the interval of {problem.name} has no end", param_hint="--along")
+            times = np.linspace(t0, tf, along + 1)
+            sol = unprojected(problem).solve(method, t_eval=times, rtol=TIGHTER * rtol, atol=TIGHTER * atol)
+            reports = [_report(problem, t, y, rtol, atol) for t, y in zip(sol.t[1:], sol.y.T[1:], strict=True)]
+            if reports:
+                console.print()
+                findings += _print_along(console, sol.t[1:], reports)
+            if not sol.success:
+                raise stop(sol.message, code=1)
+    if findings:
+        raise typer.Exit(1)
+
+
+def _checkable(problem: Problem) -> None:
+    if not problem.invariants:
+        raise stop(
+            f"{problem.name} has no invariants: there is nothing to check. invariode.find_invariants looks for "
+            "polynomial ones.",
+            code=2,
+        )
+    if problem.matrices.mass is not None:
+        raise stop("check is for y' = f(t, y), and this problem has a mass matrix; a solve checks it at its start.", 2)
+
+
+def _report(problem: Problem, t: float, y: np.ndarray, rtol: float, atol: float) -> CheckReport:
+    return check_invariants(problem.fun, problem.invariants, float(t), y, problem.args, rtol=rtol, atol=atol)
+
+
+def _print_report(console: Console, problem: Problem, report: CheckReport) -> None:
+    console.print(Text.assemble((problem.name, "bold"), f", at the start, t = {problem.t_span[0]:g}"))
+    table = numbers("invariant", ("value", "residual", "rate", "of its terms", "conserved"))
+    for i, name in enumerate(report.names):
+        sizes = (f"{report.value[i]:.6g}", f"{report.residual[i]:.2e}", f"{report.rate[i]:.2e}")
+        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(bool(report.conserved[i])))
+    console.print(table)
+    for finding in report.findings:
+        console.print(Text(finding, style="red" if not report.ok else "yellow"))
+    if not report.findings:
+        console.print(Text("All conserved, on the manifold, independent; Jacobians right.", style="green"))
+
+
+def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]) -> list[str]:
+    """The worst of each invariant, and each finding with where it was first made."""
+    console.print(Text.assemble(("along a solution", "bold"), f", at {len(reports)} points to t = {times[-1]:g}"))
+    table = numbers("invariant", ("largest rate", "of its terms", "conserved at"))
+    for i, name in enumerate(reports[0].names):
+        kept = sum(bool(report.conserved[i]) for report in reports)
+        rate, angle = (max(abs(getattr(report, size)[i]) for report in reports) for size in ("rate", "angle"))
+        mark = Text(f"{kept} of {len(reports)}", style="green" if kept == len(reports) else "bold red")
+        table.add_row(Text(name), f"{rate:.2e}", f"{angle:.1e}", mark)
+    console.print(table)
+    made: dict[str, list[float]] = {}
+    for t, report in zip(times, reports, strict=True):
+        for finding in report.findings:
+            made.setdefault(finding.partition(": its entry")[0], []).append(float(t))
+    findings = [f"{finding}, first at t = {at[0]:g} ({len(at)} of {len(reports)})" for finding, at in made.items()]
+    for finding in findings:
+        console.print(Text(finding, style="red"))
+    if not findings:
+        console.print(Text("All is well there, too.", style="green"))
+    return findings
+
+
+def _verdict(conserved: bool) -> Text:
+    return Text("yes", style="green") if conserved else Text("NO", style="bold red")

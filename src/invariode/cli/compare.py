@@ -1,0 +1,340 @@
+"""`invariode compare`: is projection worth it here, or is tightening the tolerance cheaper?"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from contextlib import nullcontext
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from ..methods import Method
+from ..problem import Problem
+from .load import File, load
+from .precision import (
+    WAYS,
+    Judgement,
+    NoReferenceError,
+    Reference,
+    Row,
+    Run,
+    able,
+    best,
+    cheapest,
+    compare_runs,
+    judge,
+    judgements,
+    reference,
+)
+from .session import PICTURES, clock, complete_method, count, examples, guarded, method_of, power, stop, writable
+
+__all__ = ["EXAMPLES", "compare"]
+
+EXAMPLES = examples(
+    "compare pendulum.py",
+    "compare orbits.py:kepler -m ode45 -m ode113 --decades 3-12 --plot kepler.pdf",
+    "compare kinetics.py --limit 20 --atol-ratio 1e-6",
+)
+
+#: Columns of the table of ratios: as many as fit beside the rest in 80 characters.
+_RATIOS = 4
+
+
+def compare(
+    file: File,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--method",
+            "-m",
+            metavar="NAME",
+            autocompletion=complete_method,
+            show_default="all that can solve the problem",
+            help="A method; may be given several times.",
+        ),
+    ] = None,
+    decades: Annotated[
+        str, typer.Option("--decades", metavar="M-N", help="Tolerances: rtol from 1e-M to 1e-N by powers of ten.")
+    ] = "3-9",
+    atol_ratio: Annotated[float, typer.Option("--atol-ratio", metavar="NUMBER", help="atol / rtol.")] = 1e-3,
+    limit: Annotated[
+        float, typer.Option("--limit", metavar="SECONDS", help="A method with a run that takes longer is given up.")
+    ] = 5.0,
+    plot: Annotated[
+        Path | None,
+        typer.Option("--plot", "-p", metavar="FILE", help="Draw work against precision: .png, .svg or .pdf."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
+    progress: Annotated[
+        bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
+    ] = None,
+) -> None:
+    """Is projection worth it here, or is tightening the tolerance cheaper?
+
+    Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one
+    that two methods agree on. An error is the largest of a component, relative to the largest size of the component
+    along the solution. Evaluations of f include those that test the invariants; times are the smallest of several.
+
+    Exit codes: 0 compared, 1 a solve failed on which all depends, 2 the arguments or the file are wrong, 130 Ctrl-C.
+    """
+    rtols = _rtols(decades)
+    if not (math.isfinite(atol_ratio) and atol_ratio >= 0):
+        raise typer.BadParameter("must be a number that is not negative", param_hint="--atol-ratio")
+    if not limit > 0:
+        raise typer.BadParameter("must be positive", param_hint="--limit")
+    named = [_own_name(name) for name in method or ()]
+    if plot is not None:
+        writable(plot, PICTURES, "--plot", "plot", force)
+    console, errors = Console(highlight=False), Console(stderr=True)
+    with guarded():
+        problem = load(file)
+        methods = _methods(problem, named)
+        shown = errors.is_terminal if progress is None else progress
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        bar = Progress(*columns, console=errors, transient=True) if shown else nullcontext()
+        with bar:
+            truth, rows = _all(problem, methods, rtols, atol_ratio, limit, bar if isinstance(bar, Progress) else None)
+    _print_runs(console, problem, rows, truth)
+    _print_notes(console, rows, limit)
+    if not any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run):
+        raise stop("No run reached the end.", code=1)
+    if problem.invariants:
+        _print_ratios(console, judgements(rows, truth.floor))
+        console.print(Text(answer(best(rows, truth.floor)), style="bold"))
+    else:
+        console.print(Text(_without_invariants(problem, rows, truth.floor), style="bold"))
+    if plot is not None:
+        from .figure import draw
+
+        try:
+            draw(rows, truth, problem.name, plot)
+        except OSError as error:
+            raise stop(f"{plot} cannot be written: {error.strerror or error}", code=1) from None
+        console.print("Wrote", Text(str(plot), style="bold"), soft_wrap=True)
+
+
+def _rtols(decades: str) -> list[float]:
+    matched = re.fullmatch(r"(\d+)-(\d+)", decades)
+    first, last = map(int, matched.groups()) if matched else (1, 0)
+    if not 1 <= first <= last <= 13:
+        raise typer.BadParameter(
+            f"expected M-N with 1 ≤ M ≤ N ≤ 13, as in 3-9, got {decades!r}", param_hint="--decades"
+        )
+    return [float(f"1e-{k}") for k in range(first, last + 1)]
+
+
+def _own_name(name: str) -> Method:
+    """The method; SciPy's BDF means options too, which are not compared."""
+    found = method_of(name)
+    if name == found.scipy_name and found.scipy_options:
+        raise typer.BadParameter(f"{name} is {found.name} with options; say {found.name}", param_hint="--method")
+    return found
+
+
+def _methods(problem: Problem, named: Sequence[Method]) -> Sequence[Method]:
+    possible = able(problem)
+    for one in named:
+        if one not in possible:
+            names = ", ".join(able_one.name for able_one in possible)
+            raise typer.BadParameter(f"{one.name} cannot use a mass matrix; {names} can", param_hint="--method")
+    return [one for i, one in enumerate(named) if one not in named[:i]] or possible
+
+
+def _all(
+    problem: Problem,
+    methods: Sequence[Method],
+    rtols: Sequence[float],
+    ratio: float,
+    limit: float,
+    bar: Progress | None,
+) -> tuple[Reference, list[Row]]:
+    task = bar.add_task("reference", total=len(methods) * len(rtols)) if bar else None
+    try:
+        truth = reference(problem, ratio, limit)
+    except NoReferenceError as none:
+        raise stop(str(none), code=1) from None
+    rows = []
+    for row in compare_runs(problem, methods, rtols, ratio, limit, truth):
+        rows.append(row)
+        if bar and task is not None:
+            done = len(rtols) * [m.name for m in methods].index(row.method) + rtols.index(row.rtol) + 1
+            bar.update(task, description=row.method, completed=done)
+    return truth, rows
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Tables
+
+
+def _print_runs(console: Console, problem: Problem, rows: Sequence[Row], truth: Reference) -> None:
+    both = bool(problem.invariants)
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
+    headings = [("\nmethod", "left"), ("\nrtol", "right"), *_headings("plain", ("error", "f", "ms"))]
+    if both:
+        headings += [("\n ", "right"), *_headings("projected", ("error", "f", "g", "J", "ms"))]
+    for heading, side in headings:
+        table.add_column(heading, justify="right" if side == "right" else "left", no_wrap=True)
+    for name, group in groupby(rows, key=lambda row: row.method):
+        own = list(group)
+        for i, row in enumerate(own):
+            cells = [name if i == 0 else "", power(row.rtol), *_cells(row.plain, truth, with_g=False)]
+            if row.projected:
+                cells += ["", *_cells(row.projected, truth, with_g=True)]
+            table.add_row(*cells, end_section=i == len(own) - 1)
+    at = "the terminal event" if truth.status else f"t = {problem.t_span[1]:g}"
+    console.print(Text.assemble((problem.name, "bold"), f", error of the final state, at {at}"))
+    console.print(Text(f"Reference: {truth.by}, which agree to {power(truth.agreement)}", style="dim"))
+    console.print(table)
+    derivatives = (row.projected.derivatives for row in rows if row.projected)
+    kinds = {kind for several in derivatives if several for kind in several.split(" and ")} - {"given"}
+    if kinds:
+        how = " and ".join(sorted(kinds))
+        console.print(Text(f"J = ∂g/∂y by {how}, counted under g; Invariants(g, jac=J) is cheaper.", style="dim"))
+
+
+def _headings(way: str, names: Sequence[str]) -> list[tuple[str, str]]:
+    return [(f"{way if i == 0 else ''}\n{name}", "right") for i, name in enumerate(names)]
+
+
+def _cells(run: Run, truth: Reference, with_g: bool) -> list[str]:
+    if run.problem:
+        return [f"[red]{run.problem}[/]", *(["–"] * (4 if with_g else 2))]
+    error = f"{run.error:.1e}" if run.error >= truth.floor else f"<{power(truth.floor)}"
+    counts = [count(number) for number in ((run.f, run.g, run.jacobians) if with_g else (run.f,))]
+    return [error, *counts, _milliseconds(run.seconds)]
+
+
+def _milliseconds(seconds: float) -> str:
+    ms = 1e3 * seconds
+    return f"{ms:.0f}" if ms >= 100 else f"{ms:.3g}"
+
+
+def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
+    """Why runs have no error, and of which methods."""
+    reasons: dict[str, list[str]] = {}
+    for row in rows:
+        for way in WAYS:
+            run = row.run(way)
+            if run is not None and run.problem is not None:
+                why = {
+                    "too long": f"given up, a run takes longer than {limit:g} s (--limit)",
+                    "event": "ends at a terminal event, and the reference does not",
+                    "no event": "misses the terminal event at which the reference ends",
+                }.get(run.problem, f"{way}, rtol {power(row.rtol)}: {run.message}")
+                of = reasons.setdefault(why, [])
+                if row.method not in of:
+                    of.append(row.method)
+    for why, methods in reasons.items():
+        console.print(Text(f"{', '.join(methods)}: {why}", style="red"))
+    console.print()
+
+
+def _print_ratios(console: Console, found: Sequence[Judgement]) -> None:
+    """Cost at equal error, projected / plain, in time and in f."""
+    reached = sorted({e for one in found for e in one.errors}, reverse=True)
+    if not reached:
+        return
+    errors = [reached[i] for i in sorted({round(i) for i in np.linspace(0, len(reached) - 1, _RATIOS)})]
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("method", no_wrap=True)
+    for error in errors:
+        table.add_column(power(error), justify="right", no_wrap=True)
+    table.add_column("projection is", no_wrap=True)
+    for one in (one for one in found if one.errors):
+        ratios = {e: f"{t:.2f} ({f:.2f})" for e, t, f in zip(one.errors, one.time, one.f, strict=True)}
+        table.add_row(one.method, *(ratios.get(e, "–") for e in errors), _verdict(one))
+    console.print(Text("Cost at equal error, projected ÷ plain: time (evaluations of f)", style="bold"))
+    console.print(table)
+    console.print()
+
+
+def _verdict(one: Judgement) -> Text:
+    kind, error = one.kind
+    words = {
+        "worth it": ("worth it", "green"),
+        "not": ("not worth it", "red"),
+        "even": ("even", ""),
+        "mixed": ("now and then", "yellow"),
+    }
+    text, style = words.get(kind) or (f"worth it {'≥' if kind == 'above' else '≤'} {power(error or 0)}", "yellow")
+    return Text(text, style=style)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The answer
+
+
+def answer(one: Judgement) -> str:
+    """The paper's question (section 4), answered in a sentence, for the best method with and without projection."""
+    if not one.errors:
+        return "Plain and projected runs have no range of errors in common here; try other --decades."
+    kind, border = one.kind
+    takes = f"at equal error it takes {_range(one.time)} × the time of a tighter tolerance"
+    if kind == "worth it":
+        text = f"Projection is worth it here: {takes}"
+    elif kind == "not":
+        text = f"Projection is not worth it here: {takes}"
+    elif kind == "even":
+        text = f"Projection costs as much here as a tighter tolerance: {takes}"
+    elif kind == "mixed":
+        text = f"Projection is worth it here at some errors and not at others: {takes}"
+    else:
+        assert border is not None  # these two kinds have one
+        above = kind == "above"
+        here, there = (
+            [r for e, r in zip(one.errors, one.time, strict=True) if (e >= border if above else e <= border) is worth]
+            for worth in (True, False)
+        )
+        text = (
+            f"Projection is worth it here at errors from {power(border)} {'up' if above else 'down'}, where it takes "
+            f"{_range(here)} × the time of a tighter tolerance, not at {'smaller' if above else 'larger'} ones, where "
+            f"it takes {_range(there)} ×"
+        )
+    return text + _by(one) + _counted(one) + "."
+
+
+def _by(one: Judgement) -> str:
+    """The methods that are best, where both are."""
+    middle = len(one.errors) // 2
+    plain, projected = one.by[middle]
+    whose = f"{projected} both" if plain == projected else f"{projected} projected, {plain} plain"
+    return f" (best methods: {whose}, at an error of {power(one.errors[middle])})"
+
+
+def _counted(one: Judgement) -> str:
+    """What evaluations of f say, where they say something else than the time."""
+    by_f = judge(one.errors, one.f)[0]
+    if by_f == one.kind[0]:
+        return ""
+    costly = {
+        "worth it": ", so it is worth it where f is costly",
+        "not": ", so it is not where f is costly",
+        "even": ", so where f is costly it makes no difference",
+    }
+    return f"; it takes {_range(one.f)} × the evaluations of f{costly.get(by_f, '')}"
+
+
+def _range(ratios: Sequence[float]) -> str:
+    low, high = f"{min(ratios):.2g}", f"{max(ratios):.2g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _without_invariants(problem: Problem, rows: Sequence[Row], floor: float) -> str:
+    fastest = cheapest(rows, floor)
+    ranking = ""
+    if fastest:
+        error, method, seconds = fastest
+        ranking = f"; {method} reaches an error of {power(error)} fastest, in {clock(seconds)}"
+    return (
+        f"{problem.name} has no invariants, so there is nothing to project{ranking}. "
+        "invariode.find_invariants(fun, t_span, y0) looks for polynomial ones."
+    )

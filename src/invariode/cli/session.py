@@ -1,0 +1,209 @@
+"""What the commands share: consoles, tables, files to write, and how errors, warnings and Ctrl-C come out."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from copy import copy
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ..invariants import InvariantError
+from ..methods import METHODS, Method, find_method
+from ..problem import Problem
+
+__all__ = [
+    "INTERRUPTED",
+    "PICTURES",
+    "clock",
+    "complete_method",
+    "count",
+    "examples",
+    "guarded",
+    "method_of",
+    "needs",
+    "numbers",
+    "paragraphs",
+    "plain_warnings",
+    "power",
+    "print_traceback",
+    "stop",
+    "unprojected",
+    "writable",
+]
+
+#: Exit code of a command ended by Ctrl-C: 128 + SIGINT.
+INTERRUPTED = 130
+
+#: Endings of figures, and the packages they need.
+PICTURES: Mapping[str, tuple[str, ...]] = {".png": ("matplotlib",), ".svg": ("matplotlib",), ".pdf": ("matplotlib",)}
+
+_PACKAGE = str(Path(__file__).parents[1])
+
+
+def examples(*lines: str) -> str:
+    """The end of a help text: one command in a line."""
+    return "\n\n".join([f"Example{'s' * (len(lines) > 1)}:", *(f"[bold]invariode {line}[/]" for line in lines)])
+
+
+def paragraphs(command: Callable[..., Any]) -> str:
+    """The docstring of a command as its help: a line per paragraph, to be wrapped at the width of the terminal."""
+    return "\n\n".join(" ".join(text.split()) for text in (inspect.getdoc(command) or "").split("\n\n"))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Errors
+
+
+def stop(message: str, code: int) -> typer.Exit:
+    """Says why on stderr; to be raised."""
+    Console(stderr=True, highlight=False).print(Text(message), soft_wrap=True)
+    return typer.Exit(code)
+
+
+def print_traceback(error: BaseException) -> None:
+    """The traceback from the first frame that is not ours."""
+    trace: TracebackType | None = error.__traceback__
+    while trace is not None and _ours(trace.tb_frame.f_code.co_filename):
+        trace = trace.tb_next
+    print("".join(traceback.format_exception(error.with_traceback(trace))), end="", file=sys.stderr)
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """Around all that calls functions of the user: what goes wrong ends the command, warnings are lines on stderr.
+
+    A function of the user raised: its traceback, exit code 1. An invariant is refused: 1. Other misuse, such as a
+    method that cannot solve the problem: 2. Ctrl-C: 130.
+    """
+    with plain_warnings():
+        try:
+            yield
+        except (typer.Exit, typer.BadParameter):
+            raise
+        except KeyboardInterrupt:
+            raise stop("Interrupted.", INTERRUPTED) from None
+        except Exception as error:
+            if all(_ours(frame.filename) for frame in traceback.extract_tb(error.__traceback__)):
+                if isinstance(error, InvariantError):
+                    raise stop(str(error), code=1) from None
+                if isinstance(error, (TypeError, ValueError)):
+                    raise stop(str(error), code=2) from None
+                raise
+            print_traceback(error)
+            raise stop(f"The problem's functions raised {type(error).__name__}.", code=1) from None
+
+
+@contextmanager
+def plain_warnings() -> Iterator[None]:
+    """Warnings in a line each, without where they come from; which of them are errors or ignored is left as it is."""
+    with warnings.catch_warnings():
+        warnings.showwarning = _Lines()
+        yield
+
+
+def _ours(filename: str) -> bool:
+    return filename.startswith(_PACKAGE)
+
+
+class _Lines:
+    """Prints warnings in a line each, those that differ in numbers only once."""
+
+    def __init__(self) -> None:
+        self._seen: set[str] = set()
+
+    def __call__(self, message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        kind = re.sub(r"\d[\d.e+-]*", "#", str(message))
+        if kind not in self._seen:
+            self._seen.add(kind)
+            label = "Warning" if category is UserWarning else category.__name__
+            line = Text.assemble((label, "yellow"), f": {message}")
+            Console(stderr=True, highlight=False).print(line, soft_wrap=True)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Arguments
+
+
+def complete_method(incomplete: str) -> list[str]:
+    """For the shell."""
+    return [name for name in METHODS if name.startswith(incomplete)]
+
+
+def method_of(name: str) -> Method:
+    """The method of that name, which may be SciPy's."""
+    try:
+        return find_method(name)[0]
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--method") from None
+
+
+def unprojected(problem: Problem) -> Problem:
+    """The same problem without its invariants."""
+    plain = copy(problem)
+    plain.invariants = []
+    return plain
+
+
+def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, extra: str, force: bool) -> None:
+    """Stops before the work is done if `path` could not be written after it."""
+    if path.suffix not in endings:
+        ending = f"ending {path.suffix!r}" if path.suffix else "no ending"
+        raise typer.BadParameter(f"{path} has {ending}; known are {', '.join(endings)}", param_hint=option)
+    if not path.parent.is_dir():
+        raise typer.BadParameter(f"no such directory: {path.parent}", param_hint=option)
+    if path.is_dir():
+        raise typer.BadParameter(f"{path} is a directory", param_hint=option)
+    if path.exists() and not force:
+        raise typer.BadParameter(f"{path} exists; --force overwrites it", param_hint=option)
+    needs(option, endings[path.suffix], extra)
+
+
+def needs(what: str, packages: Iterable[str], extra: str) -> None:
+    """Stops if a package is not installed, and says what to install."""
+    for package in packages:
+        if find_spec(package) is None:
+            raise stop(f"{what} needs {package}: pip install invariode[{extra}]", code=1)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Tables
+
+
+def numbers(first: str, others: Iterable[str]) -> Table:
+    """A table of numbers to the right of names."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column(first, overflow="fold")
+    for name in others:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def count(number: int) -> str:
+    """A count of calls, shortened from 100k on."""
+    if number < 100_000:
+        return str(number)
+    return f"{round(number / 1e3)}k" if number < 100_000_000 else f"{round(number / 1e6)}M"
+
+
+def clock(seconds: float) -> str:
+    """Three digits and a unit."""
+    size, unit = (1e-6, "µs") if seconds < 1e-3 else (1e-3, "ms") if seconds < 1 else (1.0, "s")
+    return f"{seconds / size:.0f} {unit}" if seconds >= 100 * size else f"{seconds / size:.3g} {unit}"
+
+
+def power(error: float) -> str:
+    """An error in one digit: 1e-4, not 1e-04."""
+    return f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")

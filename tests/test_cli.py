@@ -1,0 +1,723 @@
+"""The command line: what it prints is what the library says, its exit codes mean what the help says."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+import invariode as iv
+from invariode.cli.app import app
+from invariode.cli.compare import answer
+from invariode.cli.precision import Judgement, Row, Run, best, judge, judgements
+from invariode.cli.session import clock, count, power
+from invariode.cli.solve import INTERVAL, OUTPUTS, Bar
+
+FILES = {
+    "pendulum.py": """
+import invariode as iv
+
+def pendulum(t, y):
+    x, z, u, v = y
+    tension = (u * u + v * v - z) / (x * x + z * z)
+    return [u, v, -tension * x, -tension * z - 1]
+
+def rod(t, y):
+    x, z, u, v = y
+    return [x * x + z * z - 1, x * u + z * v]
+
+problem = iv.Problem(pendulum, (0, 10), [1, 0, 0, 0], name="pendulum",
+                     invariants=iv.Invariants(rod, value=0, names=["length", "tangent"]))
+""",
+    "prey.py": """
+import numpy as np
+import invariode as iv
+
+def prey(t, y):
+    return [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])]
+
+def orbit(t, y):
+    return y[0] - np.log(y[0]) + 2 * (y[1] - np.log(y[1]))
+
+def sum_of_both(t, y):
+    return y[0] + y[1]
+
+closed = iv.Problem(prey, (0, 10), [1, 3], invariants=orbit, name="Lotka-Volterra")
+free = iv.Problem(prey, (0, 10), [1, 3], name="free")
+wrong = iv.Problem(prey, (0, 10), [1, 3], invariants=[orbit, sum_of_both])
+twice = iv.Problem(prey, (0, 10), [1, 3], invariants=[orbit, lambda t, y: 2 * orbit(t, y)])
+""",
+    "only.py": """
+import invariode as iv
+oscillator = iv.Problem(lambda t, y: [y[1], -y[0]], (0, 1), [1, 0], name="oscillator")
+same = oscillator
+if __name__ == "__main__":
+    raise AssertionError("it is not run as a script")
+""",
+    "broken.py": "import invariode\n\ndef helper():\n    raise RuntimeError('no data')\n\nhelper()\n",
+    "syntax.py": "def f(:\n",
+    "exits.py": "raise SystemExit(3)\n",
+    "nothing.py": "import numpy as np\nstep = 3\ndef f(t, y):\n    return y\n",
+    "stiff.py": """
+import numpy as np
+import invariode as iv
+
+def rates(t, y):
+    a, b, c = y
+    return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b * b, 3e7 * b * b]
+
+def dae(t, y):
+    return [*rates(t, y)[:2], y.sum() - 1]
+
+problem = iv.Problem(rates, (0, 4e6), [1, 0, 0], invariants=lambda t, y: y[0] + y[1] + y[2], name="Robertson")
+algebraic = iv.Problem(dae, (0, 40), [1, 0, 0], mass=np.diag([1, 1, 0]), name="DAE")
+""",
+    "faulty.py": """
+import time
+import numpy as np
+import invariode as iv
+
+def raises(t, y):
+    if t > 3:
+        raise ZeroDivisionError("boom")
+    return [y[1], -y[0]]
+
+def stops(t, y):
+    if t > 3:
+        raise KeyboardInterrupt
+    return [y[1], -y[0]]
+
+def fall(t, y):
+    return [y[1], -1]
+
+def slow(t, y):
+    print("f", flush=True)
+    time.sleep(0.01)
+    return [-y[0]]
+
+raising = iv.Problem(raises, (0, 10), [1, 0])
+interrupted = iv.Problem(stops, (0, 10), [1, 0])
+blowing_up = iv.Problem(lambda t, y: y**2, (0, 2), [1], name="y' = y²")
+endless = iv.Problem(fall, (0, np.inf), [1, 0], events=iv.Event(lambda t, y: y[0], terminal=True), name="fall")
+slow = iv.Problem(slow, (0, 1000), [1])
+""",
+}
+
+
+@pytest.fixture(autouse=True)
+def files(tmp_path, monkeypatch):
+    """The problem files, in the current directory."""
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+
+
+def invariode(*arguments: str, width: int = 80):
+    return CliRunner().invoke(app, [str(one) for one in arguments], env={"COLUMNS": str(width)})
+
+
+def flat(text: str) -> str:
+    """Without line breaks and the frame around error messages."""
+    return " ".join(text.replace("│", " ").split())
+
+
+def problem(name: str = "pendulum.py", of: str = "problem") -> iv.Problem:
+    namespace: dict[str, object] = {"__name__": "test"}
+    exec(FILES[name], namespace)
+    return namespace[of]
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Which problem
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("pendulum.py", "pendulum"), ("only.py", "oscillator"), ("only.py:same", "oscillator"), ("prey.py:free", "free")],
+)
+def test_problem_is_the_one_named_or_the_only_one(file, name):
+    outcome = invariode("solve", file)
+    assert outcome.exit_code == 0, outcome.output
+    assert re.search(rf"^problem +{name} *$", outcome.output, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("file", "says"),
+    [
+        ("prey.py", "several problems: closed, free, wrong, twice. Say which: prey.py:closed"),
+        ("prey.py:close", "does not define close; did you mean closed?"),
+        ("prey.py:orbit", "prey.py:orbit is of type function, expected an invariode.Problem"),
+        ("nothing.py", "defines no invariode.Problem. It should say: problem = iv.Problem("),
+        ("nothing.py", "It defines: step (int), f (function)."),
+        ("pendulums.py", "no such file: pendulums.py; did you mean pendulum.py?"),
+        (".", "is a directory"),
+    ],
+)
+@pytest.mark.parametrize("command", ["solve", "compare", "check"])
+def test_file_without_the_problem_is_a_usage_error_that_says_what_there_is(command, file, says):
+    outcome = invariode(command, file, width=200)
+    assert outcome.exit_code == 2
+    assert says in flat(outcome.output)
+
+
+@pytest.mark.parametrize(
+    ("file", "error"), [("broken.py", "RuntimeError"), ("syntax.py", "SyntaxError"), ("exits.py", "SystemExit")]
+)
+def test_file_that_raises_shows_its_own_traceback_only(file, error):
+    outcome = invariode("solve", file)
+    assert outcome.exit_code == 2
+    assert outcome.output.endswith(f"{file} cannot be run; it raised {error}.\n")
+    assert f'File "{file}"' in outcome.output
+    assert "invariode/cli" not in outcome.output
+
+
+def test_file_may_import_its_neighbours_and_leaves_no_bytecode():
+    Path("neighbour_of_this.py").write_text("from pendulum import problem as first\n", encoding="utf-8")
+    assert invariode("solve", "neighbour_of_this.py").exit_code == 0
+    assert "neighbour_of_this" not in sys.modules
+    assert not list(Path("__pycache__").glob("neighbour*"))
+
+
+def test_directory_with_a_colon_is_part_of_the_path(tmp_path):
+    (tmp_path / "a:b").mkdir()
+    (tmp_path / "a:b" / "one.py").write_text(FILES["only.py"], encoding="utf-8")
+    assert invariode("solve", "a:b/one.py").exit_code == 0
+    assert invariode("solve", "a:b/one.py:same").exit_code == 0
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# solve
+
+
+def test_solve_prints_the_counts_of_the_library(method):
+    outcome = invariode("solve", "pendulum.py", "--method", method, "--rtol", "1e-5", "--atol", "1e-8")
+    sol = problem().solve(method, rtol=1e-5, atol=1e-8)
+    assert outcome.exit_code == 0, outcome.output
+    assert f"{method}, rtol 1e-05, atol 1e-08" in outcome.output
+    assert f"{sol.stats.steps}, {sol.stats.failed} failed" in outcome.output
+    assert f"{sol.nfev} evaluations" in outcome.output
+    drift = sol.drift()
+    for name, before in zip(drift.names, drift.residual_before, strict=True):
+        assert re.search(rf"^{name} +0 +{before:.2e} ", outcome.output, re.MULTILINE)
+
+
+def test_solve_without_projection_shows_the_drift_that_there_is():
+    outcome = invariode("solve", "pendulum.py", "--no-project")
+    sol = iv.solve_ivp(problem().fun, (0, 10), [1, 0, 0, 0])
+    drift = abs(sol.y[0] ** 2 + sol.y[1] ** 2 - 1).max()
+    assert re.search(rf"^length +0 +{drift:.2e} ", outcome.output, re.MULTILINE), outcome.output
+    assert "Nothing is imposed" in outcome.output
+
+
+def test_solve_takes_scipys_names():
+    assert "ode15s as BDF" in invariode("solve", "pendulum.py", "-m", "BDF").output
+
+
+@pytest.mark.parametrize(("options", "points"), [(["--t-eval", "11"], 11), ([], None), (["--dense"], 10)])
+def test_solve_has_as_many_outputs_as_asked_for(options, points):
+    steps = problem().solve().stats.steps
+    expected = {11: 11, None: steps + 1, 10: 10 * steps + 1}[points]
+    assert f"{expected} times" in invariode("solve", "pendulum.py", *options).output
+
+
+@pytest.mark.parametrize("command", ["solve", "compare", "check"])
+def test_terminals_of_any_width_cut_and_wrap_nothing(command):
+    options = ["--decades", "3-4", "-m", "ode45"] if command == "compare" else []
+    for width in (80, 120):
+        output = invariode(command, "pendulum.py", *options, width=width).output
+        assert max(map(len, output.splitlines())) <= width
+        assert "…" not in output
+
+
+def test_a_long_name_leaves_the_numbers_whole():
+    name = "the_distance_of_the_bob_from_the_point_where_the_rod_hangs_squared_minus_one"
+    Path("long.py").write_text(FILES["pendulum.py"].replace("length", name), encoding="utf-8")
+    output = invariode("solve", "long.py").output
+    before, after = problem().solve().drift().residual_before[0], problem().solve().drift().residual_after[0]
+    assert f"{before:.2e}" in output
+    assert f"{after:.2e}" in output
+    assert max(map(len, output.splitlines())) <= 80
+
+
+def test_solve_quietly_prints_nothing():
+    assert invariode("solve", "pendulum.py", "--quiet").output == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["pendulum.py", "--method", "ode54"], 2, "did you mean 'ode45'?"),
+        (["pendulum.py", "--rtol", "-1"], 2, "rtol must be finite and not negative"),
+        (["pendulum.py", "--t-eval", "1"], 2, "--t-eval"),
+        (["pendulum.py", "--t-eval", "5", "--dense"], 2, "exclude each other"),
+        (["faulty.py:endless", "--t-eval", "5"], 2, "has no end"),
+        (["pendulum.py", "-o", "a.txt"], 2, "a.txt has ending '.txt'; known are .csv, .parquet, .nc, .npz"),
+        (["pendulum.py", "-o", "a"], 2, "a has no ending"),
+        (["pendulum.py", "--plot", "a.gif"], 2, "known are .png, .svg, .pdf"),
+        (["pendulum.py", "-o", "none/a.npz"], 2, "no such directory: none"),
+        (["stiff.py:algebraic"], 2, "ode45 is explicit and cannot use a mass matrix; use ode15s"),
+        (["prey.py:wrong"], 1, "Invariant sum_of_both is not conserved by fun"),
+        (["faulty.py:blowing_up"], 1, "without reducing the step below its smallest size"),
+        (["faulty.py:blowing_up", "-q"], 1, "without reducing the step below its smallest size"),
+        (["faulty.py:interrupted"], 130, "Interrupted."),
+        (["faulty.py:endless"], 0, "A termination event occurred."),
+    ],
+)
+def test_solve_says_what_is_wrong_and_ends_with(arguments, code, says):
+    outcome = invariode("solve", *arguments, width=200)
+    assert outcome.exit_code == code, outcome.output
+    assert says in flat(outcome.output)
+
+
+@pytest.mark.parametrize("command", ["solve", "compare"])
+def test_exception_of_a_users_function_shows_its_frames_only(command):
+    outcome = invariode(command, "faulty.py:raising")
+    assert outcome.exit_code == 1
+    assert "ZeroDivisionError: boom" in outcome.output
+    assert 'File "faulty.py"' in outcome.output
+    assert "invariode/" not in outcome.output
+
+
+def test_warnings_are_lines():
+    code = "from invariode.cli import main\nmain()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "solve", "prey.py:twice", "-q"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert re.fullmatch(r"Warning: invariant g is redundant, first at .*\n", done.stderr)
+
+
+@pytest.mark.parametrize("option", ["--output", "--plot"])
+def test_files_are_overwritten_by_force_only(option, monkeypatch):
+    for name in ("_save", "_draw"):
+        monkeypatch.setattr(f"invariode.cli.solve.{name}", lambda *about: about[-1].write_text("new"))
+    path = Path("a.csv" if option == "--output" else "a.png")
+    path.write_text("old")
+    outcome = invariode("solve", "pendulum.py", option, path)
+    assert outcome.exit_code == 2
+    assert "--force overwrites it" in flat(outcome.output)
+    assert path.read_text() == "old"
+    assert f"Wrote {path}" in invariode("solve", "pendulum.py", option, path, "--force").output
+    assert path.read_text() == "new"
+
+
+def test_what_cannot_be_written_is_said(monkeypatch):
+    def fail(sol, path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("invariode.cli.solve._save", fail)
+    outcome = invariode("solve", "pendulum.py", "-o", "a.npz")
+    assert outcome.exit_code == 1
+    assert outcome.output.endswith("a.npz cannot be written: Permission denied\n")
+
+
+@pytest.mark.parametrize(
+    ("option", "file", "package", "extra"),
+    [
+        ("--output", "a.csv", "pandas", "data"),
+        ("--output", "a.parquet", "pyarrow", "data"),
+        ("--output", "a.nc", "h5netcdf", "data"),
+        ("--output", "a.nc", "h5py", "data"),
+        ("--plot", "a.png", "matplotlib", "plot"),
+    ],
+)
+def test_missing_package_is_named_before_the_work(option, file, package, extra, monkeypatch):
+    monkeypatch.setattr("invariode.cli.session.find_spec", lambda name: None if name == package else object())
+    outcome = invariode("solve", "faulty.py:raising", option, file)
+    assert outcome.exit_code == 1
+    assert outcome.output == f"{option} needs {package}: pip install invariode[{extra}]\n"
+
+
+@pytest.mark.skipif(not hasattr(iv.Solution, "to_dataframe"), reason="needs Solution.to_dataframe and its company")
+@pytest.mark.parametrize("ending", list(OUTPUTS))
+def test_output_holds_the_solution(ending):
+    for package in OUTPUTS[ending]:
+        pytest.importorskip(package)
+    sol = problem().solve(t_eval=np.linspace(0, 10, 5))
+    path = Path(f"out{ending}")
+    outcome = invariode("solve", "pendulum.py", "--t-eval", "5", "-o", path)
+    assert outcome.exit_code == 0, outcome.output
+    assert np.isin(sol.y, numbers_in(path)).all()
+
+
+def numbers_in(path: Path) -> np.ndarray:
+    """All floating-point numbers of a file."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as data:
+            arrays = [data[name] for name in data.files]
+    elif path.suffix == ".nc":
+        import xarray
+
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
+            arrays = [data[name].values for name in data.data_vars]
+    else:
+        import pandas
+
+        frame = pandas.read_csv(path) if path.suffix == ".csv" else pandas.read_parquet(path)
+        arrays = [frame.select_dtypes("number").to_numpy()]
+    return np.concatenate([array.ravel() for array in arrays if array.dtype.kind == "f"])
+
+
+@pytest.mark.skipif(not hasattr(iv.Solution, "plot"), reason="needs Solution.plot")
+@pytest.mark.parametrize(("ending", "magic"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
+def test_solve_draws(ending, magic):
+    path = Path(f"plot{ending}")
+    assert invariode("solve", "pendulum.py", "--plot", path).exit_code == 0
+    assert path.read_bytes().startswith(magic)
+
+
+def test_progress_is_shown_at_most_ten_times_a_second(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("invariode.cli.solve.perf_counter", lambda: now[0])
+    screen = io.StringIO()
+    bar = Bar(problem(), Console(file=screen, force_terminal=True, width=80))
+    updates = []
+    monkeypatch.setattr(bar._bar, "update", lambda task, **fields: updates.append((now[0], fields["t"])))
+    with bar as callback:
+        for i in range(2000):
+            now[0] = i / 1000
+            callback(i / 200, np.zeros(4))
+    times = [at for at, _ in updates]
+    assert min(np.diff(times)) >= INTERVAL - 1e-9
+    assert len(times) > 10
+    assert updates[-1][1] > 9
+
+
+def test_progress_bar_leaves_the_screen_as_it_was():
+    screen = io.StringIO()
+    bar = Bar(problem(), Console(file=screen, force_terminal=True, width=80))
+    bar._next = 0.0
+    with bar as callback:
+        bar._next = 0.0
+        callback(5.0, np.zeros(4))
+    assert "50%" in screen.getvalue()
+    assert "t = 5" in screen.getvalue()
+    assert screen.getvalue().endswith("\x1b[2K")
+
+
+def test_a_short_run_shows_no_progress_bar():
+    assert "%" not in invariode("solve", "pendulum.py", "--progress").output
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
+def test_ctrl_c_ends_with_130_and_one_line():
+    code = "from invariode.cli import main\nmain()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "solve", "faulty.py:slow"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        assert running.stdout.readline() == "f\n"  # it is under way
+        time.sleep(0.05)
+        running.send_signal(signal.SIGINT)
+        _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert errors == "Interrupted.\n"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# check
+
+
+def test_check_prints_the_report():
+    outcome = invariode("check", "prey.py:closed")
+    report = iv.check_invariants(problem("prey.py", "closed").fun, problem("prey.py", "closed").invariants, 0, [1, 3])
+    assert outcome.exit_code == 0
+    (row,) = (line.split() for line in outcome.output.splitlines() if line.startswith("orbit"))
+    sizes = (report.residual[0], report.rate[0])
+    assert row == ["orbit", f"{report.value[0]:.6g}", *(f"{x:.2e}" for x in sizes), f"{report.angle[0]:.1e}", "yes"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["pendulum.py", "--along", "5"], 0, "5 of 5"),
+        (["stiff.py", "--along", "3", "-m", "ode15s"], 0, "3 of 3"),
+        (["prey.py:wrong"], 1, "sum_of_both is not conserved by fun"),
+        (["prey.py:wrong", "--along", "4"], 1, "sum_of_both is not conserved by fun, first at t = 2.5 (4 of 4)"),
+        (["prey.py:twice"], 1, "is redundant here: the others imply it"),
+        (["prey.py:free"], 2, "free has no invariants: there is nothing to check"),
+        (["stiff.py:algebraic"], 2, "has no invariants"),
+    ],
+)
+def test_check_ends_with_1_if_there_are_findings(arguments, code, says):
+    outcome = invariode("check", *arguments)
+    assert outcome.exit_code == code, outcome.output
+    assert says in flat(outcome.output)
+
+
+def test_check_says_that_it_does_not_know_mass_matrices():
+    text = FILES["stiff.py"].replace("mass=", "invariants=lambda t, y: y.sum(), mass=")
+    Path("mass.py").write_text(text, encoding="utf-8")
+    outcome = invariode("check", "mass.py:algebraic")
+    assert outcome.exit_code == 2
+    assert "this problem has a mass matrix" in outcome.output
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# compare
+
+
+def test_compare_prints_what_the_runs_cost():
+    outcome = invariode("compare", "prey.py:closed", "--decades", "4-5", "-m", "ode45", "-m", "ode113", width=120)
+    assert outcome.exit_code == 0, outcome.output
+    lines = outcome.output.splitlines()
+    for method in ("ode45", "ode113"):
+        first = next(i for i, line in enumerate(lines) if line.startswith(method))
+        for line, rtol in zip(lines[first : first + 2], (1e-4, 1e-5), strict=True):
+            plain = problem("prey.py", "free").solve(method, rtol=rtol, atol=1e-3 * rtol)
+            projected = problem("prey.py", "closed").solve(method, rtol=rtol, atol=1e-3 * rtol)
+            cells = line.removeprefix(method).split()
+            assert cells[0] == power(rtol)
+            assert cells[2] == str(plain.nfev)
+            assert cells[5:8] == [
+                str(projected.nfev + projected.stats.nfev_check),
+                str(projected.stats.ng),
+                str(projected.stats.ngjac),
+            ]
+
+
+def test_compare_measures_the_error_of_the_final_state():
+    outcome = invariode("compare", "only.py", "--decades", "4-4", "-m", "ode45")
+    sol = problem("only.py", "oscillator").solve(rtol=1e-4, atol=1e-7)
+    error = max(abs(sol.y[:, -1] - [np.cos(1), -np.sin(1)]) / [1, np.sin(1)])
+    assert f"1e-4 {error:.1e}" in flat(outcome.output)
+
+
+@pytest.mark.parametrize("file", ["pendulum.py", "prey.py:closed"])
+def test_compare_answers_in_a_sentence(file):
+    outcome = invariode("compare", file, "--decades", "3-6", "-m", "ode45")
+    assert outcome.exit_code == 0, outcome.output
+    assert re.search(r"Projection (is|is not|costs as much) .* × the time of a tighter tolerance", flat(outcome.output))
+
+
+def test_compare_without_invariants_says_so_and_compares_plain():
+    outcome = invariode("compare", "prey.py:free", "--decades", "3-5")
+    assert outcome.exit_code == 0
+    assert "free has no invariants, so there is nothing to project" in flat(outcome.output)
+    assert "find_invariants" in outcome.output
+    assert "projected" not in outcome.output
+    for name in iv.METHODS:
+        assert re.search(rf"^{name} +1e-3 ", outcome.output, re.MULTILINE)
+
+
+def test_compare_gives_up_explicit_methods_on_stiff_problems():
+    outcome = invariode("compare", "stiff.py", "--decades", "3-4", "--limit", "0.5", "-m", "ode45", "-m", "ode15s")
+    assert outcome.exit_code == 0, outcome.output
+    assert "Reference: ode15s and ode15s as BDF" in outcome.output
+    assert "ode45: given up, a run takes longer than 0.5 s" in outcome.output
+    assert len(re.findall("too long", outcome.output)) == 2
+
+
+def test_compare_takes_methods_that_can_solve_the_problem():
+    options = ["--decades", "3-4", "--atol-ratio", "1"]
+    outcome = invariode("compare", "stiff.py:algebraic", *options)
+    assert outcome.exit_code == 0, outcome.output
+    named = {line.split()[0] for line in outcome.output.splitlines() if line.split()[:1] and line[0] == "o"}
+    assert named == {"ode15s"}
+    refused = invariode("compare", "stiff.py:algebraic", *options, "-m", "ode45")
+    assert refused.exit_code == 2
+    assert "ode45 cannot use a mass matrix; ode15s can" in flat(refused.output)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["pendulum.py", "--decades", "9-3"], 2, "expected M-N"),
+        (["pendulum.py", "--decades", "3"], 2, "expected M-N"),
+        (["pendulum.py", "--limit", "0"], 2, "must be positive"),
+        (["pendulum.py", "--atol-ratio", "-1"], 2, "not negative"),
+        (["pendulum.py", "-m", "BDF"], 2, "say ode15s"),
+        (["pendulum.py", "--plot", "a.jpg"], 2, "known are .png, .svg, .pdf"),
+        (["prey.py:wrong"], 1, "Invariant sum_of_both is not conserved by fun"),
+        (["faulty.py:blowing_up"], 1, "No two methods reach the end with stringent tolerances."),
+        (["faulty.py:interrupted"], 130, "Interrupted."),
+        (["faulty.py:endless", "-m", "ode15s", "--decades", "3-4"], 0, "at the terminal event"),
+    ],
+)
+def test_compare_says_what_is_wrong_and_ends_with(arguments, code, says):
+    outcome = invariode("compare", *arguments)
+    assert outcome.exit_code == code, outcome.output
+    assert says in flat(outcome.output)
+
+
+@pytest.mark.parametrize(("ending", "magic"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
+def test_compare_draws(ending, magic):
+    path = Path(f"work{ending}")
+    outcome = invariode("compare", "prey.py:closed", "--decades", "3-4", "-m", "ode23", "--plot", path)
+    assert outcome.exit_code == 0, outcome.output
+    assert path.read_bytes().startswith(magic)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The answer
+
+
+def rows_of_order(p: int, ratio: float, method: str = "ode45", gain: float = 10.0, price: float = 1e-6) -> list[Row]:
+    """Runs whose cost is error^(-1/p), and projected ones that take `ratio` times the time at equal error."""
+    rows = []
+    for k in range(3, 10):
+        error, projected = 10.0 ** (1 - k), 10.0 ** (1 - k) / gain
+        f = [round(1e3 * e ** (-1 / p)) for e in (error, projected)]
+        runs = [
+            Run(e, n, 0, 0, 1e3 * price * factor * e ** (-1 / p))
+            for e, n, factor in zip((error, projected), f, (1, ratio), strict=True)
+        ]
+        rows.append(Row(method, 10.0**-k, *runs))
+    return rows
+
+
+@pytest.mark.parametrize("ratio", [0.3, 1.0, 2.5])
+@pytest.mark.parametrize("p", [3, 5, 8])
+def test_cost_at_equal_error_is_interpolated_exactly_on_power_laws(p, ratio):
+    (found,) = judgements(rows_of_order(p, ratio), floor=1e-15)
+    assert len(found.errors) >= 5
+    assert found.time == pytest.approx([ratio] * len(found.errors), rel=1e-9)
+    assert found.f == pytest.approx([1.0] * len(found.errors), rel=0.01)  # counts are integers
+
+
+@pytest.mark.parametrize(
+    ("ratios", "kind"),
+    [
+        ([0.5, 0.6, 0.7], ("worth it", None)),
+        ([1.5, 1.2, 1.3], ("not", None)),
+        ([1.05, 0.95, 1.0], ("even", None)),
+        ([0.5, 0.98, 0.8], ("worth it", None)),
+        ([0.5, 0.7, 1.3], ("above", 1e-3)),
+        ([1.5, 0.7, 0.3], ("below", 1e-3)),
+        ([0.5, 1.5, 0.5], ("mixed", None)),
+        ([], ("unknown", None)),
+    ],
+)
+def test_verdict_on_ratios(ratios, kind):
+    assert judge([1e-2, 1e-3, 1e-4][: len(ratios)], ratios) == kind
+
+
+@pytest.mark.parametrize(
+    ("time", "f", "says"),
+    [
+        ([0.5, 0.6], [0.5, 0.6], "is worth it here: at equal error it takes 0.5 to 0.6 × the time of a tighter"),
+        ([2.0, 2.0], [2.0, 2.0], "is not worth it here: at equal error it takes 2 × the time of a tighter"),
+        ([2.0, 2.0], [0.5, 0.5], "it takes 0.5 × the evaluations of f, so it is worth it where f is costly."),
+        ([0.5, 2.0], [0.5, 2.0], "at errors from 1e-2 up, where it takes 0.5 × the time"),
+        ([2.0, 0.5], [2.0, 0.5], "at errors from 1e-3 down, where it takes 0.5 × the time"),
+        ([1.0, 1.0], [1.0, 1.0], "costs as much here as a tighter tolerance"),
+    ],
+)
+def test_answer_is_one_sentence(time, f, says):
+    text = answer(Judgement("", [1e-2, 1e-3], time, f, [("ode113", "ode45")] * 2))
+    assert says in text
+    assert re.fullmatch(r"[^.]*(\d\.\d[^.]*)*\.", text)  # no other full stop
+
+
+def test_best_methods_are_compared_and_named():
+    rows = [*rows_of_order(5, 0.5, "ode45"), *rows_of_order(5, 2.0, "dop853", price=0.5e-6)]
+    found = best(rows, floor=1e-15)
+    assert set(found.by) == {("dop853", "ode45")}
+    assert found.time == pytest.approx([1.0] * len(found.errors), rel=1e-9)
+
+
+def test_errors_that_a_cheaper_method_was_not_asked_for_are_left_out():
+    cheap, dear = rows_of_order(8, 1.0, "dop853")[:3], rows_of_order(3, 1.0, "ode23")
+    assert min(best([*cheap, *dear], floor=1e-15).errors) > min(best(dear, floor=1e-15).errors)
+
+
+def test_errors_below_the_accuracy_of_the_reference_are_not_compared():
+    (found,) = judgements(rows_of_order(5, 0.5), floor=1e-4)
+    assert min(found.errors) >= 1e-4 * (1 - 1e-12)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Around
+
+
+@pytest.mark.parametrize(
+    ("shown", "text"),
+    [
+        (count(99_999), "99999"),
+        (count(123_456), "123k"),
+        (count(123_456_789), "123M"),
+        (clock(2.5e-5), "25 µs"),
+        (clock(0.1234), "123 ms"),
+        (clock(2.345), "2.35 s"),
+        (clock(1234.5), "1234 s"),
+        (power(1e-4), "1e-4"),
+        (power(1e-12), "1e-12"),
+    ],
+)
+def test_numbers_are_short(shown, text):
+    assert shown == text
+
+
+@pytest.mark.parametrize("command", ["solve", "compare", "check", "paper"])
+def test_help_has_examples_and_fits(command):
+    outcome = invariode(command, "--help")
+    assert outcome.exit_code == 0
+    assert f"invariode {command} " in outcome.output
+    assert "Example" in outcome.output
+    assert max(map(len, outcome.output.splitlines())) <= 80
+
+
+def test_examples_of_the_help_name_options_that_there_are():
+    for command in ("solve", "compare", "check"):
+        text = flat(invariode(command, "--help", width=200).output)
+        options = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", text.split("Examples:")[1]))
+        known = text.split("Examples:")[0]
+        assert options
+        assert all(option in known for option in options)
+
+
+def test_package_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "invariode", "--version"], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == f"invariode {iv.__version__}"
+
+
+@pytest.mark.parametrize(("words", "offered"), [("invariode so", {"solve"}), ("invariode solve a.py -m ode1", None)])
+def test_shell_completes_commands_and_methods(words, offered):
+    code = "import sys\nfrom invariode.cli.app import app\nsys.argv[0] = 'invariode'\napp(prog_name='invariode')"
+    about = {"_INVARIODE_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={**os.environ, **about}
+    )
+    expected = offered or {name for name in iv.METHODS if name.startswith("ode1")}
+    assert set(done.stdout.split()) == expected, done.stderr
+
+
+def test_commands_that_need_no_extra_import_none():
+    blocked = "import sys; sys.modules.update(matplotlib=None, pandas=None, xarray=None)"
+    code = f"{blocked}\nfrom invariode.cli import main\nmain()"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, "compare", "pendulum.py", "--decades", "3-4", "-m", "ode45"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_readme_shows_what_the_commands_print():
+    """Its pendulum.py is made of its Python blocks; only numbers may differ, between machines."""
+    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (problem_block,) = (block for block in blocks if "problem = iv.Problem(" in block)
+    functions = blocks[0].partition("\nplain =")[0]
+    Path("pendulum.py").write_text(functions + "\n" + problem_block, encoding="utf-8")
+    (session,) = re.findall(r"```console\n(.*?)```", text, re.DOTALL)
+    for command, shown in re.findall(r"\$ invariode (.*?)\n(.*?)(?=\$ |\Z)", session, re.DOTALL):
+        assert _without_numbers(invariode(*command.split()).output) == _without_numbers(shown)
+
+
+def _without_numbers(text: str) -> list[str]:
+    return re.sub(r"(?<!\w)\d[\d.e+-]*( [mµ]?s\b)?", "#", text).split()
