@@ -204,7 +204,7 @@ def load(path: str | os.PathLike[str], invariants: Any = None, args: tuple[Any, 
     return dataclasses.replace(solution, sol=kind(dense, solution.y.dtype, solution._invariants, imposed))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass
 class _StoredInvariants(BoundInvariants):
     """Those of a file, without functions: at its outputs what was computed when it was saved."""
 
