@@ -645,6 +645,7 @@ constexpr std::pair<const char*, MakeStep> steps[] = {
     {"ode23", [](Callback& f, const Weights& w, const MethodOptions& o) { return ode23_step(f, w, o.fsal); }},
     {"ode45", [](Callback& f, const Weights& w, const MethodOptions& o) { return ode45_step(f, w, o.fsal); }},
     {"dop853", [](Callback& f, const Weights& w, const MethodOptions&) { return dop853_step(f, w); }},
+    {"ode78", [](Callback& f, const Weights& w, const MethodOptions&) { return ode78_step(f, w); }},
     {"ode113",
      [](Callback& f, const Weights& w, const MethodOptions& o) -> std::unique_ptr<Step> {
        return std::make_unique<Adams>(f, w, o.max_order);
