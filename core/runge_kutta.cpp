@@ -37,4 +37,6 @@ std::unique_ptr<Step> ode45_step(Callback& f, const Weights& weights, Fsal fsal)
 
 std::unique_ptr<Step> dop853_step(Callback& f, const Weights& weights) { return make<dop853>(f, weights, Fsal::reuse); }
 
+std::unique_ptr<Step> ode78_step(Callback& f, const Weights& weights) { return make<verner>(f, weights, Fsal::reuse); }
+
 }  // namespace invariode

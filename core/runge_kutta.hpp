@@ -17,7 +17,9 @@ void nested(const double* data, std::size_t size, std::size_t n, double theta, d
 
 std::unique_ptr<Step> ode23_step(Callback& f, const Weights& weights, Fsal fsal);
 std::unique_ptr<Step> ode45_step(Callback& f, const Weights& weights, Fsal fsal);
-/// f(t₁, y₁) has no part in its error estimate: it is evaluated once y₁ is known, so that `Fsal` makes no difference.
+/// f(t₁, y₁) has no part in the error estimates of these: it is evaluated once y₁ is known, so that `Fsal` makes no
+/// difference.
 std::unique_ptr<Step> dop853_step(Callback& f, const Weights& weights);
+std::unique_ptr<Step> ode78_step(Callback& f, const Weights& weights);
 
 }  // namespace invariode

@@ -12,5 +12,6 @@ std::unique_ptr<Step> step_for_few(Callback& f, const Weights& weights, Fsal fsa
 template std::unique_ptr<Step> step_for_few<bogacki_shampine>(Callback&, const Weights&, Fsal);
 template std::unique_ptr<Step> step_for_few<dormand_prince>(Callback&, const Weights&, Fsal);
 template std::unique_ptr<Step> step_for_few<dop853>(Callback&, const Weights&, Fsal);
+template std::unique_ptr<Step> step_for_few<verner>(Callback&, const Weights&, Fsal);
 
 }  // namespace invariode::runge_kutta

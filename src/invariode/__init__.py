@@ -1,7 +1,7 @@
 """ODE solvers that keep what the equations keep.
 
-The codes of the MATLAB ODE Suite, and DOP853, with projection onto invariants, after L. F. Shampine, Conservation laws
-and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
+The codes of the MATLAB ODE Suite, DOP853 and ode78, with projection onto invariants, after L. F. Shampine, Conservation
+laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
 from importlib.metadata import version
@@ -16,7 +16,7 @@ from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .methods import METHODS, Method
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps
-from .suite import dop853, ode15s, ode23, ode45, ode113, solve_ivp
+from .suite import dop853, ode15s, ode23, ode45, ode78, ode113, solve_ivp
 
 __all__ = [
     "METHODS",
@@ -46,6 +46,7 @@ __all__ = [
     "ode15s",
     "ode23",
     "ode45",
+    "ode78",
     "ode113",
     "solve_ensemble",
     "solve_ivp",

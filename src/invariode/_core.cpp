@@ -657,6 +657,7 @@ constexpr std::pair<const char*, MakeStep> steps[] = {
     {"ode45",
      [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) { return ode45_step(f, w, o.fsal); }},
     {"dop853", [](Callback& f, const Weights& w, const MethodOptions&, LinearProblem*) { return dop853_step(f, w); }},
+    {"ode78", [](Callback& f, const Weights& w, const MethodOptions&, LinearProblem*) { return ode78_step(f, w); }},
     {"ode113",
      [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) -> std::unique_ptr<Step> {
        return std::make_unique<Adams>(f, w, o.max_order);

@@ -25,8 +25,10 @@ class Method:
     extension_order : int
         Order of the continuous extension, of the formula of highest order.
     stages : int or None
-        Evaluations of f per step of a Runge-Kutta pair; None where they are not a fixed number. A failed attempt of
-        dop853 takes one less, and output or events inside a step take 3 more of it.
+        Evaluations of f per step of a Runge-Kutta pair; None where they are not a fixed number. Where 'fsal' is not
+        among `options` the last of them waits for the accepted value: a failed attempt takes one less.
+    extra : int
+        Evaluations of f that output or events inside a step take, once per step.
     iterations : int
         Projection iterations per step when invariants are imposed (paper, section 4).
     refine : int
@@ -47,6 +49,7 @@ class Method:
     order: int
     extension_order: int
     stages: int | None
+    extra: int
     iterations: int
     refine: int
     scipy_name: str | None
@@ -71,6 +74,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 order=3,
                 extension_order=3,
                 stages=3,
+                extra=0,
                 iterations=1,
                 refine=1,
                 scipy_name="RK23",
@@ -85,6 +89,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 order=5,
                 extension_order=4,
                 stages=6,
+                extra=0,
                 iterations=2,
                 refine=4,
                 scipy_name="RK45",
@@ -100,11 +105,27 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 order=8,
                 extension_order=7,
                 stages=12,
+                extra=3,
                 iterations=2,
                 refine=1,
                 scipy_name="DOP853",
                 source="E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., "
                 "Springer, Berlin, 1993, sections II.5 and II.10; not of the MATLAB ODE Suite",
+                options=(),
+            ),
+            Method(
+                name="ode78",
+                family="explicit Runge-Kutta pair",
+                min_order=8,
+                order=8,
+                extension_order=7,
+                stages=13,
+                extra=3,
+                iterations=2,
+                refine=8,
+                scipy_name=None,
+                source="J. H. Verner, Numerically optimal Runge-Kutta pairs with interpolants, "
+                "Numer. Algorithms 53 (2010) 383-396",
                 options=(),
             ),
             Method(
@@ -114,6 +135,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 order=12,
                 extension_order=12,
                 stages=None,
+                extra=0,
                 iterations=1,
                 refine=1,
                 scipy_name=None,
@@ -128,6 +150,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 order=5,
                 extension_order=5,
                 stages=None,
+                extra=0,
                 iterations=1,
                 refine=1,
                 scipy_name="BDF",

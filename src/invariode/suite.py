@@ -8,11 +8,11 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from .compiled import is_native
-from .methods import find_method
+from .methods import METHODS, find_method
 from .problem import Problem, warn_unused
 from .solution import Solution
 
-__all__ = ["dop853", "ode15s", "ode23", "ode45", "ode113", "solve_ivp"]
+__all__ = ["dop853", "ode15s", "ode23", "ode45", "ode78", "ode113", "solve_ivp"]
 
 
 def solve_ivp(
@@ -157,6 +157,15 @@ def _one_column(fun: Callable[..., Any]) -> Callable[..., Any]:
     return column
 
 
+def _refined(
+    fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, method: str, options: dict[str, Any]
+) -> Solution:
+    """With the method's own number of points per step, where the output is not fixed otherwise."""
+    if options.get("t_eval") is None and options.get("save", "all") == "all":
+        options.setdefault("refine", METHODS[method].refine)
+    return solve_ivp(fun, t_span, y0, method, **options)
+
+
 def ode23(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
     """`solve_ivp` with the Bogacki-Shampine (2,3) pair, for crude tolerances. Options as there."""
     return solve_ivp(fun, t_span, y0, "ode23", **options)
@@ -164,14 +173,18 @@ def ode23(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **opt
 
 def ode45(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
     """`solve_ivp` with the Dormand-Prince (4,5) pair and the suite's default of 4 points per step. Options as there."""
-    if options.get("t_eval") is None and options.get("save", "all") == "all":
-        options.setdefault("refine", 4)
-    return solve_ivp(fun, t_span, y0, "ode45", **options)
+    return _refined(fun, t_span, y0, "ode45", options)
 
 
 def dop853(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
     """`solve_ivp` with the eighth-order pair DOP853, for tight tolerances and cheap f. Options as there."""
     return solve_ivp(fun, t_span, y0, "dop853", **options)
+
+
+def ode78(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+    """`solve_ivp` with Verner's (7,8) pair, for tight tolerances, and MATLAB's default of 8 points per step. Options as
+    there."""
+    return _refined(fun, t_span, y0, "ode78", options)
 
 
 def ode113(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:

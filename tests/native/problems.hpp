@@ -228,6 +228,7 @@ struct Method {
   int order;
   int extension_order;
   int iterations;  // of the projection, as in the paper
+  int stages = 0;  // calls of f in a step of a Runge-Kutta pair
 };
 
 inline Jacobian differences(const Weights& weights) {
@@ -240,18 +241,18 @@ inline std::unique_ptr<Step> ode15s_step(Callback& f, const Weights& weights, Fs
   return std::make_unique<Ndf>(f, weights, differences(weights), nullptr, Ndf::Options{.renew_on_error = true});
 }
 inline std::unique_ptr<Step> eighth_step(Callback& f, const Weights& weights, Fsal) { return dop853_step(f, weights); }
+inline std::unique_ptr<Step> verner_step(Callback& f, const Weights& weights, Fsal) { return ode78_step(f, weights); }
 /// First the Runge-Kutta pairs, of one order each; the last stage of the first two is part of their error estimate.
-inline const Method methods[] = {{"ode23", ode23_step, 3, 3, 1},
-                                 {"ode45", ode45_step, 5, 4, 2},
-                                 {"dop853", eighth_step, 8, 7, 2},
-                                 {"ode113", ode113_step, 12, 12, 1},
-                                 {"ode15s", ode15s_step, 5, 5, 1}};
-inline const std::span pairs(methods, 3);
+inline const Method methods[] = {{"ode23", ode23_step, 3, 3, 1, 3},    {"ode45", ode45_step, 5, 4, 2, 6},
+                                 {"dop853", eighth_step, 8, 7, 2, 12}, {"ode78", verner_step, 8, 7, 2, 13},
+                                 {"ode113", ode113_step, 12, 12, 1},   {"ode15s", ode15s_step, 5, 5, 1}};
+inline const std::span pairs(methods, 4);
 inline const std::span fsal_pairs(methods, 2);
-inline const std::span explicit_methods(methods, 4);
-inline const Method& dop = methods[2];
-inline const Method& adams = methods[3];
-inline const Method& ndf = methods[4];
+inline const std::span waiting_pairs(methods + 2, 2);
+inline const std::span explicit_methods(methods, 5);
+inline const Method& ode78 = methods[3];
+inline const Method& adams = methods[4];
+inline const Method& ndf = methods[5];
 
 struct Options {
   double rtol = 1e-3;

@@ -173,7 +173,7 @@ def report(results: Results, command: str = "invariode paper") -> str:
 <p>At default tolerances, the first line of each code without the invariants, the second with them imposed: the largest
 residual of the invariants at the steps and, of the closed orbit, the distance in position between start and end. The
 correction enters the memory of the multistep codes, so that what they store belongs to the projected solution. dop853
-is not a code of the paper: its order 8 leaves so little error here that there is little to gain.</p>
+and ode78 are not codes of the paper: their order 8 leaves so little error here that there is little to gain.</p>
 {_codes(results)}
 </section>
 <section>
