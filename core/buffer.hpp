@@ -57,7 +57,7 @@ class Buffer {
   [[nodiscard]] const T& back() const { return data_[size_ - 1]; }
   [[nodiscard]] const T& operator[](std::size_t i) const { return data_[i]; }
 
-  operator std::vector<T>() const { return {begin(), end()}; }  // a copy
+  [[nodiscard]] std::vector<T> copy() const { return {begin(), end()}; }
 
   /// Gives the values away, in a block of their size that is to be returned with std::free.
   [[nodiscard]] T* release() {

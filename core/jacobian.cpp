@@ -74,7 +74,7 @@ Status Jacobian::difference(Callback& f, double t, const double* y, const double
       if (columns_[j].change <= lost * columns_[j].size && factor_[j] < greatest_factor) doubtful_.push_back(j);
     if (doubtful_.empty()) continue;
     for (const std::size_t j : doubtful_) factor_[j] = std::min(std::sqrt(factor_[j]), greatest_factor);
-    if (difference_group(f, t, y, slope, doubtful_) == Status::stop) return Status::stop;
+    if (difference_group(f, t, y, slope, doubtful_, true) == Status::stop) return Status::stop;
   }
   for (std::size_t j = 0; j < matrix_.n(); ++j) {
     const Column& column = columns_[j];
@@ -84,9 +84,11 @@ Status Jacobian::difference(Callback& f, double t, const double* y, const double
   return Status::ok;
 }
 
-/// y_j changes by factor · max(|y_j|, atol_j), in the direction in which f moves it.
-double Jacobian::increment(std::size_t j, const double* y, double slope, double factor) const {
+/// y_j changes by factor · max(|y_j|, atol_j), in the direction in which f moves it; where that has changed nothing at
+/// all, by factor · max(|y_j|, atol_j / rtol).
+double Jacobian::increment(std::size_t j, const double* y, double slope, double factor, bool again) const {
   double scale = std::max(std::abs(y[j]), weights_.absolute_tolerance(j));
+  if (again && columns_[j].change == 0) scale = weights_.at(j, y[j]);
   if (scale < smallest_scale) {
     for (std::size_t i = 0; i < matrix_.n(); ++i) scale = std::max(scale, std::abs(y[i]));
     if (scale < smallest_scale) scale = 1;
@@ -95,12 +97,13 @@ double Jacobian::increment(std::size_t j, const double* y, double slope, double 
   return moved - y[j];
 }
 
-/// The columns together, with one evaluation of f; where it is not finite, once more to the other side.
+/// The columns together, with one evaluation of f; where it is not finite, once more to the other side. `again`: they
+/// have been tried before.
 Status Jacobian::difference_group(Callback& f, double t, const double* y, const double* slope,
-                                  const std::vector<std::size_t>& columns) {
+                                  const std::vector<std::size_t>& columns, bool again) {
   for (const double side : {1, -1}) {
     for (const std::size_t j : columns) {
-      columns_[j].increment = increment(j, y, side * slope[j], factor_[j]);
+      columns_[j].increment = increment(j, y, side * slope[j], factor_[j], again);
       point_[j] = y[j] + columns_[j].increment;
     }
     const Status status = f(t, point_.data(), moved_.data());

@@ -43,8 +43,8 @@ class Jacobian {
   void group_columns();
   Status difference(Callback& f, double t, const double* y, const double* slope);
   Status difference_group(Callback& f, double t, const double* y, const double* slope,
-                          const std::vector<std::size_t>& columns);
-  [[nodiscard]] double increment(std::size_t j, const double* y, double slope, double factor) const;
+                          const std::vector<std::size_t>& columns, bool again = false);
+  [[nodiscard]] double increment(std::size_t j, const double* y, double slope, double factor, bool again) const;
   template <class Visit>
   void for_each_in_column(std::size_t j, Visit&& visit);
 

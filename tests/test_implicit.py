@@ -434,3 +434,17 @@ def test_backwards():
     mirrored = iv.ode15s(lambda t, u: -diffusion(-t, u), (0, -1), U0, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(mirrored.t, -forward.t, rtol=1e-6)
     np.testing.assert_allclose(mirrored.y, forward.y, rtol=1e-6)
+
+
+@pytest.mark.parametrize("rtol", [1e-9, 1e-10, 1e-12])
+def test_differences_see_every_column_of_an_algebraic_equation_also_where_atol_is_tiny(rtol):
+    """a + b + c = 1 at (1, 0, 0): increments of the size of atol would vanish beside 1."""
+
+    def robertson(t, y):
+        a, b, c = y
+        return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b * b, a + b + c - 1]
+
+    mass = [[1, 0, 0], [0, 1, 0], [0, 0, 0]]
+    sol = iv.ode15s(robertson, (0, 400), [1, 0, 0], mass=mass, rtol=rtol, atol=1e-3 * rtol)
+    assert sol.success
+    np.testing.assert_allclose(sol.y.sum(axis=0), 1, atol=1e-14)

@@ -725,11 +725,11 @@ struct Dense {
     const DenseOutput::Parts all = output.parts();
     const std::vector<std::int64_t> offset(all.offset.begin(), all.offset.end());
     nb::dict d;
-    d["t"] = copied(all.knots.t);
-    d["y"] = to_array<Table>(std::vector<double>(all.knots.y), all.knots.t.size(), output.n());
+    d["t"] = copied(all.knots.t.copy());
+    d["y"] = to_array<Table>(all.knots.y.copy(), all.knots.t.size(), output.n());
     d["end"] = copied(all.end);
     d["offset"] = to_array<Offsets>(std::vector<std::int64_t>(offset), offset.size());
-    d["data"] = copied(all.data);
+    d["data"] = copied(all.data.copy());
     d["m"] = all.m;
     d["interpolation"] = name_in(interpolations, all.mode);
     for (const Extension& one : extensions)
@@ -1331,7 +1331,7 @@ NB_MODULE(_core, module) {
            nb::arg("args"), nb::arg("parameters"), "y at each t: (len(t), n).")
       .def("knots", [](const Dense& d) {
         const Buffer<double>& knots = d.output.knots();
-        return to_array<Vector>(std::vector<double>(knots), knots.size());
+        return to_array<Vector>(knots.copy(), knots.size());
       });
 
   nb::class_<Native>(module, "Native", "Machine code of the user, and what keeps it alive.")

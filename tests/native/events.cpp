@@ -78,7 +78,7 @@ TEST(the_roots_of_a_step_are_found_in_order) {
     CHECK_CLOSE(run->occurrences[0].t.front(), 0.7, 2 * eps);
     CHECK_CLOSE(run->occurrences[1].t.front(), 0.2, 2 * eps);
     CHECK_CLOSE(run->occurrences[2].t.front(), 0.45, 2 * eps);
-    const std::vector<double>& several = run->occurrences[3].t;
+    const std::vector<double> several = run->occurrences[3].t.copy();
     const double expected[] = {0.1, 0.4, 0.9};
     CHECK(several.size() == 3 && std::is_sorted(several.begin(), several.end()));
     for (std::size_t i = 0; i < several.size(); ++i) CHECK_CLOSE(several[i], expected[i], 8 * eps);
@@ -93,7 +93,7 @@ TEST(an_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero) {
       watch.add(sine, 0).add([](double, const double*, double* e) { e[0] = 0; });
       Run run(method, without_invariants(harmonic()), watching(watch, {.tf = tf}, 1e-6));
       CHECK(run.run() == State::reached_end);
-      const std::vector<double>& t = run->occurrences[0].t;
+      const std::vector<double> t = run->occurrences[0].t.copy();
       CHECK(t.size() == 3);
       for (std::size_t k = 0; k < t.size(); ++k)
         CHECK_CLOSE(t[k], (tf > 0 ? pi : -pi) * static_cast<double>(k + 1), 1e-4);
@@ -122,9 +122,9 @@ TEST(the_direction_is_that_of_the_integration) {
       watch.add(cosine, 0, 0).add(cosine, 0, 1).add(cosine, 0, -1);
       Run run(method, without_invariants(harmonic()), watching(watch, {.tf = 12 * forward}, 1e-6));
       CHECK(run.run() == State::reached_end);
-      const std::vector<double>& all = run->occurrences[0].t;
-      const std::vector<double>& rising = run->occurrences[1].t;
-      const std::vector<double>& falling = run->occurrences[2].t;
+      const std::vector<double> all = run->occurrences[0].t.copy();
+      const std::vector<double> rising = run->occurrences[1].t.copy();
+      const std::vector<double> falling = run->occurrences[2].t.copy();
       CHECK(all.size() == 4 && rising.size() == 2 && falling.size() == 2);
       for (std::size_t k = 0; k < 4; ++k) CHECK(all[k] == (k % 2 == 0 ? falling : rising)[k / 2]);
     }
@@ -284,7 +284,7 @@ TEST(an_action_restarts_the_solution_with_both_values_at_one_time) {
     Run run(method, ball, options);
     // What is held is re-held: the block of the test has no demanded value.
     CHECK(run.run() == State::reached_end);
-    const std::vector<double>& t = run->occurrences[0].t;
+    const std::vector<double> t = run->occurrences[0].t.copy();
     const double expected[] = {1, 2.6, 3.88};
     CHECK(t.size() == 3 && run->jumps.size() == 3);
     for (std::size_t k = 0; k < std::min<std::size_t>(t.size(), 3); ++k) {

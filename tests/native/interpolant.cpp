@@ -45,7 +45,7 @@ void for_runs(std::initializer_list<Interpolation> wanted, Look look) {
 TEST(at_the_steps_the_stored_values_are_returned) {
   for_runs({modes[0], modes[1], modes[2]}, [](Run& run) {
     Dense dense(run);
-    const std::vector<double>& knots = run->dense->knots();
+    const std::vector<double> knots = run->dense->knots().copy();
     CHECK(knots.size() == run->steps.size() + 1);
     for (std::size_t k = 0; k < knots.size(); ++k) {
       CHECK(knots[k] == run->points.t[4 * k]);  // refine = 4
@@ -59,7 +59,7 @@ TEST(the_solution_is_continuous_across_steps) {
   // roundoff.
   for_runs({Interpolation::projected, Interpolation::corrected}, [](Run& run) {
     Dense dense(run);
-    const std::vector<double>& knots = run->dense->knots();
+    const std::vector<double> knots = run->dense->knots().copy();
     double slope[4];
     for (std::size_t k = 0; k < knots.size(); ++k) {
       const double* stored = &run->points.y[4 * k * run.n()];
@@ -88,7 +88,7 @@ TEST(dense_output_and_output_in_the_loop_are_the_same) {
 TEST(between_steps_the_residual_is_the_blend_of_those_at_the_ends) {
   for_runs({Interpolation::projected}, [](Run& run) {
     Dense dense(run);
-    const std::vector<double>& knots = run->dense->knots();
+    const std::vector<double> knots = run->dense->knots().copy();
     const std::size_t m = run.problem.m, n = run.n();
     std::vector<double> r0(m), r1(m), r(m), J(m * n);
     for (std::size_t k = 0; k + 1 < knots.size(); ++k) {
@@ -133,7 +133,7 @@ TEST(without_invariants_projected_and_corrected_are_the_raw_extension) {
     for (int k = 0; k < 3; ++k) {
       Run run(method, without_invariants(kepler(0.5, 10)), {.settings = {.refine = 3, .interpolation = modes[k]}});
       CHECK(run.run() == State::reached_end);
-      results[k] = run->points.y;
+      results[k] = run->points.y.copy();
     }
     CHECK(same_bits(results[0], results[1]));
     CHECK(results[0].size() == results[2].size());

@@ -42,7 +42,8 @@ Callback as_callback(F& function) {
 inline bool same_bits(const double* a, const double* b, std::size_t n) {
   return std::memcmp(a, b, n * sizeof(double)) == 0;
 }
-inline bool same_bits(const std::vector<double>& a, const std::vector<double>& b) {
+template <class A, class B>
+bool same_bits(const A& a, const B& b) {
   return a.size() == b.size() && (a.empty() || same_bits(a.data(), b.data(), a.size()));
 }
 
@@ -218,9 +219,7 @@ inline Problem without_invariants(Problem problem) {
 
 // -------------------------------------------------------------------------------------------------- methods and runs
 
-inline bool operator==(const Buffer<double>& a, const std::vector<double>& b) {
-  return std::equal(a.begin(), a.end(), b.begin(), b.end());
-}
+inline bool operator==(const Buffer<double>& a, const std::vector<double>& b) { return a.copy() == b; }
 
 struct Method {
   const char* name;
