@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import scipy.integrate
-from measure import growth, in_fresh_process, interleaved, machine, ratio, table, write_section
+from measure import growth, in_fresh_process, interleaved, machine, table, write_section
 from numpy.typing import NDArray
 
 import invariode as iv
@@ -76,9 +76,11 @@ def steps_for(n: int) -> int:
     return int(np.clip(WORK // n, *STEPS))
 
 
-def solver(library: ctypes.CDLL, name: str, n: int, method: str, held: bool = False, **options: Any) -> Any:
-    """A solve with that many steps of equal size, as a function without arguments."""
-    p, steps = PROBLEMS[name], steps_for(n)
+def solver(
+    library: ctypes.CDLL, name: str, n: int, method: str, held: bool = False, short: bool = False, **options: Any
+) -> Any:
+    """A solve with that many steps of equal size, or with one, as a function without arguments."""
+    p, steps = PROBLEMS[name], 1 if short else steps_for(n)
     if held:
         g, jac = user_function(library, "heat_g"), user_function(library, "heat_gjac")
         options["invariants"] = iv.Invariants(g, jac, names="total heat")
@@ -116,29 +118,43 @@ def few(n: int, repetitions: int) -> int:
 # Time per component
 
 
-Costs = dict[tuple[str, str, int], float]  # problem, method, n: seconds per component and step
+@dataclass(frozen=True)
+class Cost:
+    """Seconds per component and step, and of a solve of one step."""
+
+    step: float
+    solve: float
+
+
+Costs = dict[tuple[str, str, int], Cost]  # of a problem, a method and n
 
 
 def costs(library: ctypes.CDLL, repetitions: int) -> Costs:
-    """For one n after the other; each next to the base size, whose ratio to it is then of the same time."""
     found: Costs = {}
     for name, sizes in (("heat", SIZES), ("wave", WAVE_SIZES)):
         for n in sizes:
             runs = {}
             for method in METHODS:
                 runs[method] = solver(library, name, n, method)
+                runs[f"{method}, one step"] = solver(library, name, n, method, short=True)
                 verified(runs[method], name, n, method)
             times = interleaved(runs, few(n, repetitions))
             for method in METHODS:
-                found[name, method, n] = median(times[method]) / (n * steps_for(n))
+                short = times[f"{method}, one step"]
+                found[name, method, n] = Cost(per_step(times[method], short, n), median(short))
     return found
+
+
+def per_step(long: Sequence[float], short: Sequence[float], n: int) -> float:
+    """What the steps after the first took, per component: setting up, and touching new memory, is not in it."""
+    return median(a - b for a, b in zip(long, short, strict=True)) / (n * (steps_for(n) - 1))
 
 
 def per_component(found: Costs) -> str:
     rows = []
     for n in SIZES:
-        cells = [f"{found['heat', method, n] / NS:.3g}" for method in METHODS]
-        relative = [f"{found['heat', method, n] / found['heat', method, BASE]:.2f}" for method in METHODS]
+        cells = [f"{found['heat', method, n].step / NS:.3g}" for method in METHODS]
+        relative = [f"{found['heat', method, n].step / found['heat', method, BASE].step:.2f}" for method in METHODS]
         rows.append([f"{n:,}", f"{steps_for(n):,}", *cells, *relative])
     header = ["heat, n", "steps", *(f"{method}, ns" for method in METHODS)]
     return table([*header, *(f"{method} ÷ n = {BASE}" for method in METHODS)], rows)
@@ -148,13 +164,13 @@ def flatness(found: Costs) -> str:
     low, high = FLAT
     rows = []
     for method in METHODS:
-        inside = [found["heat", method, n] for n in SIZES if low <= n <= high]
-        waves = [found["wave", method, n] for n in WAVE_SIZES]
+        inside = [found["heat", method, n].step for n in SIZES if low <= n <= high]
+        waves = [found["wave", method, n].step for n in WAVE_SIZES]
         rows.append(
             [
                 method,
                 f"{max(inside) / min(inside):.2f}",
-                f"{found['heat', method, LARGEST] / found['heat', method, BASE]:.2f}",
+                f"{found['heat', method, LARGEST].step / found['heat', method, BASE].step:.2f}",
                 *(f"{x / NS:.3g}" for x in waves),
                 f"{waves[-1] / waves[0]:.2f}",
             ]
@@ -223,10 +239,13 @@ def traffic(library: ctypes.CDLL, found: Costs) -> str:
     rows = []
     for method in METHODS:
         count = passes(library, method)
-        moved = 8 * count / found["heat", method, LARGEST]
-        step = found["heat", method, LARGEST] * LARGEST
-        rows.append([method, f"{count:.0f}", f"{1e3 * step:.2f}", f"{moved / 1e9:.1f}", f"{moved / speed:.0%}"])
+        cost = found["heat", method, LARGEST]
+        moved = 8 * count / cost.step
+        fixed = f"{(cost.solve / (cost.step * LARGEST)) - 1:.1f}"
+        step = f"{1e3 * cost.step * LARGEST:.2f}"
+        rows.append([method, f"{count:.0f}", step, f"{moved / 1e9:.1f}", f"{moved / speed:.0%}", fixed])
     header = [f"heat, n = {LARGEST:,}", "vectors per step", "ms per step", "GB/s", "of the triad"]
+    header.append("rest of a solve, in steps")
     return f"{table(header, rows)}\n\nTriad, three arrays of {size / 2**20:.0f} MiB: {speed / 1e9:.1f} GB/s."
 
 
@@ -260,31 +279,36 @@ def invariant(library: ctypes.CDLL, repetitions: int) -> str:
     for method in ("ode45", "ode113"):
         for n in INVARIANT_SIZES:
             plain, held = (solver(library, "heat", n, method, held=h) for h in (False, True))
+            first = {h: solver(library, "heat", n, method, held=h, short=True) for h in (False, True)}
             verified(plain, "heat", n, method)
-            s = verified(held, "heat", n, method).stats
+            s, once = verified(held, "heat", n, method).stats, first[True]().stats
+            ng, njac, steps = s.ng - once.ng, s.ngjac - once.ngjac, s.steps - once.steps
             y, out, p = PROBLEMS["heat"].start(n), np.empty(n), np.array([float(n), 1.0])
             times = interleaved(
                 {
                     "plain": plain,
+                    "plain, one step": first[False],
                     "held": held,
-                    "g": partial(calls, library.heat_g, max(1, s.ng), y, out, p),
-                    "J": partial(calls, library.heat_gjac, max(1, s.ngjac), y, out, p),
+                    "held, one step": first[True],
+                    "g": partial(calls, library.heat_g, ng, y, out, p),
+                    "J": partial(calls, library.heat_gjac, njac, y, out, p),
                 },
                 few(n, repetitions),
             )
-            per = {what: median(seconds) / (n * s.steps) / NS for what, seconds in times.items()}
-            added = per["held"] - per["plain"]
+            own = {what: per_step(times[what], times[f"{what}, one step"], n) / NS for what in ("plain", "held")}
+            user = sum(median(times[what]) for what in "gJ") / (n * steps) / NS
+            added = own["held"] - own["plain"]
             rows.append(
                 [
                     f"{method}, n = {n:,}",
-                    f"{per['plain']:.2f}",
-                    f"{per['held']:.2f}",
-                    f"{ratio(times['held'], times['plain']):.2f}",
-                    f"{s.ng / s.steps:.1f}",
-                    f"{s.ngjac / s.steps:.1f}",
+                    f"{own['plain']:.2f}",
+                    f"{own['held']:.2f}",
+                    f"{own['held'] / own['plain']:.2f}",
+                    f"{ng / steps:.1f}",
+                    f"{njac / steps:.1f}",
                     f"{added:.2f}",
-                    f"{per['g'] + per['J']:.2f}",
-                    f"{added - per['g'] - per['J']:.2f}",
+                    f"{user:.2f}",
+                    f"{added - user:.2f}",
                 ]
             )
     header = ["total heat held", "plain, ns", "held, ns", "÷ plain", "g per step", "J per step", "added, ns"]
