@@ -50,6 +50,10 @@ bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/overhead.py --write
 	$(BIN)/python benchmarks/multistep.py --write
 	$(BIN)/python benchmarks/precision.py --write
+	$(BIN)/python benchmarks/native.py --write
+	$(BIN)/python benchmarks/peers.py --write
+	$(BIN)/python benchmarks/ensembles.py --write
+	$(BIN)/python benchmarks/large.py --write
 
 clean:
 	rm -rf build $(VENV) paper-report.html

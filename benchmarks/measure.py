@@ -7,6 +7,8 @@ import gc
 import os
 import platform
 import statistics
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -47,6 +49,30 @@ def spread(seconds: Sequence[float], unit: float, digits: int = 2) -> str:
     """Median, smallest and largest, in multiples of `unit` seconds."""
     median, low, high = (x / unit for x in (statistics.median(seconds), min(seconds), max(seconds)))
     return f"{median:.{digits}f} ({low:.{digits}f}–{high:.{digits}f})"
+
+
+def growth(run: Callable[[], object]) -> int:
+    """Bytes by which the peak of resident memory during `run` exceeds what was resident before (Linux only).
+
+    Not of getrusage: its peak is that of the whole life of the process, and begins with the parent's.
+    """
+    Path("/proc/self/clear_refs").write_text("5")  # the peak is what is resident now
+    before = _resident("VmRSS")
+    kept = run()
+    peak = _resident("VmHWM")
+    del kept
+    return peak - before
+
+
+def in_fresh_process(script: str, *arguments: str) -> str:
+    """What the script prints when it is run on its own: memory is measured where nothing else has been."""
+    command = [sys.executable, script, *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def _resident(name: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:"))
 
 
 def machine(*packages: str) -> str:

@@ -35,10 +35,10 @@ DOUBLE, POINTER = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
 USER = ctypes.CFUNCTYPE(None, DOUBLE, POINTER, POINTER, POINTER)
 
 
-def build() -> ctypes.CDLL:
+def build(name: str = "floor.cpp") -> ctypes.CDLL:
     with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "floor.so"
-        source = Path(__file__).with_name("floor.cpp")
+        source = Path(__file__).with_name(name)
+        library = Path(folder) / source.with_suffix(".so").name
         subprocess.run([os.environ.get("CXX", "c++"), *FLAGS, str(source), "-o", str(library)], check=True)
         return ctypes.CDLL(str(library))
 
