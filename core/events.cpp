@@ -55,6 +55,7 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
       times_seen_(functions_.size()),
       y_(n) {
   if (empty()) return;
+  for (std::size_t e = 0; e < count(); ++e) times_seen_[e] = functions_[e].seen;
   for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
   brackets_.reserve(intervals_);
   occurrences_.reserve(functions_.size() * intervals_);
@@ -70,6 +71,7 @@ Events::Result Events::evaluate(std::size_t event, double t, const double* y, do
 Events::Result Events::start(double t, const double* y) {
   for (std::size_t e = 0; e < count(); ++e) {
     if (const Result result = evaluate(e, t, y, last_[e]); result != Result::ok) return result;
+    if (std::exchange(functions_[e].asleep, false)) last_[e] = 0;
     sign_[e] = sign_of(last_[e]);
   }
   return Result::ok;

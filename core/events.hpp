@@ -16,6 +16,8 @@ struct EventFunction {
   int direction = 0;          ///< > 0: rising in the direction of integration, < 0: falling, 0: both
   Callback action;            ///< (t, y) -> y from there on, or empty
   bool rehold = true;         ///< after the action invariants are held at their new values
+  std::int64_t seen = 0;      ///< occurrences before the start, where a run is continued
+  bool asleep = false;        ///< it has occurred right at the start, and sleeps until it has left zero
 };
 
 /// An event that happened.

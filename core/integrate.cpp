@@ -72,7 +72,7 @@ State Integration::start(const double* y0) {
 
 /// The invariants at y0, which may be projected.
 State Integration::inspect_start(double* y0) {
-  if (!guard_) return state_;
+  if (!guard_ || settings_.resumed) return state_;
   Finding finding = guard_->start_value(t0_, y0);
   if (finding.kind == Finding::Kind::none && settings_.check) finding = guard_->start_jacobian(t0_, y0);
   return finding.kind == Finding::Kind::none ? state_ : refuse(finding);
@@ -95,7 +95,7 @@ State Integration::start_memory(const double* y0) {
 State Integration::start_method(const double* y0) {
   if (start_memory(y0) != State::created) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
-  if (!guard_ || !settings_.check || t0_ == settings_.tf) return state_;
+  if (!guard_ || !settings_.check || settings_.resumed || t0_ == settings_.tf) return state_;
   const Finding finding = guard_->start_rate(t0_, y0, step_->slope(), forward_ * step_->h());
   return finding.kind == Finding::Kind::none ? state_ : refuse(finding);
 }
@@ -283,6 +283,18 @@ State Integration::finish_step() {
   if (acts && jump(t) != State::running) return state_;
   if (landing_ && t == settings_.tf) return end(State::reached_end);
   return state_;
+}
+
+std::optional<DenseOutput> Integration::last_step() {
+  const Segment segment = interpolant_.segment();
+  if (!segment.data) {
+    end(State::interrupted);
+    return {};
+  }
+  DenseOutput one(n_, between_ ? between_->invariants().m() : 0, settings_.interpolation, step_->interpolate());
+  one.start(t0_, y0_.data());
+  one.add(segment, reached_t_, reached_y_);
+  return one;
 }
 
 /// Takes the actions of the events at t, where the step was cut, and starts again from what they return.

@@ -30,8 +30,9 @@ struct Settings {
   Interpolation interpolation = Interpolation::projected;
   bool dense = false;
   bool save_all = true;   ///< false: the final point only
-  bool record = true;     ///< with save_all: the steps too
+  bool record = true;     ///< with save_all: a record of each step too
   bool check = true;      ///< the tests that may find an invariant to be none
+  bool resumed = false;   ///< goes on from where another run ended: its start was inspected then
   double negligible = 0;  ///< candidates so close to the manifold, in units of rtol, are not projected
 };
 
@@ -107,6 +108,8 @@ class Integration {
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_t_; }
   [[nodiscard]] const double* y() const { return reached_y_; }
+  /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
+  std::optional<DenseOutput> last_step();
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
 

@@ -19,6 +19,21 @@ void DenseOutput::add(const Segment& segment, double t, const double* y) {
   knots_.add(t, y, n_);
 }
 
+void DenseOutput::append(const DenseOutput& next) {
+  const Buffer<double>& t = next.knots_.t;
+  const double* y = next.knots_.y.data();
+  if (knots_.t.empty() || t[0] != knots_.t.back() || !std::equal(y, y + n_, knots_.y.end() - n_)) start(t[0], y);
+  for (std::size_t s = 0; s < next.end_.size(); ++s) {
+    const double* reached = y + (s + 1) * n_;
+    if (next.end_[s] == t[s]) {  // a jump
+      start(t[s], reached);
+      continue;
+    }
+    const std::size_t stop = s + 1 < next.offset_.size() ? next.offset_[s + 1] : next.data_.size();
+    add({t[s], next.end_[s], next.data_.data() + next.offset_[s], stop - next.offset_[s]}, t[s + 1], reached);
+  }
+}
+
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
   Interpolant interpolant(n_, m_, mode_, raw_, projector);
   const Buffer<double>& knots = knots_.t;

@@ -39,6 +39,8 @@ class DenseOutput {
   void start(double t, const double* y);
   /// Adds a step whose segment ends at segment.t1, used up to (t, y).
   void add(const Segment& segment, double t, const double* y);
+  /// Goes on with all of `next`, which is of the same kind and starts at the last knot.
+  void append(const DenseOutput& next);
 
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }

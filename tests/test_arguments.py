@@ -37,7 +37,7 @@ CALLS = {
     "refine float": (dict(refine=2.5), TypeError, "refine must be a positive integer"),
     "interpolation": (dict(interpolation="projcted"), ValueError, "did you mean 'projected'"),
     "fsal": (dict(fsal=True, method="ode45"), ValueError, "fsal must be one of 'reuse', 'evaluate', got True"),
-    "save": (dict(save="last"), ValueError, "save must be one of 'all', 'end'"),
+    "save": (dict(save="last"), ValueError, "save must be one of 'all', 'outputs', 'end'"),
     "save and t_eval": (dict(save="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
     "save and dense": (dict(save="end", dense_output=True), ValueError, "t_eval and dense_output need"),
     "callback": (dict(callback=3), TypeError, "callback must be a function"),

@@ -290,9 +290,10 @@ def test_nothing_is_kept_alive(method):
     fun = Right()
     alive = weakref.ref(fun)
     sol = iv.solve_ivp(fun, (0, 1), [1, 1], method, dense_output=True)
-    del fun
+    dense = sol.sol
+    del fun, sol  # a solution has its functions, for `extend`
     assert alive() is None
-    assert sol.sol(0.5).shape == (2,)
+    assert dense(0.5).shape == (2,)
 
 
 def test_ctrl_c(tmp_path):

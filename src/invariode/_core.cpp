@@ -79,6 +79,11 @@ class PythonFunction {
   ~PythonFunction() { Py_XDECREF(reinterpret_cast<PyObject*>(spare_)); }
 
   [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
+  int visit(visitproc visit, void* arg) const {
+    Py_VISIT(callable_.ptr());
+    Py_VISIT(args_.ptr());
+    return 0;
+  }
 
  private:
   static Status entry(void* self, double t, const double* y, double* out) noexcept {
@@ -316,6 +321,10 @@ class NativeFunction {
 
   [[nodiscard]] Callback callback() { return {native_.event ? &event_entry : &vector_entry, this}; }
   [[nodiscard]] MatrixFunction matrix() { return {&matrix_entry, this}; }
+  int visit(visitproc visit, void* arg) const {
+    Py_VISIT(native_.owner.ptr());
+    return 0;
+  }
 
  private:
   using Vector = void(double t, const double* y, double* out, const double* p);
@@ -347,6 +356,10 @@ class PythonMatrix {
   PythonMatrix(nb::object function, bool complex) : function_(std::move(function)), complex_(complex) {}
 
   [[nodiscard]] MatrixFunction callback() { return {&PythonMatrix::entry, this}; }
+  int visit(visitproc visit, void* arg) const {
+    Py_VISIT(function_.ptr());
+    return 0;
+  }
 
   static void read(nb::handle values, Matrix& out) {
     if (out.structure.kind == Structure::Kind::sparse) {
@@ -441,6 +454,19 @@ class Functions {
   [[nodiscard]] std::size_t parameters() const { return parameters_.size(); }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return owned_.empty() && matrices_.empty(); }
+  /// Shows all that is owned to the garbage collector: a function may well own what owns this.
+  int visit(visitproc visit, void* arg) const {
+    Py_VISIT(args_.ptr());
+    int stop = 0;
+    const auto each = [&](const auto& functions) {
+      for (const auto& one : functions)
+        if (stop == 0) stop = one->visit(visit, arg);
+    };
+    each(natives_);
+    each(owned_);
+    each(matrices_);
+    return stop;
+  }
 
   Callback state_valued(nb::handle f, const std::string& name) {
     return add(f, args_, name, {.rows = space_.components(), .complex = space_.complex});
@@ -720,6 +746,17 @@ struct Dense {
     return to_array<Table>(std::move(y), t.size(), output.n());
   }
 
+  /// This and then `next`, which starts where this ends.
+  [[nodiscard]] Dense joined(const Dense& next) const {
+    const DenseOutput::Parts a = output.parts(), b = next.output.parts();
+    if (output.n() != next.output.n() || complex != next.complex || a.m != b.m || a.mode != b.mode || a.raw != b.raw)
+      throw nb::value_error("continuous solutions of different kinds");
+    Dense both{DenseOutput(output.n(), a.m, a.mode, a.raw), weights, complex};
+    both.output.append(output);
+    both.output.append(next.output);
+    return both;
+  }
+
   /// Everything, as the arguments of `from_parts`.
   [[nodiscard]] nb::dict parts() const {
     const DenseOutput::Parts all = output.parts();
@@ -787,6 +824,8 @@ struct Dense {
 
 /// How long native code runs before someone looks for signals.
 constexpr auto patience = std::chrono::milliseconds(50);
+/// How often progress is told.
+constexpr auto telling = std::chrono::milliseconds(100);
 
 /// What `integrate` returns: arrays with one row per point, counts, and why the run ended.
 struct Run {
@@ -808,6 +847,7 @@ struct Run {
   double dropped_at = 0;
   double t_end = 0;
   std::vector<double> y_end = {};
+  double next_h = 0;
 
   static std::pair<Vector, Table> arrays(Trajectory&& points, std::size_t n) {
     const std::size_t size = points.t.size();
@@ -865,6 +905,16 @@ class Solver {
   }
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
+
+  /// Its runs go on from where another one ended, with so many `seen` occurrences of each event; those `asleep`
+  /// occurred right there.
+  void resume(const std::vector<std::int64_t>& seen, const std::vector<bool>& asleep) {
+    settings.resumed = true;
+    for (std::size_t e = 0; e < event_functions.size(); ++e) {
+      event_functions[e].seen = seen.at(e);
+      event_functions[e].asleep = asleep.at(e);
+    }
+  }
 
   std::size_t n;
   bool complex;
@@ -1000,12 +1050,40 @@ Run Course::result() {
   }
   run.t_end = integration.t();
   run.y_end.assign(integration.y(), integration.y() + integration.step().n());
+  run.next_h = integration.step().h();
   return run;
 }
 
-/// Runs an integration whose functions are all native, without holding the interpreter; looks for signals now and then.
-/// False: one has raised.
-bool run_without_interpreter(Integration& integration, const double* y0) {
+/// Tells a Python function (t, h) how far a run is, now and then. Empty, it costs nothing.
+class Progress {
+ public:
+  explicit Progress(const nb::object& told) : told_(told) {}
+
+  explicit operator bool() const { return !told_.is_none(); }
+  [[nodiscard]] bool due() const { return Clock::now() >= next_; }
+  /// With the interpreter held. False: it raised.
+  bool tell(const Integration& integration) {
+    if (!*this) return true;
+    try {
+      told_(integration.t(), integration.step().h());
+    } catch (nb::python_error& error) {
+      error.restore();
+      return false;
+    }
+    next_ = Clock::now() + telling;
+    return true;
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  const nb::object& told_;
+  Clock::time_point next_ = Clock::now() + telling;
+};
+
+/// Runs an integration whose functions are all native, without holding the interpreter; looks for signals now and then,
+/// and tells how far it is. False: a signal's handler has raised, or who was told.
+bool run_without_interpreter(Integration& integration, const double* y0, Progress& progress) {
   using Clock = std::chrono::steady_clock;
   constexpr int steps_between_looks = 16;
   auto looked = Clock::now();
@@ -1015,23 +1093,113 @@ bool run_without_interpreter(Integration& integration, const double* y0) {
     if (step % steps_between_looks != 0 || Clock::now() - looked < patience) continue;
     const nb::gil_scoped_acquire held;
     if (PyErr_CheckSignals() != 0) return false;
+    if (progress.due() && !progress.tell(integration)) return false;
     looked = Clock::now();
   }
   return true;
 }
 
-Run integrate(const Solver& solver, const ConstVector& y0) {
+/// The same with the interpreter held; the functions look for signals.
+bool run_with_interpreter(Integration& integration, const double* y0, Progress& progress) {
+  if (integration.start(y0) != State::running) return true;
+  if (!progress) {
+    integration.run();
+    return true;
+  }
+  while (integration.advance() == State::running)
+    if (progress.due() && !progress.tell(integration)) return false;
+  return true;
+}
+
+Run integrate(const Solver& solver, const ConstVector& y0, const nb::object& told) {
   Course course(solver);
-  bool interrupted = false;
+  Progress progress(told);
+  bool finished;
   if (solver.functions.native()) {
     nb::gil_scoped_release released;
-    interrupted = !run_without_interpreter(course.integration, y0.data());
-  } else if (course.integration.start(y0.data()) == State::running) {
-    course.integration.run();
+    finished = run_without_interpreter(course.integration, y0.data(), progress);
+  } else {
+    finished = run_with_interpreter(course.integration, y0.data(), progress);
   }
-  if (interrupted || course.integration.state() == State::interrupted) throw nb::python_error();
+  if (!finished || course.integration.state() == State::interrupted || !progress.tell(course.integration))
+    throw nb::python_error();
   return course.result();
 }
+
+/// A run that Python advances step by step. It keeps no output, and its solver alive.
+class Stepper {
+ public:
+  Stepper(nb::object owner, const ConstVector& y0)
+      : solver_(std::move(owner)),
+        course_(nb::cast<const Solver&>(solver_)),
+        complex_(nb::cast<const Solver&>(solver_).complex),
+        weights_(nb::cast<const Solver&>(solver_).weights) {
+    if (y0.size() != weights_.size()) throw nb::value_error("y0 is not of the size of the problem");
+    t_old_ = nb::cast<const Solver&>(solver_).settings.t0;
+    guarded([&] { integration().start(y0.data()); });
+  }
+
+  /// Goes on by one accepted step; what the state is then, tells why not.
+  void step() {
+    if (integration().state() != State::running) throw std::runtime_error("the run has ended");
+    guarded([&] {
+      const double before = integration().t();
+      const std::int64_t steps = integration().counts().steps;
+      integration().advance();
+      accepted_ = integration().counts().steps > steps;
+      if (accepted_) t_old_ = before;
+    });
+  }
+
+  /// The continuous solution over the last step.
+  Dense interpolant() {
+    if (!accepted_) throw std::runtime_error("there is no accepted step to interpolate");
+    std::optional<DenseOutput> one;
+    guarded([&] { one = integration().last_step(); });
+    return {std::move(*one), weights_, complex_};
+  }
+
+  [[nodiscard]] Vector y() { return copied(integration().y()); }
+  [[nodiscard]] Integration& integration() { return course_.integration; }
+  [[nodiscard]] double t_old() const { return t_old_; }
+  [[nodiscard]] Run result() { return course_.result(); }
+  [[nodiscard]] std::int64_t evaluations() const { return course_.f.calls(); }
+
+  static int traverse(PyObject* self, visitproc visit, void* arg) {
+    Py_VISIT(Py_TYPE(self));
+    if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<Stepper>(self)->solver_.ptr());
+    return 0;
+  }
+
+ private:
+  /// A user function may not step the run that calls it, nor may another thread meanwhile.
+  template <class Work>
+  void guarded(Work&& work) {
+    if (busy_) throw std::runtime_error("the run is being advanced already");
+    busy_ = true;
+    work();
+    busy_ = false;
+    if (integration().state() == State::interrupted) throw nb::python_error();
+  }
+  [[nodiscard]] Vector copied(const double* values) const {
+    return to_array<Vector>(std::vector<double>(values, values + weights_.size()), weights_.size());
+  }
+
+  nb::object solver_;
+  Course course_;
+  bool complex_;
+  Weights weights_;
+  bool busy_ = false;
+  bool accepted_ = false;
+  double t_old_;
+};
+
+int traverse_solver(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  return nb::inst_ready(self) ? nb::inst_ptr<Solver>(self)->functions.visit(visit, arg) : 0;
+}
+PyType_Slot solver_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_solver)}, {0, nullptr}};
+PyType_Slot stepper_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&Stepper::traverse)}, {0, nullptr}};
 
 /// What `integrate_all` returns: one row per trajectory.
 struct EnsembleRun {
@@ -1329,6 +1497,7 @@ NB_MODULE(_core, module) {
       .def("parts", &Dense::parts, "What it consists of: arrays, numbers and names.")
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::kw_only(), nb::arg("invariants"), nb::arg("value"),
            nb::arg("args"), nb::arg("parameters"), "y at each t: (len(t), n).")
+      .def("joined", &Dense::joined, nb::arg("next"), "This and then `next`, which starts where this ends.")
       .def("knots", [](const Dense& d) {
         const Buffer<double>& knots = d.output.knots();
         return to_array<Vector>(knots.copy(), knots.size());
@@ -1398,6 +1567,7 @@ NB_MODULE(_core, module) {
              return jumps;
            })
       .def("take_end", [](Run& r) { return std::make_pair(r.t_end, to_array<Vector>(std::move(r.y_end), r.n)); })
+      .def_ro("next_h", &Run::next_h)
       .def("take_dense", [](Run& r) { return std::exchange(r.dense, {}); })
       .def_prop_ro("state", [](const Run& r) { return name_of(r.state); })
       .def_prop_ro("t", [](const Run& r) { return r.report.t; })
@@ -1480,7 +1650,8 @@ NB_MODULE(_core, module) {
   module.def("integrate_all", &integrate_all, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
              nb::arg("progress").none(), "Integrates from each row of y0, on as many threads as there are solvers.");
 
-  nb::class_<Solver>(module, "Solver", "A problem with a method: all that is known before the initial value.")
+  nb::class_<Solver>(module, "Solver", nb::type_slots(solver_slots),
+                     "A problem with a method: all that is known before the initial value.")
       .def(nb::init<const std::string&, const nb::object&, const nb::tuple&, double, double, bool, double,
                     const ConstVector&, const std::optional<ConstVector>&, double, double, const std::string&, int,
                     bool, const std::optional<LinearSpec>&, const std::string&, int, const std::optional<ConstVector>&,
@@ -1498,7 +1669,33 @@ NB_MODULE(_core, module) {
       .def_prop_rw(
           "record", [](const Solver& solver) { return solver.settings.record; },
           [](Solver& solver, bool record) { solver.settings.record = record; }, "Whether the steps are kept.")
-      .def("integrate", &integrate, nb::arg("y0"), "Integrates from (t0, y0).");
+      .def("resume", &Solver::resume, nb::arg("seen"), nb::arg("asleep"),
+           "Its runs go on from where another one ended, with so many occurrences of each event.")
+      .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(),
+           "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end.");
+  nb::class_<Stepper>(module, "Stepper", nb::type_slots(stepper_slots), "A run that is advanced step by step.")
+      .def(
+          "__init__",
+          [](Stepper* self, nb::object solver, const ConstVector& y0) {
+            if (!nb::isinstance<Solver>(solver)) throw nb::type_error("a Stepper needs a Solver");
+            new (self) Stepper(std::move(solver), y0);
+          },
+          nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
+      .def("step", &Stepper::step, "Goes on by one accepted step, if it can: see `state`.")
+      .def("interpolant", &Stepper::interpolant, "The continuous solution over the last step.")
+      .def("result", &Stepper::result, "Why the run ended, and its counts.")
+      .def_prop_ro("state", [](Stepper& s) { return name_of(s.integration().state()); })
+      .def_prop_ro("t", [](Stepper& s) { return s.integration().t(); })
+      .def_prop_ro("y", &Stepper::y, nb::rv_policy::move)
+      .def_prop_ro("t_old", &Stepper::t_old)
+      .def_prop_ro(
+          "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
+      .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
+      .def_prop_ro("steps", [](Stepper& s) { return s.integration().counts().steps; })
+      .def_prop_ro("failed", [](Stepper& s) { return s.integration().counts().failed; })
+      .def_prop_ro("nfev", &Stepper::evaluations)
+      .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
+      .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
   module.def("consistent_start", &make_consistent_start, nb::kw_only(), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
              nb::arg("y0"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(),
              nb::arg("linear"), nb::arg("parameters"),

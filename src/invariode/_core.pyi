@@ -18,6 +18,9 @@ class Dense:
     def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """y at each t: (len(t), n)."""
 
+    def joined(self, next: Dense) -> Dense:
+        """This and then `next`, which starts where this ends."""
+
     def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
 class Native:
@@ -55,6 +58,9 @@ class Run:
     def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
 
     def take_end(self) -> tuple[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
+    @property
+    def next_h(self) -> float: ...
 
     def take_dense(self) -> Dense | None: ...
 
@@ -198,8 +204,64 @@ class Solver:
     @record.setter
     def record(self, arg: bool, /) -> None: ...
 
-    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Run:
-        """Integrates from (t0, y0)."""
+    def resume(self, seen: Sequence[int], asleep: Sequence[bool]) -> None:
+        """
+        Its runs go on from where another one ended, with so many occurrences of each event.
+        """
+
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None) -> Run:
+        """
+        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end.
+        """
+
+class Stepper:
+    """A run that is advanced step by step."""
+
+    def __init__(self, solver: object, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """Starts at (t0, y0)."""
+
+    def step(self) -> None:
+        """Goes on by one accepted step, if it can: see `state`."""
+
+    def interpolant(self) -> Dense:
+        """The continuous solution over the last step."""
+
+    def result(self) -> Run:
+        """Why the run ended, and its counts."""
+
+    @property
+    def state(self) -> str: ...
+
+    @property
+    def t(self) -> float: ...
+
+    @property
+    def y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @property
+    def t_old(self) -> float: ...
+
+    @property
+    def h(self) -> float:
+        """|h| that the next step will try."""
+
+    @property
+    def order(self) -> int: ...
+
+    @property
+    def steps(self) -> int: ...
+
+    @property
+    def failed(self) -> int: ...
+
+    @property
+    def nfev(self) -> int: ...
+
+    @property
+    def njev(self) -> int: ...
+
+    @property
+    def nlu(self) -> int: ...
 
 def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
     """

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 
 @contextmanager
@@ -18,11 +20,42 @@ def bar(shown: bool, what: str, total: float) -> Iterator[Callable[[float], None
     if not shown:
         yield None
         return
-    try:
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("progress=True needs rich: pip install invariode[cli]", name=error.name) from None
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns) as progress:
+    rich = _rich()
+    columns = (rich.TextColumn("{task.description}"), rich.BarColumn(), rich.TaskProgressColumn())
+    with rich.Progress(*columns, rich.TimeRemainingColumn()) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)
+
+
+@contextmanager
+def run_bar(shown: bool, what: str, t0: float, tf: float) -> Iterator[Callable[[float, float], None] | None]:
+    """The same over t, for one run: what it yields is called with t and h. On an infinite interval the bar pulses.
+
+    It is drawn when it is called and by nobody else, so that a run of native code need not share the interpreter with
+    a thread; and on the standard error, so that the output of a script stays its own.
+    """
+    if not shown:
+        yield None
+        return
+    rich = _rich()
+    from rich.console import Console
+
+    columns = (
+        rich.TextColumn("{task.description}", markup=False),
+        rich.BarColumn(),
+        rich.TaskProgressColumn(),
+        rich.TextColumn("t = {task.fields[t]:.6g}  h = {task.fields[h]:.2e}"),
+        rich.TimeRemainingColumn(),
+    )
+    with rich.Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
+        total = abs(tf - t0) if math.isfinite(tf) else None
+        task = progress.add_task(what, total=total, t=t0, h=0.0)
+        yield lambda t, h: progress.update(task, completed=abs(t - t0), t=t, h=h, refresh=True)
+
+
+def _rich() -> Any:
+    try:
+        import rich.progress
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("progress=True needs rich: pip install invariode[cli]", name=error.name) from None
+    return rich.progress

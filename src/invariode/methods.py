@@ -171,8 +171,9 @@ _INSTEAD = {
 
 
 def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
-    """The method of that name, of that name in SciPy, or of that class of SciPy's; and what SciPy's name implies."""
-    name = method.__name__ if isinstance(method, type) else method
+    """The method of that name, of that name in SciPy, or of that class there or in `invariode.scipy`; and what SciPy's
+    name implies."""
+    name = getattr(method, "_method", method.__name__) if isinstance(method, type) else method
     if not isinstance(name, str):
         raise TypeError(f"method must be the name of a method, one of {_names()}; got {method!r}")
     for candidate in METHODS.values():

@@ -247,7 +247,7 @@ def plot_steps(sol: Solution, axes: Any = None, **line: Any) -> Array:
     Raises
     ------
     ValueError
-        The steps were not kept: ``save="end"``; or there are not one to three axes.
+        The steps were not kept, as with `t_eval`: ``save="all"`` keeps them; or there are not one to three axes.
 
     Notes
     -----

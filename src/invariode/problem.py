@@ -26,7 +26,9 @@ from ._arguments import (
     unknown_option,
     warn,
 )
+from ._continuing import Origin
 from ._outcome import inconsistent_start, refusal, status_and_message
+from ._progress import run_bar
 from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
@@ -40,7 +42,7 @@ _OTHER_METHODS = ("min_step",)
 
 _DESCRIBING = ("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass")
 
-_OPTIONS = (
+OPTIONS = (
     "rtol",
     "atol",
     "first_step",
@@ -55,6 +57,7 @@ _OPTIONS = (
     "check",
     "t_eval",
     "dense_output",
+    "progress",
     *_DESCRIBING,
     *_OTHER_METHODS,
 )
@@ -86,9 +89,15 @@ class Options(TypedDict, total=False):
     max_order: int | None
     bdf: bool | None
     callback: Callable[[float, Array], object] | None
-    save: str
+    save: str | None
     check: bool
     min_step: float | None
+
+
+class SolveOptions(Options, total=False):
+    """Those of a single solve."""
+
+    progress: bool
 
 
 @dataclass
@@ -193,15 +202,34 @@ class Problem:
     def __repr__(self) -> str:
         return f"Problem({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
 
-    def solve(self, method: str = "ode45", **options: Unpack[Options]) -> Solution:
+    def solve(self, method: str = "ode45", **options: Unpack[SolveOptions]) -> Solution:
         """Solves the problem. The options are those of `solve_ivp`."""
-        plan = self.plan(method, **options)
-        run = _core.Solver(**plan.solver).integrate(plan.y0.view(float))
+        given: dict[str, Any] = {**options}
+        progress = given.pop("progress", False)
+        return self._run(self.plan(method, **given), method, given, progress)
+
+    def _run(
+        self,
+        plan: Plan,
+        method: str,
+        options: dict[str, Any],
+        progress: object,
+        resumed: tuple[list[int], list[bool]] | None = None,
+    ) -> Solution:
+        """`resumed`: the run goes on from another; of each event its occurrences so far, and whether at the start."""
+        solver = _core.Solver(**plan.solver)
+        solver.record = plan.keep_steps
+        if resumed is not None:
+            solver.resume(*resumed)
+        with run_bar(flag("progress", progress), self.name, *self.t_span) as told:
+            run = solver.integrate(plan.y0.view(float), told)
         if exception := plan.exception(run):
             raise exception
         if run.dropped:
             _warn_dropped(run, plan.names)
-        return self._solution(run, plan)
+        t, y = run.take_end()
+        next_h = run.next_h if find_method(method)[0].fixed_order and run.steps else None
+        return self._solution(run, plan, Origin(self, method, options, t, y.view(self.y0.dtype), next_h))
 
     def plan(
         self,
@@ -219,7 +247,7 @@ class Problem:
         max_order: int | None = None,
         bdf: bool | None = None,
         callback: Callable[[float, Array], object] | None = None,
-        save: str = "all",
+        save: str | None = None,
         check: bool = True,
         **options: Any,
     ) -> Plan:
@@ -236,7 +264,7 @@ class Problem:
         span = abs(tf - t0)
         rmin, threshold, scale = tolerances(rtol, atol, self.y0)
         times = None if t_eval is None else output_times(t_eval, t0, tf)
-        dense_output, save = flag("dense_output", dense_output), choice("save", save, ("all", "end"))
+        dense_output, save = flag("dense_output", dense_output), _kept(save, times)
         if save == "end" and (times is not None or dense_output):
             raise ValueError('save="end" keeps the final state only: t_eval and dense_output need save="all"')
         refine = positive_integer("refine", refine)
@@ -284,7 +312,7 @@ class Problem:
             "refine": refine,
             "times": times,
             "dense": dense_output,
-            "save_all": save == "all",
+            "save_all": save != "end",
             "check": flag("check", check),
             "events": [event_spec(event, n, p) for event in self.events],
             "callback": None if callback is None else function("callback", callback, "callback(t, y)"),
@@ -329,7 +357,7 @@ class Problem:
             raise ValueError(inconsistent_start(verdict, self.t_span[0]))
         return y.view(self.y0.dtype) if verdict == "corrected" else self.y0
 
-    def _solution(self, run: _core.Run, plan: Plan) -> Solution:
+    def _solution(self, run: _core.Run, plan: Plan, origin: Origin) -> Solution:
         dtype = self.y0.dtype
         status, message = plan.verdict(run)
         bound = plan.bound
@@ -372,7 +400,15 @@ class Problem:
             _rtol=plan.rtol,
             _atol=plan.atol,
             _names=Names(self.name, self._title, self.labels, plan.event_names),
+            _origin=origin,
         )
+
+
+def _kept(save: object, times: Array | None) -> str:
+    """What is kept: with `t_eval` no record of the steps, unless it is asked for."""
+    if save is None:
+        return "all" if times is None else "outputs"
+    return choice("save", save, ("all", "outputs", "end"))
 
 
 def _foreign_options(method: Method, options: dict[str, Any]) -> None:
@@ -380,8 +416,8 @@ def _foreign_options(method: Method, options: dict[str, Any]) -> None:
     for name, given in options.items():
         if name in _DESCRIBING:
             raise TypeError(f"{name} describes the problem: it is an argument of Problem or solve_ivp, not an option")
-        if name not in _OPTIONS:
-            raise unknown_option(name, _OPTIONS)
+        if name not in OPTIONS:
+            raise unknown_option(name, OPTIONS)
         if name not in method.options:
             warn_unused(method, name, given)
 

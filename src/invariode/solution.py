@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
+    from ._continuing import Origin
+
 __all__ = ["DenseSolution", "Drift", "Solution", "Stats", "Steps"]
 
 
@@ -261,7 +263,7 @@ class Solution(Record):
     stats : Stats
         All counts.
     steps : Steps or None
-        The accepted steps; None with ``save="end"``.
+        The accepted steps, with ``save="all"``: the default without `t_eval`.
     """
 
     t: Array
@@ -282,6 +284,7 @@ class Solution(Record):
     _atol: ArrayLike
     _drift: tuple[Array, Array, float]
     _names: Names
+    _origin: Origin | None = None  # None: there are no functions
 
     @cached_property
     def residual(self) -> Array:
@@ -342,7 +345,53 @@ class Solution(Record):
             events = [project(t, y.T, g.pieces_at(t, "left")).T for t, y in zip(self.t_events, events, strict=True)]
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
-        return dataclasses.replace(self, y=y, y_events=events, sol=dense)
+        origin = self._origin and dataclasses.replace(self._origin, imposed=True)
+        return dataclasses.replace(self, y=y, y_events=events, sol=dense, _origin=origin)
+
+    def extend(self, t_end: float, **options: Any) -> Solution:
+        """Continues the run to `t_end`: the solution on the old interval and the new one.
+
+        The method starts again from the final state, with the problem and the options of the run. The Runge-Kutta pairs
+        go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
+        order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
+        event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the
+        extension at its next occurrence, and occurrences that an integer `terminal` counts are counted on.
+
+        Parameters
+        ----------
+        t_end : float
+            The new end, beyond the old one in the direction of integration; the old one is where the run ended, also if
+            an event or the callback ended it. May be infinite.
+        t_eval : array_like, optional
+            Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
+        first_step, max_step, callback, check, progress : optional
+            As in `solve_ivp`. `max_step` is by default that of the run, or a tenth of the whole interval.
+
+        Returns
+        -------
+        Solution
+            A new one, with the outputs, steps, events and ``sol(t)`` of both parts, and the sums of their counts;
+            `status` and `message` are those of the second. This one does not change.
+
+        Raises
+        ------
+        TypeError
+            An option that the extension cannot have of its own.
+        ValueError
+            `t_end` is not beyond the end; the run failed; or the solution comes from a file or a pickle, without the
+            functions.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> half = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], rtol=1e-8, atol=1e-10)
+        >>> sol = half.extend(20)
+        >>> (float(half.t[-1]), float(sol.t[-1]), bool(abs(sol.y[0, -1] - np.cos(20)) < 1e-6))
+        (10.0, 20.0, True)
+        """
+        from ._continuing import extend
+
+        return extend(self, t_end, options)
 
     def plot(self, ax: Axes | None = None, components: Any = None, **line: Any) -> Axes:
         """Components over t, on `ax` or a new figure: `invariode.plotting.plot`."""

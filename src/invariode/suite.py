@@ -88,10 +88,14 @@ def solve_ivp(
         at the projected value, for one more f per step.
     callback : callable, optional
         ``callback(t, y)`` after each accepted step; returning True stops.
-    save : {'all', 'end'}
-        Keep all steps, or the final state and the events only: memory then does not grow with the number of steps.
+    save : {'all', 'outputs', 'end'}, optional
+        Keep the outputs and a record of each step (``Solution.steps``), the outputs only, or the final state only;
+        events are kept always. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with 'outputs' at
+        `t_eval`, memory does not grow with the number of steps, unless `dense_output` is asked for.
     check : bool, default True
         Test that the invariants are invariants, and that their Jacobians are right.
+    progress : bool, default False
+        Whether a bar on the standard error shows t, h and the time left, ten times a second at most (needs rich).
 
     Returns
     -------
@@ -133,7 +137,7 @@ def solve_ivp(
         if name not in (chosen := find_method(method)[0]).options:
             warn_unused(chosen, name, given)
     problem = Problem(
-        _one_column(fun) if vectorized and not is_native(fun) else fun,
+        one_column(fun) if vectorized and not is_native(fun) else fun,
         t_span,
         y0,
         args=args,
@@ -148,7 +152,7 @@ def solve_ivp(
     return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **options)
 
 
-def _one_column(fun: Callable[..., Any]) -> Callable[..., Any]:
+def one_column(fun: Callable[..., Any]) -> Callable[..., Any]:
     """A function of columns y (n, k) as a function of one y."""
 
     def column(t: float, y: Any, *args: Any) -> Any:
@@ -161,7 +165,7 @@ def _refined(
     fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, method: str, options: dict[str, Any]
 ) -> Solution:
     """With the method's own number of points per step, where the output is not fixed otherwise."""
-    if options.get("t_eval") is None and options.get("save", "all") == "all":
+    if options.get("t_eval") is None and options.get("save") != "end":
         options.setdefault("refine", METHODS[method].refine)
     return solve_ivp(fun, t_span, y0, method, **options)
 

@@ -212,8 +212,8 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
 
 
 def _reached(problem: Problem, sol: Solution) -> float:
-    """The end of the last step; the output may end before."""
-    return float(sol.steps.t[-1]) if sol.steps is not None and len(sol.steps.t) else problem.t_span[0]
+    """Where the run ended; the output may end before."""
+    return problem.t_span[0] if sol._origin is None else sol._origin.t
 
 
 def _print_drift(console: Console, problem: Problem, sol: Solution, projected: bool, rtol: float, atol: float) -> None:

@@ -1,0 +1,185 @@
+"""Long runs: `progress=True` tells where they are, and with `t_eval` or save="end" memory does not grow with them."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import PROBLEMS
+
+pytest.importorskip("rich")
+
+
+@pytest.mark.parametrize("t_span", [(0, 20), (20, 0)])
+def test_a_bar_with_t_and_h_that_ends_where_the_run_does(method, t_span, capsys):
+    problem = PROBLEMS["Kepler"]
+    plain = iv.solve_ivp(problem.fun, t_span, problem.y0, method)
+    assert capsys.readouterr() == ("", "")
+    sol = iv.solve_ivp(problem.fun, t_span, problem.y0, method, progress=True)
+    np.testing.assert_array_equal(sol.y, plain.y)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "100%" in err
+    assert f"t = {t_span[1]}" in err
+    assert "h = " in err
+
+
+def test_the_bar_of_an_extension_is_over_its_interval(method, capsys):
+    sol = iv.solve_ivp(lambda t, y: -y, (0, 10), [1.0], method)
+    sol.extend(12, progress=True)
+    err = capsys.readouterr().err
+    assert "t = 12" in err
+    assert "100%" in err
+
+
+def test_an_infinite_interval_has_no_percentage(method, capsys):
+    stop = iv.Event(lambda t, y: t - 5, terminal=True)
+    iv.solve_ivp(lambda t, y: -y, (0, np.inf), [1.0], method, events=stop, progress=True)
+    err = capsys.readouterr().err
+    assert "t = 5" in err
+    assert "%" not in err
+
+
+def told(monkeypatch, fun, t_span, y0, **options):
+    """(moment, t) of all updates of the bar."""
+    from rich.progress import Progress
+
+    updates: list[tuple[float, float]] = []
+    monkeypatch.setattr(Progress, "update", lambda self, task, **f: updates.append((time.perf_counter(), f["t"])))
+    iv.solve_ivp(fun, t_span, y0, progress=True, **options)
+    return np.array(updates)
+
+
+def native_oscillator():
+    pytest.importorskip("numba")
+    return iv.compile(lambda t, y: (y[1], -y[0]))
+
+
+@pytest.mark.parametrize("native", [False, True], ids=["python", "native"])
+def test_updates_come_at_most_ten_times_a_second(monkeypatch, native):
+    fun = native_oscillator() if native else lambda t, y: [y[1], -y[0]]
+    end = 2e5 if native else 3e4
+    updates = told(monkeypatch, fun, (0, end), [1.0, 0.0], rtol=1e-8, save="end")
+    assert len(updates) > 1
+    assert updates[-1, 1] == end
+    assert (np.diff(updates[:, 1]) >= 0).all()
+    assert (np.diff(updates[:-1, 0]) >= 0.099).all()  # the last one comes with the end
+
+
+def test_an_error_while_telling_comes_out(monkeypatch):
+    from rich.progress import Progress
+
+    def broken(self, task, **fields):
+        raise OSError("no terminal")
+
+    monkeypatch.setattr(Progress, "update", broken)
+    with pytest.raises(OSError, match="no terminal"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=True)
+
+
+def test_a_function_that_raises_ends_the_bar(capsys):
+    def fun(t, y):
+        if t > 0.5:
+            raise ZeroDivisionError("mine")
+        return -y
+
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        iv.solve_ivp(fun, (0, 1), [1.0], progress=True)
+    iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=True)  # rich refuses two at once
+    assert "100%" in capsys.readouterr().err
+
+
+def test_it_is_a_flag_and_needs_rich(monkeypatch):
+    with pytest.raises(TypeError, match="progress must be True or False, got 1"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=1)
+    monkeypatch.setitem(sys.modules, "rich.progress", None)
+    with pytest.raises(ModuleNotFoundError, match=r"progress=True needs rich: pip install invariode\[cli\]"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=True)
+
+
+@pytest.mark.parametrize("native", [False, True], ids=["python", "native"])
+def test_ctrl_c_with_a_bar(tmp_path, native):
+    if native:
+        pytest.importorskip("numba")
+    script = tmp_path / "forever.py"
+    fun = "iv.compile(f)" if native else "f"
+    script.write_text(
+        textwrap.dedent(f"""
+        import invariode as iv
+        def f(t, y):
+            return (y[1], -y[0])
+        fun = {fun}
+        iv.solve_ivp(fun, (0, 1), [1.0, 0.0])
+        print("ready", flush=True)
+        try:
+            iv.solve_ivp(fun, (0, 1e12), [1.0, 0.0], rtol=1e-10, save="end", progress=True)
+        except KeyboardInterrupt:
+            print("interrupted", flush=True)
+        """)
+    )
+    process = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(0.4)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=30)
+    assert out == "interrupted\n"
+
+
+PEAKS = """
+    import numpy as np
+    import invariode as iv
+
+    slope = (1.0, -1.0)
+
+    def steps(end):
+        times = np.linspace(0, end, 11) if TIMES else None
+        sol = iv.solve_ivp(lambda t, y: slope, (0.0, end), [1.0, 0.0], "ode23", t_eval=times, max_step=0.01, **OPTIONS)
+        return sol.stats.steps
+
+    def peak():
+        with open("/proc/self/status") as status:
+            return next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+
+    assert steps(100.0) > 9_000
+    before = peak()
+    assert steps(10_000.0) > 900_000
+    print(peak() - before)
+"""
+
+
+@pytest.mark.parametrize(
+    ("times", "options", "grows"),
+    [(True, {}, False), (False, {"save": "end"}, False), (True, {"save": "all"}, True)],
+    ids=["t_eval", "end", "all"],
+)
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory from /proc")
+def test_memory_of_a_million_steps(times, options, grows):
+    """The record of a step takes 40 bytes, and none where it is not kept."""
+    code = textwrap.dedent(PEAKS).replace("OPTIONS", repr(options)).replace("TIMES", repr(times))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    growth = 1024 * int(done.stdout)
+    assert (growth > 30e6) if grows else (growth < 2e6)
+
+
+def test_what_is_kept(method):
+    about = (lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], method)
+    times = [0.0, 5.0, 10.0]
+    assert iv.solve_ivp(*about).steps is not None
+    assert iv.solve_ivp(*about, t_eval=times, save="all").steps is not None
+    for options in ({"t_eval": times}, {"save": "outputs"}, {"save": "end"}):
+        sol = iv.solve_ivp(*about, **options)
+        assert sol.steps is None
+        assert sol.stats.steps > 0
+        with pytest.raises(ValueError, match='save="all"'):
+            sol.correction  # noqa: B018  # the access is the test
+    np.testing.assert_array_equal(iv.solve_ivp(*about, save="outputs").y, iv.solve_ivp(*about).y)
