@@ -12,7 +12,7 @@ INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
-.PHONY: paper test native sanitize lint format stubs bench clean
+.PHONY: paper test native sanitize lint format stubs bench dist clean
 
 paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/invariode paper --output paper-report.html
@@ -55,8 +55,14 @@ bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/ensembles.py --write
 	$(BIN)/python benchmarks/large.py --write
 
+dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
+	rm -rf dist
+	$(BIN)/python -m pip install -q --disable-pip-version-check build twine
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+
 clean:
-	rm -rf build $(VENV) paper-report.html
+	rm -rf build dist $(VENV) paper-report.html
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

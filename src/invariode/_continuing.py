@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._arguments import Array, number, output_times, unknown_option
+from ._types import MethodName
 from .events import terminal_count
 from .invariants import BoundInvariants
 from .solution import DenseSolution, Solution, Stats, Steps
@@ -27,7 +28,7 @@ class Origin:
     """What a solution was made from, and where it ended: what it takes to go on."""
 
     problem: Problem  # with the whole interval so far
-    method: str
+    method: MethodName
     options: dict[str, Any]
     t: float
     y: Array

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, function, number, state, tolerances
+from ._types import Function, InvariantsLike, Numbers
 from .compiled import is_native, native_parameters, to_native
 from .invariants import bind, to_invariants
 
@@ -69,14 +70,14 @@ class CheckReport:
 
 
 def check_invariants(
-    fun: Callable[..., Any],
-    invariants: Any,
+    fun: Function,
+    invariants: InvariantsLike,
     t: float,
     y: ArrayLike,
     args: Iterable[Any] = (),
     *,
-    rtol: ArrayLike = 1e-3,
-    atol: ArrayLike = 1e-6,
+    rtol: Numbers = 1e-3,
+    atol: Numbers = 1e-6,
 ) -> CheckReport:
     """Are these functions invariants of y' = f(t, y)? What a solve asks at its start, as a report.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, extra_arguments, function, interval, positive_integer, state
+from ._types import Span
 from .invariants import Invariants
 from .suite import solve_ivp
 
@@ -83,7 +84,7 @@ class PolynomialInvariant(Invariants):
 
 def find_invariants(
     fun: Callable[..., Any],
-    t_span: Sequence[float],
+    t_span: Span,
     y0: ArrayLike,
     degree: int = 2,
     args: Iterable[Any] = (),

@@ -8,7 +8,7 @@ import os
 import pickle
 import signal
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Unpack
@@ -20,7 +20,8 @@ from . import _core
 from ._arguments import Array, extra_arguments, flag, numbers, positive_integer, warn
 from ._outcome import inconsistent_start
 from ._progress import bar
-from .problem import Options, Plan, Problem
+from ._types import EnsembleOptions, EventsLike, Function, InvariantsLike, MethodName, Span
+from .problem import Plan, Problem
 from .solution import Record
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
@@ -131,14 +132,14 @@ class EnsembleSolution(Record):
 
 
 def solve_ensemble(
-    fun: Callable[..., Any],
-    t_span: Sequence[float],
+    fun: Function,
+    t_span: Span,
     y0: ArrayLike,
-    method: str = "ode45",
+    method: MethodName = "ode45",
     *,
     args: Iterable[Any] | ArrayLike | None = None,
-    invariants: Any = None,
-    events: Any = None,
+    invariants: InvariantsLike | None = None,
+    events: EventsLike = None,
     jac: Any = None,
     jac_sparsity: Any = None,
     lband: int | None = None,
@@ -146,7 +147,7 @@ def solve_ensemble(
     mass: Any = None,
     workers: int | None = None,
     progress: bool = False,
-    **options: Unpack[Options],
+    **options: Unpack[EnsembleOptions],
 ) -> EnsembleSolution:
     """Solves one problem from many initial values, or with many parameter sets, in parallel.
 
@@ -256,7 +257,7 @@ class _Task:
     fun: Any
     t_span: tuple[float, ...]
     describing: dict[str, Any]
-    method: str
+    method: MethodName
     options: Any
     y0: Array
     args: Any  # a tuple, or rows

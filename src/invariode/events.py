@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 from ._arguments import Array, call_name, flag, function
+from ._types import EventFunction, EventsLike, Function
 from .compiled import is_native, to_native
 
 __all__ = ["Event", "to_events"]
@@ -38,15 +39,15 @@ class Event:
 
     def __init__(
         self,
-        fun: Callable[..., float],
+        fun: EventFunction,
         terminal: bool | int = False,
         direction: float = 0,
-        action: Callable[..., Any] | None = None,
+        action: Function | None = None,
         rehold: bool = True,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {fun!r}")
-        self.fun = fun
+        self.fun: Any = fun
         self.terminal = terminal
         self.direction = direction
         self.action: Any = action if action is None or is_native(action) else function("action", action, "action(t, y)")
@@ -54,18 +55,19 @@ class Event:
         self.__name__ = call_name(fun, "event")
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
-        return self.fun(t, y, *args)
+        value: float = self.fun(t, y, *args)
+        return value
 
     def __repr__(self) -> str:
         return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r})"
 
 
-def to_events(events: Callable[..., float] | Iterable[Callable[..., float]] | None) -> list[Event]:
+def to_events(events: EventsLike) -> list[Event]:
     """The events in the form that the solver takes, checked."""
     if events is None:
         return []
     if callable(events) or is_native(events):
-        events = [events]  # type: ignore[list-item]  # a native function need not be callable
+        events = [cast("EventFunction", events)]
     elif not isinstance(events, Sequence):
         raise TypeError(f"events must be a function event(t, y) or a list of these, got {events!r}")
     return [event if isinstance(event, Event) else _from_function(event) for event in events]
@@ -74,7 +76,7 @@ def to_events(events: Callable[..., float] | Iterable[Callable[..., float]] | No
 _ATTRIBUTES = ("terminal", "direction", "action", "rehold")
 
 
-def _from_function(fun: Callable[..., float]) -> Event:
+def _from_function(fun: EventFunction) -> Event:
     attributes = {name: getattr(fun, name) for name in _ATTRIBUTES if hasattr(fun, name)}
     return Event(fun, **attributes)
 

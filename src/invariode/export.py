@@ -8,6 +8,7 @@ import importlib
 import json
 import os
 import secrets
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from ._arguments import Array, extra_arguments, tolerances, warn
 from ._core import Dense
+from ._types import InvariantsLike
 from .invariants import BoundInvariants, bind, to_invariants
 from .solution import DenseSolution, Names, Solution, Stats, Steps
 
@@ -145,7 +147,9 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
         raise
 
 
-def load(path: str | os.PathLike[str], invariants: Any = None, args: tuple[Any, ...] | None = ()) -> Solution:
+def load(
+    path: str | os.PathLike[str], invariants: InvariantsLike | None = None, args: Iterable[Any] | None = ()
+) -> Solution:
     """The Solution that ``Solution.save`` wrote to a file.
 
     All its values, those of ``sol(t)`` included, are those of the original to the last bit. Functions are not in the

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Literal, Protocol, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from ._arguments import (
     positive_integer,
     tolerances,
 )
+from ._types import Function, InvariantsLike, JacobianKind, Numbers
 from .compiled import is_native, native_parameters, to_native
 
 __all__ = ["ImposeResult", "InvariantError", "Invariants", "impose"]
@@ -70,14 +71,14 @@ class Invariants:
 
     def __init__(
         self,
-        fun: Callable[..., Any],
-        jac: Callable[..., Any] | str | None = None,
-        value: ArrayLike | None = None,
+        fun: Function,
+        jac: Function | JacobianKind | None = None,
+        value: Numbers | None = None,
         names: str | Sequence[str] | None = None,
         iterations: int | None = None,
-        when: str = "always",
+        when: Literal["always", "needed"] = "always",
     ) -> None:
-        self.fun = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
+        self.fun: Any = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
         self.jac: Any = jac
         if isinstance(jac, str):
             choice("jac of the invariant", jac, _KINDS)
@@ -382,15 +383,50 @@ class ImposedDense:
         return imposed.y.reshape(y.shape)
 
 
+class _Points(Protocol):
+    """What a result must have to be imposed on: a `Solution` or SciPy's."""
+
+    @property
+    def t(self) -> Any: ...
+    @property
+    def y(self) -> Any: ...
+
+
+@overload
 def impose(
-    invariants: Any,
+    invariants: InvariantsLike,
+    t: _Points,
+    y: None = None,
+    *,
+    value: Numbers | None = None,
+    args: Iterable[Any] = (),
+    rtol: Numbers = 1e-3,
+    atol: Numbers = 1e-6,
+) -> ImposeResult: ...
+
+
+@overload
+def impose(
+    invariants: InvariantsLike,
+    t: ArrayLike,
+    y: ArrayLike,
+    *,
+    value: Numbers | None = None,
+    args: Iterable[Any] = (),
+    rtol: Numbers = 1e-3,
+    atol: Numbers = 1e-6,
+) -> ImposeResult: ...
+
+
+def impose(
+    invariants: InvariantsLike,
     t: Any,
     y: ArrayLike | None = None,
     *,
-    value: ArrayLike | None = None,
-    args: tuple[Any, ...] = (),
-    rtol: ArrayLike = 1e-3,
-    atol: ArrayLike = 1e-6,
+    value: Numbers | None = None,
+    args: Iterable[Any] = (),
+    rtol: Numbers = 1e-3,
+    atol: Numbers = 1e-6,
 ) -> ImposeResult:
     """Projects given points onto invariants, about as accurately as double precision allows (paper, section 4).
 

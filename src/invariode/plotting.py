@@ -18,6 +18,7 @@ import numpy as np
 
 from ._arguments import EPS, Array, tolerances
 from ._style import COLOURS, DASHES, LOOK
+from ._types import InvariantsLike
 from .invariants import BoundInvariants, Invariants, bind, to_invariants
 from .solution import Solution, Steps
 
@@ -164,7 +165,7 @@ def plot_phase(sol: Solution, i: int | str, j: int | str | None = None, ax: Axes
     return ax
 
 
-def plot_drift(sol: Solution, ax: Axes | None = None, invariants: Any = None, **line: Any) -> Axes:
+def plot_drift(sol: Solution, ax: Axes | None = None, invariants: InvariantsLike | None = None, **line: Any) -> Axes:
     """Draws how far the invariants are from their values, on a logarithmic axis.
 
     Solid: |g - value| at the outputs, after projection. Dotted: the largest before projection (`Solution.drift`).

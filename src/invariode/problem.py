@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,7 @@ from ._arguments import (
 from ._continuing import Origin
 from ._outcome import inconsistent_start, refusal, status_and_message
 from ._progress import run_bar
+from ._types import EventsLike, Fsal, Function, Interpolation, InvariantsLike, MethodName, Numbers, Options, Save, Span
 from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
@@ -74,32 +75,6 @@ class Matrices:
     mass: Any
 
 
-class Options(TypedDict, total=False):
-    """The options of a solve; `invariode.solve_ivp` says what they mean."""
-
-    t_eval: ArrayLike | None
-    dense_output: bool
-    rtol: ArrayLike
-    atol: ArrayLike
-    first_step: float | None
-    max_step: float | None
-    refine: int
-    interpolation: str
-    fsal: str
-    max_order: int | None
-    bdf: bool | None
-    callback: Callable[[float, Array], object] | None
-    save: str | None
-    check: bool
-    min_step: float | None
-
-
-class SolveOptions(Options, total=False):
-    """Those of a single solve."""
-
-    progress: bool
-
-
 @dataclass
 class Plan:
     """A problem with a method and its options, checked."""
@@ -111,8 +86,8 @@ class Plan:
     names: list[str]  # of the invariants, algebraic equations last
     demanded: list[bool]  # of the invariants, whether their values were
     event_names: list[str]
-    rtol: ArrayLike
-    atol: ArrayLike
+    rtol: Numbers
+    atol: Numbers
     keep_steps: bool
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
@@ -169,13 +144,13 @@ class Problem:
 
     def __init__(
         self,
-        fun: Callable[..., Any],
-        t_span: Sequence[float],
+        fun: Function,
+        t_span: Span,
         y0: ArrayLike,
         *,
         args: Iterable[Any] | None = (),
-        invariants: Any = None,
-        events: Any = None,
+        invariants: InvariantsLike | None = None,
+        events: EventsLike = None,
         jac: Any = None,
         jac_sparsity: Any = None,
         lband: int | None = None,
@@ -202,7 +177,7 @@ class Problem:
     def __repr__(self) -> str:
         return f"Problem({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
 
-    def solve(self, method: str = "ode45", **options: Unpack[SolveOptions]) -> Solution:
+    def solve(self, method: MethodName = "ode45", **options: Unpack[Options]) -> Solution:
         """Solves the problem. The options are those of `solve_ivp`."""
         given: dict[str, Any] = {**options}
         progress = given.pop("progress", False)
@@ -211,7 +186,7 @@ class Problem:
     def _run(
         self,
         plan: Plan,
-        method: str,
+        method: MethodName,
         options: dict[str, Any],
         progress: object,
         resumed: tuple[list[int], list[bool]] | None = None,
@@ -233,21 +208,21 @@ class Problem:
 
     def plan(
         self,
-        method: str = "ode45",
+        method: MethodName = "ode45",
         *,
         t_eval: ArrayLike | None = None,
         dense_output: bool = False,
-        rtol: ArrayLike = 1e-3,
-        atol: ArrayLike = 1e-6,
+        rtol: Numbers = 1e-3,
+        atol: Numbers = 1e-6,
         first_step: float | None = None,
         max_step: float | None = None,
         refine: int = 1,
-        interpolation: str = "projected",
-        fsal: str = "reuse",
+        interpolation: Interpolation = "projected",
+        fsal: Fsal = "reuse",
         max_order: int | None = None,
         bdf: bool | None = None,
         callback: Callable[[float, Array], object] | None = None,
-        save: str | None = None,
+        save: Save | None = None,
         check: bool = True,
         **options: Any,
     ) -> Plan:
@@ -264,11 +239,11 @@ class Problem:
         span = abs(tf - t0)
         rmin, threshold, scale = tolerances(rtol, atol, self.y0)
         times = None if t_eval is None else output_times(t_eval, t0, tf)
-        dense_output, save = flag("dense_output", dense_output), _kept(save, times)
-        if save == "end" and (times is not None or dense_output):
+        dense_output, kept = flag("dense_output", dense_output), _kept(save, times)
+        if kept == "end" and (times is not None or dense_output):
             raise ValueError('save="end" keeps the final state only: t_eval and dense_output need save="all"')
         refine = positive_integer("refine", refine)
-        if refine > 1 and (times is not None or save == "end"):
+        if refine > 1 and (times is not None or kept == "end"):
             other = "t_eval" if times is not None else 'save="end"'
             warn(f"refine has no effect together with {other}")
         first = 0.0 if first_step is None else positive("first_step", first_step)
@@ -312,7 +287,7 @@ class Problem:
             "refine": refine,
             "times": times,
             "dense": dense_output,
-            "save_all": save != "end",
+            "save_all": kept != "end",
             "check": flag("check", check),
             "events": [event_spec(event, n, p) for event in self.events],
             "callback": None if callback is None else function("callback", callback, "callback(t, y)"),
@@ -332,7 +307,7 @@ class Problem:
             event_names=[event.__name__ for event in self.events],
             rtol=rtol,
             atol=atol,
-            keep_steps=save == "all",
+            keep_steps=kept == "all",
         )
 
     def _consistent_start(

@@ -27,6 +27,7 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from . import _core
 from ._arguments import Array, flag, unknown_option
+from ._types import Numbers
 from .compiled import is_native
 from .methods import find_method
 from .problem import Problem, warn_unused
@@ -96,8 +97,8 @@ class _Solver(OdeSolver):
         y0: ArrayLike,
         t_bound: float,
         max_step: float | None = None,
-        rtol: ArrayLike = 1e-3,
-        atol: ArrayLike = 1e-6,
+        rtol: Numbers = 1e-3,
+        atol: Numbers = 1e-6,
         *,
         vectorized: bool = False,
         first_step: float | None = None,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ._continuing import Origin
+    from ._types import InvariantsLike
 
 __all__ = ["DenseSolution", "Drift", "Solution", "Stats", "Steps"]
 
@@ -268,9 +269,10 @@ class Solution(Record):
 
     t: Array
     y: Array
-    sol: DenseSolution | None
-    t_events: list[Array] | None
-    y_events: list[Array] | None
+    # None or not is known to the caller, who said what to compute: `| Any` spares them a test of it.
+    sol: DenseSolution | Any
+    t_events: list[Array] | Any
+    y_events: list[Array] | Any
     nfev: int
     njev: int
     nlu: int
@@ -278,7 +280,7 @@ class Solution(Record):
     message: str
     success: bool
     stats: Stats
-    steps: Steps | None
+    steps: Steps | Any
     _invariants: BoundInvariants
     _rtol: ArrayLike
     _atol: ArrayLike
@@ -405,7 +407,7 @@ class Solution(Record):
 
         return plotting.plot_phase(self, i, j, ax, **line)
 
-    def plot_drift(self, ax: Axes | None = None, invariants: Any = None, **line: Any) -> Axes:
+    def plot_drift(self, ax: Axes | None = None, invariants: InvariantsLike | None = None, **line: Any) -> Axes:
         """Residuals of the invariants, before and after projection: `invariode.plotting.plot_drift`."""
         from . import plotting
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, Unpack
 
 from numpy.typing import ArrayLike
 
+from ._types import AllOptions, EventsLike, Function, InvariantsLike, MethodName, RefinedOptions, Span
 from .compiled import is_native
 from .methods import METHODS, find_method
 from .problem import Problem, warn_unused
@@ -16,23 +17,23 @@ __all__ = ["dop853", "ode15s", "ode23", "ode45", "ode78", "ode113", "solve_ivp"]
 
 
 def solve_ivp(
-    fun: Callable[..., Any],
-    t_span: Sequence[float],
+    fun: Function,
+    t_span: Span,
     y0: ArrayLike,
-    method: str = "ode45",
+    method: MethodName = "ode45",
     t_eval: ArrayLike | None = None,
     dense_output: bool = False,
-    events: Any = None,
+    events: EventsLike = None,
     vectorized: bool = False,
     args: Iterable[Any] | None = None,
     *,
-    invariants: Any = None,
+    invariants: InvariantsLike | None = None,
     jac: Any = None,
     jac_sparsity: Any = None,
     lband: int | None = None,
     uband: int | None = None,
     mass: Any = None,
-    **options: Any,
+    **options: Unpack[RefinedOptions],
 ) -> Solution:
     """Solves an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
 
@@ -152,7 +153,7 @@ def solve_ivp(
     return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **options)
 
 
-def one_column(fun: Callable[..., Any]) -> Callable[..., Any]:
+def one_column(fun: Any) -> Callable[..., Any]:
     """A function of columns y (n, k) as a function of one y."""
 
     def column(t: float, y: Any, *args: Any) -> Any:
@@ -161,41 +162,39 @@ def one_column(fun: Callable[..., Any]) -> Callable[..., Any]:
     return column
 
 
-def _refined(
-    fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, method: str, options: dict[str, Any]
-) -> Solution:
+def _refined(fun: Function, t_span: Span, y0: ArrayLike, method: str, options: AllOptions) -> Solution:
     """With the method's own number of points per step, where the output is not fixed otherwise."""
     if options.get("t_eval") is None and options.get("save") != "end":
         options.setdefault("refine", METHODS[method].refine)
     return solve_ivp(fun, t_span, y0, method, **options)
 
 
-def ode23(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+def ode23(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
     """`solve_ivp` with the Bogacki-Shampine (2,3) pair, for crude tolerances. Options as there."""
     return solve_ivp(fun, t_span, y0, "ode23", **options)
 
 
-def ode45(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+def ode45(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
     """`solve_ivp` with the Dormand-Prince (4,5) pair and the suite's default of 4 points per step. Options as there."""
     return _refined(fun, t_span, y0, "ode45", options)
 
 
-def dop853(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+def dop853(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
     """`solve_ivp` with the eighth-order pair DOP853, for tight tolerances and cheap f. Options as there."""
     return solve_ivp(fun, t_span, y0, "dop853", **options)
 
 
-def ode78(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+def ode78(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
     """`solve_ivp` with Verner's (7,8) pair, for tight tolerances, and MATLAB's default of 8 points per step. Options as
     there."""
     return _refined(fun, t_span, y0, "ode78", options)
 
 
-def ode113(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+def ode113(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
     """`solve_ivp` with Adams PECE formulas of order 1 to 12, for tight tolerances and costly f. Options as there."""
     return solve_ivp(fun, t_span, y0, "ode113", **options)
 
 
-def ode15s(fun: Callable[..., Any], t_span: Sequence[float], y0: ArrayLike, **options: Any) -> Solution:
+def ode15s(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
     """`solve_ivp` with NDFs of order 1 to 5, for stiff problems and M y' = f. Options as there."""
     return solve_ivp(fun, t_span, y0, "ode15s", **options)

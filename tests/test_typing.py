@@ -1,0 +1,21 @@
+"""What the annotations say, in the package as installed: typical code is right, and wrong calls are wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CODE = Path(__file__).parent / "typing"
+
+
+def test_mypy_finds_what_is_marked_and_nothing_else(tmp_path):
+    """An `ignore` that is not needed is an error too: of a wrong call that mypy accepts."""
+    pytest.importorskip("mypy")
+    config = tmp_path / "mypy.ini"
+    config.write_text("[mypy]\nstrict = True\nenable_error_code = ignore-without-code\n")
+    command = [sys.executable, "-m", "mypy", "--config-file", config, "--cache-dir", tmp_path, CODE]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
