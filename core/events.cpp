@@ -53,7 +53,7 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
       last_(functions_.size()),
       sign_(functions_.size()),
       times_seen_(functions_.size()),
-      y_(n) {
+      y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
   for (std::size_t e = 0; e < count(); ++e) times_seen_[e] = functions_[e].seen;
   for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);

@@ -29,9 +29,9 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       interpolant_(*step_, settings_.interpolation, manifold.between,
                    manifold.between ? &between_.emplace(*manifold.between, weights, 1) : nullptr),
       y0_(n_),
-      y1_(n_),
-      point_(n_),
-      between_point_(n_) {
+      y1_(invariants_ ? n_ : 0),
+      point_(events_.empty() ? 0 : n_),
+      between_point_(settings_.output_at_times || settings_.refine > 1 || !events_.empty() ? n_ : 0) {
   occurrences.resize(events_.count());
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);

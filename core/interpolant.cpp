@@ -42,7 +42,6 @@ StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Invariants* inv
     : step_(step),
       invariants_(invariants),
       interpolant_(step.n(), invariants ? invariants->m() : 0, mode, step.interpolate(), projector),
-      data_(step.max_extension_size() + interpolant_.overhead()),
       g_end_(interpolant_.m_) {}
 
 void StepInterpolant::begin(double t0, const double* y0, const double* w) {
@@ -58,6 +57,7 @@ Status StepInterpolant::make() {
   const std::size_t n = interpolant_.n_, m = interpolant_.m_;
   const std::size_t raw_size = step_.extension_size();
   size_ = raw_size + interpolant_.overhead();
+  if (data_.empty()) data_.resize(step_.max_extension_size() + interpolant_.overhead());
   double* next = data_.data();
   if (step_.extension(next) == Status::stop) return Status::stop;
   if (interpolant_.mode_ != Interpolation::raw) {

@@ -23,14 +23,17 @@ class Pair final : public Step {
 
  public:
   Pair(Callback& f, const Weights& weights, Fsal fsal)
-      : Step(f, weights), fsal_(fsal), values_((T.all_stages + 4) * weights.size()) {
+      : Step(f, weights), fsal_(fsal), values_((stages + 3) * weights.size()) {
     double* next = values_.data();
     const auto take = [&next, this] { return std::exchange(next, next + n()); };
-    for (double*& k : k_) k = take();
+    for (std::size_t k = 0; k < stages; ++k) k_[k] = take();
     start_ = take();
     stage_ = take();
     candidate_ = take();
-    reevaluated_ = take();
+    if (fsal_ == Fsal::evaluate) {
+      further_.resize(n());
+      reevaluated_ = further_.data();
+    }
   }
 
   Outcome start(double t, const double* y, const Span& span) override {
@@ -103,6 +106,10 @@ class Pair final : public Step {
   [[nodiscard]] int degree() const override { return T.degree; }
   Status extension(double* data) override {
     bool finite = true;
+    if (extra > 0 && further_.empty()) {  // memory that steps alone do not need
+      further_.resize(extra * n());
+      for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
+    }
     for (std::size_t k = stages; k < T.all_stages; ++k)
       if (extra_stage(k, finite) == Status::stop) return Status::stop;
     data = std::copy(start_, start_ + n(), data);
@@ -227,7 +234,7 @@ class Pair final : public Step {
   }
 
   Fsal fsal_;
-  std::vector<double> values_;
+  std::vector<double> values_, further_;
   std::array<double*, T.all_stages> k_{};
   double* start_ = nullptr;        // y at the start of the accepted step
   double* stage_ = nullptr;        // argument of the stage in work

@@ -370,7 +370,7 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         _rtol=arrays["rtol"].tolist(),
         _atol=arrays["atol"].tolist(),
         _drift=(arrays["drift.residual"], arrays["drift.distance"], float(arrays["drift.correction"])),
-        _names=Names(about["name"], about["title"], about["labels"], about["event_names"]),
+        _names=Names(about["name"], about["title"], about["labels"], len(y), about["event_names"]),
     )
     return solution, dense
 

@@ -34,7 +34,7 @@ from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
 from .methods import Method, find_method
-from .solution import DenseSolution, Names, Solution, Stats, Steps
+from .solution import DenseSolution, Names, Solution, Stats, Steps, default_labels
 
 __all__ = ["Problem"]
 
@@ -170,9 +170,14 @@ class Problem:
         self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
         self.name = call_name(self.fun, "problem") if name is None else name
         self._title = name
-        self.labels = [f"y{i}" for i in range(len(self.y0))] if labels is None else list(labels)
-        if len(self.labels) != len(self.y0):
+        self._labels = None if labels is None else list(labels)
+        if self._labels is not None and len(self._labels) != len(self.y0):
             raise ValueError(f"labels must name the {len(self.y0)} components of y0, got {labels!r}")
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the components."""
+        return default_labels(len(self.y0)) if self._labels is None else self._labels
 
     def __repr__(self) -> str:
         return f"Problem({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
@@ -374,7 +379,7 @@ class Problem:
             _drift=run.take_drift(),
             _rtol=plan.rtol,
             _atol=plan.atol,
-            _names=Names(self.name, self._title, self.labels, plan.event_names),
+            _names=Names(self.name, self._title, self._labels, len(self.y0), plan.event_names),
             _origin=origin,
         )
 

@@ -235,8 +235,18 @@ class Names:
 
     problem: str
     title: str | None  # the problem's name, where one was given
-    components: list[str]
+    labels: list[str] | None
+    size: int
     events: list[str]
+
+    @property
+    def components(self) -> list[str]:
+        return default_labels(self.size) if self.labels is None else self.labels
+
+
+def default_labels(size: int) -> list[str]:
+    """Made when they are asked for: of a large problem they take more memory than the solution."""
+    return [f"y{i}" for i in range(size)]
 
 
 @dataclasses.dataclass(eq=False, repr=False)
