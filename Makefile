@@ -12,7 +12,7 @@ INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
-.PHONY: paper test native sanitize lint format stubs bench dist clean
+.PHONY: paper test native sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/invariode paper --output paper-report.html
@@ -61,8 +61,11 @@ dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built fr
 	$(BIN)/python -m build
 	$(BIN)/python -m twine check --strict dist/*
 
+docs: $(VENV)/.installed-docs  ## the documentation, in build/docs: every cell and example executed, warnings are errors
+	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs
+
 clean:
-	rm -rf build dist $(VENV) paper-report.html
+	rm -rf build dist $(VENV) paper-report.html docs/gallery docs/generated docs/sg_execution_times.rst
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -1,6 +1,11 @@
-"""Predator and prey: the closed orbit, with and without its invariant. Usage: python lotka_volterra.py [output.png]"""
+"""Predator and prey
+=================
 
-import sys
+The orbits of Lotka and Volterra's equations are closed: they are the level sets of an invariant that is no polynomial.
+
+Source: L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72,
+section 6.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,12 +25,18 @@ def orbit(t, state):
     return c * (x - np.log(x)) + a * (y - np.log(y))
 
 
-figure, axes = plt.subplots(layout="constrained")
-for label, invariants in (("plain", None), ("projected", orbit)):
-    sol = iv.ode23(predator_prey, (0, 50), [1, 3], invariants=invariants, refine=4)
-    drift = np.abs(orbit(sol.t, sol.y) - orbit(0, [1, 3])).max()
-    print(f"{label:>9}: drift {drift:.1e} in {sol.stats.steps} steps, {sol.nfev} evaluations of f")
-    axes.plot(*sol.y, lw=1, label=label)
-axes.set(xlabel="prey", ylabel="predator", title="Lotka-Volterra, ode23")
-axes.legend()
-figure.savefig(sys.argv[1] if len(sys.argv) > 1 else "lotka_volterra.png", dpi=150)
+def main():
+    figure, axes = plt.subplots(layout="constrained")
+    for label, invariants in (("plain", None), ("projected", orbit)):
+        sol = iv.ode23(predator_prey, (0, 50), [1, 3], invariants=invariants, refine=4)
+        drift = np.abs(orbit(sol.t, sol.y) - orbit(0, [1, 3])).max()
+        print(f"{label:>9}: drift {drift:.1e} in {sol.stats.steps} steps, {sol.nfev} evaluations of f")
+        axes.plot(*sol.y, lw=1, label=label)
+    axes.set(xlabel="prey", ylabel="predator", title="Lotka-Volterra, ode23")
+    axes.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()
+    plt.show()

@@ -1,6 +1,12 @@
-"""A pendulum in Cartesian coordinates: two constraints keep its length. Usage: python pendulum.py [output.png]"""
+"""A pendulum in Cartesian coordinates
+===================================
 
-import sys
+The rod keeps its length because of a constraint, and of a hidden one: the bob moves along the circle. Both are
+invariants of the equations, with the demanded value 0.
+
+Source: L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72,
+section 6.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,12 +25,18 @@ def rod(t, state):
     return [x**2 + y**2 - 1, x * vx + y * vy]  # the position on the circle, the velocity along it
 
 
-figure, axes = plt.subplots(layout="constrained")
-for label, invariants in (("plain", None), ("projected", iv.Invariants(rod, value=0))):
-    sol = iv.ode45(pendulum, (0, 50), [1, 0, 0, 0], invariants=invariants, refine=10)
-    drift = np.abs(np.hypot(*sol.y[:2]) - 1).max()
-    print(f"{label:>9}: length off by {drift:.1e} in {sol.stats.steps} steps, {sol.nfev} evaluations of f")
-    axes.plot(*sol.y[:2], lw=1, label=label)
-axes.set(xlabel="x", ylabel="y", title="Path of the bob, ode45", aspect="equal")
-axes.legend()
-figure.savefig(sys.argv[1] if len(sys.argv) > 1 else "pendulum.png", dpi=150)
+def main():
+    figure, axes = plt.subplots(layout="constrained")
+    for label, invariants in (("plain", None), ("projected", iv.Invariants(rod, value=0))):
+        sol = iv.ode45(pendulum, (0, 50), [1, 0, 0, 0], invariants=invariants, refine=10)
+        drift = np.abs(np.hypot(*sol.y[:2]) - 1).max()
+        print(f"{label:>9}: length off by {drift:.1e} in {sol.stats.steps} steps, {sol.nfev} evaluations of f")
+        axes.plot(*sol.y[:2], lw=1, label=label)
+    axes.set(xlabel="x", ylabel="y", title="Path of the bob, ode45", aspect="equal")
+    axes.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()
+    plt.show()

@@ -1,6 +1,12 @@
-"""An orbit around Earth and Moon, closed by holding its Jacobi integral. Usage: python three_body.py [output.png]"""
+"""Restricted three-body problem
+=============================
 
-import sys
+An orbit around Earth and Moon that closes after one period; at the default tolerances it does so if its Jacobi
+integral is held.
+
+Source: L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72,
+section 6.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,12 +29,19 @@ def jacobi(t, state):
     return (vx**2 + vy**2 - x**2 - y**2) / 2 - (1 - mu) / np.hypot(x + mu, y) - mu / np.hypot(x - 1 + mu, y)
 
 
-figure, axes = plt.subplots(layout="constrained")
-for label, invariants in (("plain", None), ("projected", jacobi)):
-    sol = iv.ode45(orbiter, (0, period), start, invariants=invariants, refine=20)
-    drift = np.abs(jacobi(sol.t, sol.y) - jacobi(0, start)).max()
-    print(f"{label:>9}: drift {drift:.1e}, gap at the end {np.hypot(*(sol.y[:2, -1] - start[:2])):.1e}")
-    axes.plot(*sol.y[:2], lw=1, label=label)
-axes.set(xlabel="x", ylabel="y", title="Restricted three-body problem, ode45", aspect="equal")
-axes.legend()
-figure.savefig(sys.argv[1] if len(sys.argv) > 1 else "three_body.png", dpi=150)
+def main():
+    figure, axes = plt.subplots(layout="constrained")
+    for label, invariants in (("plain", None), ("projected", jacobi)):
+        sol = iv.ode45(orbiter, (0, period), start, invariants=invariants, refine=20)
+        drift = np.abs(jacobi(sol.t, sol.y) - jacobi(0, start)).max()
+        print(f"{label:>9}: drift {drift:.1e}, gap at the end {np.hypot(*(sol.y[:2, -1] - start[:2])):.1e}")
+        axes.plot(*sol.y[:2], lw=1, label=label)
+    axes.plot([-mu, 1 - mu], [0, 0], "k+")
+    axes.set(xlabel="x", ylabel="y", title="One period, ode45", aspect="equal")
+    axes.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()
+    plt.show()

@@ -92,7 +92,7 @@ def check_invariants(
     args : tuple, optional
         Extra arguments of the functions.
     rtol, atol : float or array_like of shape (n,)
-        The weights max(|y|, atol / rtol) in which gradients and distances are measured. Default 1e-3, 1e-6.
+        The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured. Default 1e-3, 1e-6.
 
     Returns
     -------

@@ -99,7 +99,7 @@ class EnsembleSolution(Record):
     value : ndarray, (N, m)
         At what the invariants were held (at first, if events with actions changed it).
     residual_before, residual_after : ndarray, (N, m)
-        Largest |g - value| of the accepted candidates before projection; at the outputs and the end.
+        Largest ``|g - value|`` of the accepted candidates before projection; at the outputs and the end.
     correction : ndarray, (N,)
         Largest correction by projection of a step, in units of rtol.
     """

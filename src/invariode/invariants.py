@@ -351,7 +351,7 @@ class ImposeResult:
     y : ndarray, (n,) or (n, n_t)
         The projected points; those that did not converge are as they were given.
     converged : bool or ndarray of bool, (n_t,)
-        Where every residual is roundoff: at most 10 ε (|value_i| + Σ_j |J_ij y_j|).
+        Where every residual is roundoff: at most ``10 ε (|value_i| + Σ_j |J_ij y_j|)``.
     residual : ndarray, (m,) or (m, n_t)
         g(t, y) - value at the points returned.
     iterations : int or ndarray of int, (n_t,)
@@ -443,7 +443,7 @@ def impose(
     args : tuple, optional
         Extra arguments of the functions.
     rtol, atol : float or array_like of shape (n,)
-        The weights max(|y|, atol / rtol) in which 'nearest' is meant. Default 1e-3, 1e-6.
+        The weights ``max(|y|, atol / rtol)`` in which 'nearest' is meant. Default 1e-3, 1e-6.
 
     Returns
     -------

@@ -168,7 +168,7 @@ def plot_phase(sol: Solution, i: int | str, j: int | str | None = None, ax: Axes
 def plot_drift(sol: Solution, ax: Axes | None = None, invariants: InvariantsLike | None = None, **line: Any) -> Axes:
     """Draws how far the invariants are from their values, on a logarithmic axis.
 
-    Solid: |g - value| at the outputs, after projection. Dotted: the largest before projection (`Solution.drift`).
+    Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection (`Solution.drift`).
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def plot_drift(sol: Solution, ax: Axes | None = None, invariants: InvariantsLike
     Notes
     -----
     Zeros have no logarithm. They are drawn at half the smallest residual that is none; nothing is drawn below ε/2 times
-    the larger of |value| and the largest residual. Zeros at points that define a value are left out. Of more than
+    the larger of ``|value|`` and the largest residual. Zeros at points that define a value are left out. Of more than
     twelve invariants the first twelve are drawn.
     """
     listed = to_invariants(invariants)
@@ -229,7 +229,7 @@ def plot_drift(sol: Solution, ax: Axes | None = None, invariants: InvariantsLike
 
 
 def plot_steps(sol: Solution, axes: Any = None, **line: Any) -> Array:
-    """Draws the accepted steps over t: their size |h|, their order, and their estimated error in units of rtol.
+    """Draws the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.
 
     Where invariants were imposed, the corrections by projection stand beside the errors, in the same unit.
 

@@ -100,7 +100,7 @@ class Steps(Record):
     order : ndarray of int
         Its order.
     error, correction : ndarray of float
-        The estimated error and the size of the correction by projection, max_i |·|_i / w_i, in units of rtol.
+        The estimated error and the size of the correction by projection, ``max_i |·|_i / w_i``, in units of rtol.
     """
 
     def __init__(self, rows: Array) -> None:
@@ -143,7 +143,7 @@ class Drift(Record):
     value : ndarray
         What was held (at first, if events with actions changed it).
     residual_before, residual_after : ndarray
-        Largest |g - value| of the accepted candidates before projection, and at the outputs.
+        Largest ``|g - value|`` of the accepted candidates before projection, and at the outputs.
     distance_before, distance_after : ndarray
         The same as distances from the level set, in units of rtol in the weights of the error test.
     correction : float

@@ -74,7 +74,8 @@ def solve_ivp(
         ode15s with backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5
         are stable in wider sectors.
     rtol, atol : float or array_like of shape (n,), defaults 1e-3 and 1e-6
-        The estimated error of component i is kept below max(rtol_i |y_i|, atol_i). rtol below 100 ε is raised to it.
+        The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is raised
+        to it.
     first_step : float, optional
         Size of the first step. Default: chosen from f(t0, y0).
     max_step : float, optional

@@ -1,0 +1,89 @@
+"""The documentation: `make docs`. Every cell and every example is executed, and warnings are errors."""
+
+import re
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+import invariode
+
+project = "invariode"
+author = copyright = "The invariode developers"
+version = release = version_of("invariode")
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["**.ipynb", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
+templates_path = ["_templates"]
+default_role = "py:obj"
+
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_output_stderr = "warn"
+nb_merge_streams = True
+
+autosummary_generate = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings say it in words
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+copybutton_prompt_text = r">>> |\.\.\. |\$ |In \[\d*\]: "
+copybutton_prompt_is_regexp = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r".*\.py",
+    "abort_on_example_error": True,
+    "reference_url": {"invariode": None},
+    "doc_module": ("invariode",),
+    "backreferences_dir": "generated/examples",
+    "capture_repr": (),
+    "download_all_examples": False,
+    "min_reported_time": 1000,
+    "remove_config_comments": True,
+    "show_signature": False,
+    "thumbnail_size": (400, 300),
+    "within_subsection_order": "FileNameSortKey",
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "invariode"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "logo": {"text": "invariode"},
+    "navbar_align": "left",
+    "navigation_with_keys": False,
+    "show_prev_next": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "show_toc_level": 2,
+    "header_links_before_dropdown": 6,
+}
+html_sidebars = {"index": [], "tutorial": [], "benchmarks": [], "gallery/*": []}
+
+
+def every_public_name_is_here(app):
+    """The reference lists what the package exports, no more and no less."""
+    page = (Path(__file__).parent / "reference.md").read_text()
+    listed = set(re.findall(r"^   (\w+)$", page, re.MULTILINE))
+    if listed != set(invariode.__all__):
+        raise ValueError(f"docs/reference.md and invariode.__all__ differ in {listed ^ set(invariode.__all__)}")
+
+
+def setup(app):
+    app.connect("builder-inited", every_public_name_is_here)

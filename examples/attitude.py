@@ -1,0 +1,53 @@
+"""Attitude of a tumbling satellite
+================================
+
+The attitude is a unit quaternion, beside the angular velocity in the frame of the body. Kept are the norm of the
+quaternion, the energy and the three components of the angular momentum in space; the intermediate axis flips over.
+
+Source: F. L. Markley, J. L. Crassidis, Fundamentals of Spacecraft Attitude Determination and Control, Springer, 2014,
+sections 2.7 and 3.3.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import invariode as iv
+
+moments = np.array([1.0, 2.0, 3.0])
+
+
+def to_space(q, v):
+    """The vector v of the frame of the body in space: q v q*."""
+    s, u = q[0], q[1:]
+    return (s * s - np.dot(u, u)) * v + 2 * np.dot(u, v) * u + 2 * s * np.cross(u, v)
+
+
+def tumble(t, state):
+    q, w = state[:4], state[4:]
+    turn = 0.5 * np.concatenate([[-np.dot(q[1:], w)], q[0] * w + np.cross(q[1:], w)])
+    return np.concatenate([turn, np.cross(moments * w, w) / moments])
+
+
+def laws(t, state):
+    q, w = state[:4], state[4:]
+    return [np.dot(q, q), np.dot(w, moments * w) / 2, *to_space(q, moments * w)]
+
+
+def main():
+    start = np.array([1, 0, 0, 0, 0.2, 1, 0.1])
+    figure, panels = plt.subplots(2, sharex=True, layout="constrained")
+    for axes, (label, given) in zip(panels, (("plain", None), ("projected", laws)), strict=True):
+        sol = iv.ode45(tumble, (0, 200), start, invariants=given, atol=1e-3)
+        drift = max(np.abs(np.subtract(laws(0, y), laws(0, start))).max() for y in sol.y.T)
+        print(f"{label:>9}: drift {drift:.1e}")
+        axis = np.array([to_space(y[:4], np.array([0.0, 1, 0])) for y in sol.y.T])
+        axes.plot(sol.t, axis, lw=1, label=["x", "y", "z"])
+        axes.set(ylabel="axis in space", title=f"{label}, ode45", ylim=(-2, 2))
+    panels[0].legend(loc="upper left", ncols=3)
+    panels[1].set_xlabel("t")
+    return figure
+
+
+if __name__ == "__main__":
+    main()
+    plt.show()
