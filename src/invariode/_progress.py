@@ -28,15 +28,12 @@ def bar(shown: bool, what: str, total: float) -> Iterator[Callable[[float], None
 
 
 @contextmanager
-def run_bar(shown: bool, what: str, t0: float, tf: float) -> Iterator[Callable[[float, float], None] | None]:
-    """The same over t, for one run: what it yields is called with t and h. On an infinite interval the bar pulses.
+def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float], None]]:
+    """A bar over t, for one run: what it yields is called with t and h. On an infinite interval it pulses.
 
     It is drawn when it is called and by nobody else, so that a run of native code need not share the interpreter with
     a thread; and on the standard error, so that the output of a script stays its own.
     """
-    if not shown:
-        yield None
-        return
     rich = _rich()
     from rich.console import Console
 

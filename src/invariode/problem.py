@@ -33,7 +33,7 @@ from ._types import EventsLike, Fsal, Function, Interpolation, InvariantsLike, M
 from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
 from .invariants import BoundInvariants, InvariantError, bind, to_invariants
-from .methods import Method, find_method
+from .methods import METHODS, Method, find_method
 from .solution import DenseSolution, Names, Solution, Stats, Steps, default_labels
 
 __all__ = ["Problem"]
@@ -201,14 +201,18 @@ class Problem:
         solver.record = plan.keep_steps
         if resumed is not None:
             solver.resume(*resumed)
-        with run_bar(flag("progress", progress), self.name, *self.t_span) as told:
-            run = solver.integrate(plan.y0.view(float), told)
+        y0 = plan.y0.view(float)
+        if flag("progress", progress):
+            with run_bar(self.name, *self.t_span) as told:
+                run = solver.integrate(y0, told)
+        else:
+            run = solver.integrate(y0, None)
         if exception := plan.exception(run):
             raise exception
         if run.dropped:
             _warn_dropped(run, plan.names)
         t, y = run.take_end()
-        next_h = run.next_h if find_method(method)[0].fixed_order and run.steps else None
+        next_h = run.next_h if METHODS[plan.solver["method"]].fixed_order and run.steps else None
         return self._solution(run, plan, Origin(self, method, options, t, y.view(self.y0.dtype), next_h))
 
     def plan(

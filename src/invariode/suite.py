@@ -136,7 +136,7 @@ def solve_ivp(
     True
     """
     for name, given in (("jac", jac), ("jac_sparsity", jac_sparsity), ("lband", lband), ("uband", uband)):
-        if name not in (chosen := find_method(method)[0]).options:
+        if given is not None and name not in (chosen := find_method(method)[0]).options:
             warn_unused(chosen, name, given)
     problem = Problem(
         one_column(fun) if vectorized and not is_native(fun) else fun,
