@@ -132,11 +132,16 @@ def tolerance(name: str, value: ArrayLike, n: int) -> Array:
     return result
 
 
-def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, Array, Array | None]:
+def reals(y: Array) -> int:
+    """How many reals make up y, of shape (n,)."""
+    return 2 * len(y) if y.dtype.kind == "c" else len(y)
+
+
+def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, float | Array, Array | None]:
     """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y ('Tolerances')."""
-    pairs = 2 if y.dtype.kind == "c" else 1
     if type(rtol) is float and type(atol) is float and 100 * EPS <= rtol < math.inf and 0 <= atol < math.inf:
-        return rtol, np.full(pairs * len(y), atol / rtol), None  # the common case, without arrays of one number
+        return rtol, atol / rtol, None  # the common case, without arrays
+    pairs = 2 if y.dtype.kind == "c" else 1
     relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
     least = 100 * EPS
     if (relative < least).any():

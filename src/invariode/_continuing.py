@@ -23,7 +23,7 @@ __all__ = ["Origin", "extend"]
 _ANEW = ("t_eval", "first_step", "max_step", "callback", "check", "progress")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(eq=False)
 class Origin:
     """What a solution was made from, and where it ended: what it takes to go on."""
 

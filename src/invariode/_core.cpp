@@ -9,14 +9,17 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 #include <numpy/arrayobject.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <complex>
 #include <cstring>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -24,6 +27,7 @@
 #include <string>
 #include <tuple>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "adams.hpp"
@@ -527,8 +531,14 @@ class Functions {
   std::vector<std::unique_ptr<PythonMatrix>> matrices_;
 };
 
-Weights to_weights(double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale) {
-  return {rtol, to_vector(threshold), scale ? to_vector(*scale) : std::vector<double>{}};
+/// thr of all components, or of each.
+using Threshold = std::variant<double, ConstVector>;
+
+Weights to_weights(std::size_t n, double rtol, const Threshold& threshold, const std::optional<ConstVector>& scale) {
+  const auto* each = std::get_if<ConstVector>(&threshold);
+  if ((each && each->size() != n) || (scale && scale->size() != n)) throw nb::value_error("weights do not match");
+  return {rtol, each ? to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
+          scale ? to_vector(*scale) : std::vector<double>{}};
 }
 
 /// Hands a vector over to NumPy without copying it.
@@ -782,7 +792,7 @@ struct Dense {
   static Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& end,
                           const ConstOffsets& offset, const ConstVector& data, std::size_t m,
                           const std::string& interpolation, const std::string& extension, double rtol,
-                          const ConstVector& threshold, const std::optional<ConstVector>& scale, bool complex) {
+                          const Threshold& threshold, const std::optional<ConstVector>& scale, bool complex) {
     const std::size_t n = y.shape(1), segments = end.size();
     const Interpolation mode = find_name(interpolations, interpolation, "interpolation");
     const Extension* raw = nullptr;
@@ -794,8 +804,7 @@ struct Dense {
     require(raw != nullptr, "unknown extension");
     require(n > 0 || segments == 0, "there is nothing to interpolate");
     require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
-    require(threshold.size() == n && (!scale || scale->size() == n), "weights do not match");
-    Dense dense{DenseOutput(n, m, mode, raw->evaluate), to_weights(rtol, threshold, scale), complex};
+    Dense dense{DenseOutput(n, m, mode, raw->evaluate), to_weights(n, rtol, threshold, scale), complex};
     const std::size_t overhead = Interpolant(n, m, mode, raw->evaluate, nullptr).overhead();
     dense.output.start(t.data()[0], y.data());
     for (std::size_t s = 0; s < segments; ++s) {
@@ -846,9 +855,31 @@ struct Run {
   std::vector<int> dropped;
   double dropped_at = 0;
   double t_end = 0;
-  std::vector<double> y_end = {};
+  std::vector<double> y_end = {};  // empty: the last of the points
   double next_h = 0;
 
+  static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
+                                                "nlu",   "nsolve", "projections", "skipped",    "ng",
+                                                "ngjac", "ngdiff", "dropped"};
+  static constexpr std::size_t count_size = std::size(count_names);
+  [[nodiscard]] std::array<std::int64_t, count_size> counted() const {
+    return {counts.steps,
+            counts.failed,
+            nfev,
+            nfev_check,
+            linear.jacobians,
+            linear.factorizations,
+            linear.solves,
+            counts.projections,
+            counts.skipped,
+            ng,
+            ngjac,
+            ngdiff,
+            static_cast<std::int64_t>(dropped.size())};
+  }
+  [[nodiscard]] const double* end() const {
+    return y_end.empty() && n > 0 ? points.y.data() + points.y.size() - n : y_end.data();
+  }
   static std::pair<Vector, Table> arrays(Trajectory&& points, std::size_t n) {
     const std::size_t size = points.t.size();
     return {to_array<Vector>(std::move(points.t), size), to_array<Table>(std::move(points.y), size, n)};
@@ -859,16 +890,16 @@ struct Run {
 /// all functions are native, its runs do not need it.
 class Solver {
  public:
-  Solver(const std::string& method, const nb::object& fun, const nb::tuple& args, double t0, double tf, bool complex,
-         double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale, double max_step,
-         double first_step, const std::string& fsal, int max_order, bool bdf, const std::optional<LinearSpec>& linear,
-         const std::string& interpolation, int refine, const std::optional<ConstVector>& times, bool dense,
-         bool save_all, bool check, const std::vector<EventSpec>& events, const nb::object& callback,
-         const std::vector<InvariantSpec>& invariants, const ConstVector& value, int iterations, double negligible,
-         const ConstVector& parameters)
-      : n(threshold.size()),
+  Solver(const std::string& method, std::size_t n, const nb::object& fun, const nb::tuple& args, double t0, double tf,
+         bool complex, double rtol, const Threshold& threshold, const std::optional<ConstVector>& scale,
+         double max_step, double first_step, const std::string& fsal, int max_order, bool bdf,
+         const std::optional<LinearSpec>& linear, const std::string& interpolation, int refine,
+         const std::optional<ConstVector>& times, bool dense, bool save_all, bool record, bool check,
+         const std::vector<EventSpec>& events, const nb::object& callback, const std::vector<InvariantSpec>& invariants,
+         const ConstVector& value, int iterations, double negligible, const ConstVector& parameters)
+      : n(n),
         complex(complex),
-        weights(to_weights(rtol, threshold, scale)),
+        weights(to_weights(n, rtol, threshold, scale)),
         functions({n, complex}, args, to_vector(parameters)),
         make_step(find_name(steps, method, "method")),
         f(functions.state_valued(fun, "fun(t, y)")),
@@ -886,6 +917,7 @@ class Solver {
                  .interpolation = find_name(interpolations, interpolation, "interpolation"),
                  .dense = dense,
                  .save_all = save_all,
+                 .record = record,
                  .check = check,
                  .negligible = negligible},
         options{.fsal = find_name(fsals, fsal, "fsal"),
@@ -940,6 +972,7 @@ class Course {
         integration(make_step(solver), solver.weights, manifold_, solver.event_functions, solver.notify,
                     solver.settings),
         complex_(solver.complex),
+        output_at_times_(solver.settings.output_at_times),
         weights_(solver.weights) {}
   Course(const Course&) = delete;
   Course& operator=(const Course&) = delete;
@@ -980,6 +1013,7 @@ class Course {
 
  private:
   bool complex_;
+  bool output_at_times_;
   const Weights& weights_;
 };
 
@@ -1049,7 +1083,7 @@ Run Course::result() {
     run.dropped_at = projector.dropped_at();
   }
   run.t_end = integration.t();
-  run.y_end.assign(integration.y(), integration.y() + integration.step().n());
+  if (output_at_times_ || run.points.t.empty()) run.y_end.assign(integration.y(), integration.y() + run.n);
   run.next_h = integration.step().h();
   return run;
 }
@@ -1216,23 +1250,7 @@ struct EnsembleRun {
   };
   /// States that only trajectories of an ensemble have: the initial value is not finite, or not consistent.
   static constexpr std::int8_t not_finite = -1, inconsistent = -2;
-  enum Count {
-    steps,
-    failed,
-    nfev,
-    nfev_check,
-    njev,
-    nlu,
-    nsolve,
-    projections,
-    skipped,
-    ng,
-    ngjac,
-    ngdiff,
-    dropped,
-    counts
-  };
-
+  static constexpr std::size_t counts = Run::count_size;
   EnsembleRun(std::size_t size, std::size_t n, std::size_t m, std::size_t n_t, std::size_t events)
       : size(size),
         n(n),
@@ -1270,22 +1288,9 @@ struct EnsembleRun {
 void EnsembleRun::keep(std::size_t i, Course& course, std::vector<double> held) {
   const Run run = course.result();
   t[i] = run.t_end;
-  std::copy(run.y_end.begin(), run.y_end.end(), &y_end[i * n]);
+  std::copy(run.end(), run.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(run.state);
-  const std::int64_t counted[counts] = {run.counts.steps,
-                                        run.counts.failed,
-                                        run.nfev,
-                                        run.nfev_check,
-                                        run.linear.jacobians,
-                                        run.linear.factorizations,
-                                        run.linear.solves,
-                                        run.counts.projections,
-                                        run.counts.skipped,
-                                        run.ng,
-                                        run.ngjac,
-                                        run.ngdiff,
-                                        static_cast<std::int64_t>(run.dropped.size())};
-  std::copy(counted, counted + counts, &count[i * counts]);
+  std::ranges::copy(run.counted(), &count[i * counts]);
   for (std::size_t j = 0; j < run.points.t.size() && n_t > 0; ++j)
     for (std::size_t c = 0; c < n; ++c) y[(i * n + c) * n_t + j] = run.points.y[j * n + c];
   if (m > 0) {
@@ -1374,11 +1379,11 @@ std::unique_ptr<EnsembleRun> integrate_all(const std::vector<Solver*>& solvers, 
 /// y0 moved until the algebraic equations of a singular mass matrix hold, and how that ended.
 std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, const nb::tuple& args, double t0,
                                                      const ConstVector& y0, bool complex, double rtol,
-                                                     const ConstVector& threshold,
+                                                     const Threshold& threshold,
                                                      const std::optional<ConstVector>& scale, const LinearSpec& linear,
                                                      const ConstVector& parameters) {
   const std::size_t n = y0.size();
-  const Weights weights = to_weights(rtol, threshold, scale);
+  const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
   Callback f = functions.state_valued(fun, "fun(t, y)");
   LinearProblem problem(linear, functions, weights);
@@ -1390,11 +1395,11 @@ std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, cons
 }
 
 /// Projects each row of y, at the time in t, to roundoff: (y, converged, residual, iterations).
-auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const ConstVector& threshold,
+auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const Threshold& threshold,
             const std::optional<ConstVector>& scale, const std::vector<InvariantSpec>& invariants,
             const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
-  const Weights weights = to_weights(rtol, threshold, scale);
+  const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Projector projector(g, weights, 1);
@@ -1415,11 +1420,11 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
 
 /// How each invariant stands at (t, y), as a dict of arrays of m; None where g, its Jacobian or f is not finite there.
 nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const ConstVector& y, bool complex,
-                   double rtol, const ConstVector& threshold, const std::optional<ConstVector>& scale,
+                   double rtol, const Threshold& threshold, const std::optional<ConstVector>& scale,
                    const std::vector<InvariantSpec>& invariants, const ConstVector& value,
                    const ConstVector& parameters) {
   const std::size_t n = y.size(), m = value.size();
-  const Weights weights = to_weights(rtol, threshold, scale);
+  const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
   const Callback f = functions.state_valued(fun, "fun(t, y)");
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
@@ -1466,11 +1471,11 @@ Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const s
 }
 
 /// Distances of each row of y from the invariants' level sets, in units of rtol: (count, m).
-Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const ConstVector& threshold,
+Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double rtol, const Threshold& threshold,
                const std::optional<ConstVector>& scale, const std::vector<InvariantSpec>& invariants,
                const ConstVector& value, const nb::tuple& args, const ConstVector& parameters) {
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
-  const Weights weights = to_weights(rtol, threshold, scale);
+  const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
   Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
   Projector projector(g, weights, 1);
@@ -1487,6 +1492,7 @@ Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double 
 
 NB_MODULE(_core, module) {
   if (_import_array() < 0) throw nb::python_error();
+  nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
 
   nb::class_<Dense>(module, "Dense")
@@ -1538,7 +1544,15 @@ NB_MODULE(_core, module) {
           "Number of algebraic equations: the dimension of the left null space of M.");
 
   nb::class_<Run>(module, "Run", "Results of `integrate`. Arrays are handed over: each `take_…` works once.")
-      .def("take_points", [](Run& r) { return Run::arrays(std::move(r.points), r.n); })
+      .def(
+          "take_points",
+          [](Run& r) {
+            std::optional<Vector> end;
+            if (!r.y_end.empty()) end = to_array<Vector>(std::move(r.y_end), r.n);
+            auto [t, y] = Run::arrays(std::move(r.points), r.n);
+            return std::make_tuple(t, y, r.t_end, end);
+          },
+          "(t, y) of the points and of the end; the last is None where it is the last point.")
       .def("take_events",
            [](Run& r) {
              std::vector<std::pair<Vector, Table>> all;
@@ -1566,7 +1580,6 @@ NB_MODULE(_core, module) {
              }
              return jumps;
            })
-      .def("take_end", [](Run& r) { return std::make_pair(r.t_end, to_array<Vector>(std::move(r.y_end), r.n)); })
       .def_ro("next_h", &Run::next_h)
       .def("take_dense", [](Run& r) { return std::exchange(r.dense, {}); })
       .def_prop_ro("state", [](const Run& r) { return name_of(r.state); })
@@ -1582,20 +1595,10 @@ NB_MODULE(_core, module) {
       .def_prop_ro("finding_t", [](const Run& r) { return r.report.finding.t; })
       .def_prop_ro("finding_size", [](const Run& r) { return r.report.finding.size; })
       .def_prop_ro("finding_distance", [](const Run& r) { return r.report.finding.distance; })
-      .def_prop_ro("steps", [](const Run& r) { return r.counts.steps; })
-      .def_prop_ro("failed", [](const Run& r) { return r.counts.failed; })
-      .def_prop_ro("projections", [](const Run& r) { return r.counts.projections; })
-      .def_prop_ro("skipped", [](const Run& r) { return r.counts.skipped; })
+      .def_prop_ro(
+          "counts", [](const Run& r) { return std::tuple_cat(r.counted()); }, "Numbers, in the order of COUNTS.")
       .def_prop_ro("singular", [](const Run& r) { return r.report.linear.singular; })
       .def_prop_ro("undefined_jacobian", [](const Run& r) { return r.report.linear.undefined_jacobian; })
-      .def_prop_ro("njev", [](const Run& r) { return r.linear.jacobians; })
-      .def_prop_ro("nlu", [](const Run& r) { return r.linear.factorizations; })
-      .def_prop_ro("nsolve", [](const Run& r) { return r.linear.solves; })
-      .def_ro("nfev", &Run::nfev)
-      .def_ro("nfev_check", &Run::nfev_check)
-      .def_ro("ng", &Run::ng)
-      .def_ro("ngjac", &Run::ngjac)
-      .def_ro("ngdiff", &Run::ngdiff)
       .def_ro("projected_start", &Run::projected_start)
       .def_ro("derivatives", &Run::derivatives)
       .def_ro("dropped", &Run::dropped)
@@ -1641,8 +1644,8 @@ NB_MODULE(_core, module) {
             return all;
           },
           "(trajectory, Run that tells why it ended) of those that failed.");
-  module.attr("COUNTS") = nb::make_tuple("steps", "failed", "nfev", "nfev_check", "njev", "nlu", "nsolve",
-                                         "projections", "skipped", "ng", "ngjac", "ngdiff", "dropped");
+  module.attr("COUNTS") =
+      nb::tuple(nb::cast(std::vector<const char*>(std::begin(Run::count_names), std::end(Run::count_names))));
   std::vector<const char*> states;
   for (int i = 0; i <= static_cast<int>(State::invariant_convicted); ++i)
     states.push_back(name_of(static_cast<State>(i)));
@@ -1652,23 +1655,21 @@ NB_MODULE(_core, module) {
 
   nb::class_<Solver>(module, "Solver", nb::type_slots(solver_slots),
                      "A problem with a method: all that is known before the initial value.")
-      .def(nb::init<const std::string&, const nb::object&, const nb::tuple&, double, double, bool, double,
-                    const ConstVector&, const std::optional<ConstVector>&, double, double, const std::string&, int,
-                    bool, const std::optional<LinearSpec>&, const std::string&, int, const std::optional<ConstVector>&,
+      .def(nb::init<const std::string&, std::size_t, const nb::object&, const nb::tuple&, double, double, bool, double,
+                    const Threshold&, const std::optional<ConstVector>&, double, double, const std::string&, int, bool,
+                    const std::optional<LinearSpec>&, const std::string&, int, const std::optional<ConstVector>&, bool,
                     bool, bool, bool, const std::vector<EventSpec>&, const nb::object&,
                     const std::vector<InvariantSpec>&, const ConstVector&, int, double, const ConstVector&>(),
-           nb::kw_only(), nb::arg("method"), nb::arg("fun"), nb::arg("args"), nb::arg("t0"), nb::arg("tf"),
-           nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("max_step"),
-           nb::arg("first_step"), nb::arg("fsal"), nb::arg("max_order"), nb::arg("bdf"), nb::arg("linear").none(),
-           nb::arg("interpolation"), nb::arg("refine"), nb::arg("times").none(), nb::arg("dense"), nb::arg("save_all"),
-           nb::arg("check"), nb::arg("events"), nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"),
-           nb::arg("iterations"), nb::arg("negligible"), nb::arg("parameters"))
+           nb::kw_only(), nb::arg("method"), nb::arg("n"), nb::arg("fun"), nb::arg("args"), nb::arg("t0"),
+           nb::arg("tf"), nb::arg("complex"), nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(),
+           nb::arg("max_step"), nb::arg("first_step"), nb::arg("fsal"), nb::arg("max_order"), nb::arg("bdf"),
+           nb::arg("linear").none(), nb::arg("interpolation"), nb::arg("refine"), nb::arg("times").none(),
+           nb::arg("dense"), nb::arg("save_all"), nb::arg("record"), nb::arg("check"), nb::arg("events"),
+           nb::arg("callback").none(), nb::arg("invariants"), nb::arg("value"), nb::arg("iterations"),
+           nb::arg("negligible"), nb::arg("parameters"))
       .def_prop_ro(
           "native", [](const Solver& solver) { return solver.functions.native(); },
           "Whether no function needs the interpreter.")
-      .def_prop_rw(
-          "record", [](const Solver& solver) { return solver.settings.record; },
-          [](Solver& solver, bool record) { solver.settings.record = record; }, "Whether the steps are kept.")
       .def("resume", &Solver::resume, nb::arg("seen"), nb::arg("asleep"),
            "Its runs go on from where another one ended, with so many occurrences of each event.")
       .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 class Dense:
     @staticmethod
-    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool) -> Dense:
+    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool) -> Dense:
         """What `parts` gave, put together again."""
 
     def parts(self) -> dict:
@@ -47,7 +47,10 @@ class Run:
     Results of `integrate`. Arrays are handed over: each `take_…` works once.
     """
 
-    def take_points(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]: ...
+    def take_points(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None]:
+        """
+        (t, y) of the points and of the end; the last is None where it is the last point.
+        """
 
     def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
 
@@ -56,8 +59,6 @@ class Run:
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
 
     def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
-
-    def take_end(self) -> tuple[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
 
     @property
     def next_h(self) -> float: ...
@@ -104,46 +105,14 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def steps(self) -> int: ...
-
-    @property
-    def failed(self) -> int: ...
-
-    @property
-    def projections(self) -> int: ...
-
-    @property
-    def skipped(self) -> int: ...
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int]:
+        """Numbers, in the order of COUNTS."""
 
     @property
     def singular(self) -> bool: ...
 
     @property
     def undefined_jacobian(self) -> bool: ...
-
-    @property
-    def njev(self) -> int: ...
-
-    @property
-    def nlu(self) -> int: ...
-
-    @property
-    def nsolve(self) -> int: ...
-
-    @property
-    def nfev(self) -> int: ...
-
-    @property
-    def nfev_check(self) -> int: ...
-
-    @property
-    def ng(self) -> int: ...
-
-    @property
-    def ngjac(self) -> int: ...
-
-    @property
-    def ngdiff(self) -> int: ...
 
     @property
     def projected_start(self) -> bool: ...
@@ -191,18 +160,11 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
 class Solver:
     """A problem with a method: all that is known before the initial value."""
 
-    def __init__(self, *, method: str, fun: object, args: tuple, t0: float, tf: float, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, check: bool, events: Sequence[tuple[object, int, int, str, object, bool]], callback: object | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int, negligible: float, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
+    def __init__(self, *, method: str, n: int, fun: object, args: tuple, t0: float, tf: float, complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, record: bool, check: bool, events: Sequence[tuple[object, int, int, str, object, bool]], callback: object | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int, negligible: float, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
 
     @property
     def native(self) -> bool:
         """Whether no function needs the interpreter."""
-
-    @property
-    def record(self) -> bool:
-        """Whether the steps are kept."""
-
-    @record.setter
-    def record(self, arg: bool, /) -> None: ...
 
     def resume(self, seen: Sequence[int], asleep: Sequence[bool]) -> None:
         """
@@ -263,22 +225,22 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
+def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
     """
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
     """
 
-def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
+def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
     """
     Projects each row of y to roundoff: (y, converged, residual, iterations).
     """
 
-def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     Distances of each row of y from the level sets, in units of rtol: (len(t), m).
     """
 
-def examine(*, fun: object, args: tuple, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> object:
+def examine(*, fun: object, args: tuple, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> object:
     """How each invariant stands at one point."""
 
 def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:

@@ -43,7 +43,7 @@ class CompiledFunction:
         self.fun = fun
         self.inplace = inplace
         self.__name__ = call_name(fun, "compiled")
-        self._made: dict[tuple[int, int, int, bool], Any] = {}
+        self._made: dict[tuple[int, int, int, bool], _core.Native] = {}
         self._jitted: Any = None
 
     def __call__(self, *args: Any) -> Any:
@@ -52,12 +52,14 @@ class CompiledFunction:
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
 
-    def native(self, n: int, size: int, parameters: int, event: bool) -> Any:
-        """The machine code (a numba.cfunc) for n components, `size` values and that many parameters."""
+    def native(self, n: int, size: int, parameters: int, event: bool) -> _core.Native:
+        """The machine code for n components, `size` values and that many parameters."""
         key = (n, size, parameters, event)
-        if key not in self._made:
-            self._made[key] = self._make(*key)
-        return self._made[key]
+        made = self._made.get(key)
+        if made is None:
+            code = self._make(*key)
+            made = self._made[key] = _core.Native(address=code.address, event=event, owner=code)
+        return made
 
     def _make(self, n: int, size: int, parameters: int, event: bool) -> Any:
         numba = _numba()
@@ -138,7 +140,10 @@ def _numba() -> Any:
 
 def is_native(fun: object) -> bool:
     """Whether `fun` is machine code of a kind that is accepted."""
-    return isinstance(fun, CompiledFunction | CFuncPtr) or _is_cfunc(fun) or _is_low_level(fun)
+    return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
+
+
+_POINTERS = (CompiledFunction, CFuncPtr)
 
 
 def _is_cfunc(fun: object) -> bool:
@@ -157,10 +162,10 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     TypeError
         The object tells a signature, and it is another one.
     """
+    if isinstance(fun, CompiledFunction):
+        return fun.native(n, size, len(args), event)
     if not is_native(fun):
         return fun
-    if isinstance(fun, CompiledFunction):
-        fun = fun.native(n, size, len(args), event)
     wanted = _EVENT if event else _VECTOR
     if _is_cfunc(fun):
         numba = _numba()
@@ -191,6 +196,9 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     return _core.Native(address=address, event=event, owner=fun)
 
 
+_NO_PARAMETERS = np.zeros(0)
+
+
 def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
     """The arguments of native functions: the values of `args` one after the other. Empty where none of them is native.
 
@@ -199,8 +207,8 @@ def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
     TypeError
         They are no real numbers.
     """
-    if not any(map(is_native, functions)):
-        return np.zeros(0)
+    if not args or not any(map(is_native, functions)):
+        return _NO_PARAMETERS
     try:
         return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
     except (TypeError, ValueError):

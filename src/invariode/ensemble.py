@@ -21,6 +21,7 @@ from ._arguments import Array, extra_arguments, flag, numbers, positive_integer,
 from ._outcome import inconsistent_start
 from ._progress import bar
 from ._types import EnsembleOptions, EventsLike, Function, InvariantsLike, MethodName, Span
+from .invariants import as_columns
 from .problem import Plan, Problem
 from .solution import Record
 
@@ -366,8 +367,6 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
     else:
         parameters = np.ascontiguousarray(task.args, dtype=float)
     solvers = [_core.Solver(**plan.solver) for _ in range(min(workers, size))]
-    for solver in solvers:
-        solver.record = False
     run = _core.integrate_all(solvers, y0.view(float).reshape(size, -1), parameters, report)
 
     results = _Results(task, plan)
@@ -447,16 +446,14 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
 
 
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
-    counts = [len(run.dropped) if name == "dropped" else getattr(run, name) for name in _core.COUNTS]
     bound = plan.bound
     if jumps := run.take_jumps():
         bound = dataclasses.replace(
             bound, jumps=tuple(jumps), forward=1 if plan.solver["tf"] >= plan.solver["t0"] else -1
         )
-    t_end, end = run.take_end()
-    y_end = end.view(dtype)
-    t, rows = run.take_points()
-    y = rows.view(dtype).T
+    t, rows, t_end, end = run.take_points()
+    y = as_columns(rows, dtype)
+    y_end = y[:, -1] if end is None else end.view(dtype)
     before, _, correction = run.take_drift()
     after = np.zeros(len(bound))
     if len(bound):
@@ -467,7 +464,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
         t_end=t_end,
         y_end=y_end,
         y=y if plan.solver["times"] is not None else y[:, :0],
-        counts=counts,
+        counts=list(run.counts),
         value=bound.value,
         before=before[: len(bound)],
         after=after,

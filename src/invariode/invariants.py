@@ -21,6 +21,7 @@ from ._arguments import (
     function,
     numbers,
     positive_integer,
+    reals,
     tolerances,
 )
 from ._types import Function, InvariantsLike, JacobianKind, Numbers
@@ -188,13 +189,13 @@ class BoundInvariants:
             rows, done, left, spent = _core.impose(
                 t[here], _as_rows(y[:, here]), **self._about(y), **weights, value=value
             )
-            points[:, here] = _as_columns(rows, y.dtype)
+            points[:, here] = as_columns(rows, y.dtype)
             converged[here], residual[:, here], iterations[here] = done, left.T, spent
         return ImposeResult(points, converged, residual, iterations)
 
     def _about(self, y: Array) -> dict[str, Any]:
         return {
-            "complex": np.iscomplexobj(y),
+            "complex": y.dtype.kind == "c",
             "invariants": self.specs,
             "args": self.args,
             "parameters": self.parameters,
@@ -209,23 +210,27 @@ def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> dict[str, Any]:
 def _as_rows(y: Array) -> Array:
     """Points y (n, n_t) in the layout of the core: one row of reals per point."""
     rows = np.ascontiguousarray(y.T)
-    return rows.view(float) if np.iscomplexobj(rows) else rows
+    return rows.view(float) if rows.dtype.kind == "c" else rows
 
 
-def _as_columns(rows: Array, dtype: np.dtype[Any]) -> Array:
+def as_columns(rows: Array, dtype: np.dtype[Any]) -> Array:
     """The reverse: (n, n_t), complex where the problem is."""
-    return (rows.view(dtype) if np.issubdtype(dtype, np.complexfloating) else rows).T
+    return (rows.view(dtype) if dtype.kind == "c" else rows).T
 
 
-def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: Array) -> BoundInvariants:
+_NO_VALUES = np.zeros(0)
+
+
+def bind(
+    invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
+) -> BoundInvariants:
     """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
     complex y. `threshold`: thr of the reals of y, the size below which components tell no scale."""
     if not invariants:
-        return BoundInvariants([], np.zeros(0), [], args, np.zeros(0), None)
+        return BoundInvariants([], _NO_VALUES, [], args, _NO_VALUES, None)
     specs, values, names = [], [], []
-    evaluations = len(invariants)
+    evaluations, n = len(invariants), reals(y)
     p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac)])
-    reals = len(y) * (2 if np.iscomplexobj(y) else 1)
     for one in invariants:
         name = one.names[0] if one.names and len(one.names) == 1 else call_name(one.fun, "g")
         if is_native(one.fun):
@@ -246,14 +251,13 @@ def bind(invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...]
             probe = _Probe(one.fun, t, y, args, threshold, at_start)
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
             evaluations += probe.evaluations
-        kind = to_native(f"the Jacobian of invariant {name}", kind, reals, m * reals, p)
+        kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
         specs.append((fun, kind, m, name, one.value is None))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     iterations = [one.iterations for one in invariants if one.iterations is not None]
-    value = np.concatenate(values) if values else np.zeros(0)
-    needed = bool(invariants) and all(one.when == "needed" for one in invariants)
-    negligible = _NEGLIGIBLE if needed else 0.0
+    value = values[0] if len(values) == 1 else np.concatenate(values)
+    negligible = _NEGLIGIBLE if all(one.when == "needed" for one in invariants) else 0.0
     return BoundInvariants(specs, value, names, args, p, max(iterations, default=None), negligible, evaluations)
 
 
@@ -263,17 +267,17 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> t
     if not told:
         raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
     m = max(told)
-    fun = to_native(f"invariant {name}", one.fun, y.view(float).size, m, p)
+    fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
     at_start = _core.residual(
         np.array([t]),
-        _as_rows(y[:, None]),
-        complex=np.iscomplexobj(y),
+        y.view(float)[None],
+        complex=y.dtype.kind == "c",
         invariants=[(fun, "3-point", m, name, False)],
         value=np.zeros(m),
         args=(),
         parameters=p,
     )[0]
-    if not np.isfinite(at_start).all():
+    if not all(map(math.isfinite, at_start.tolist())):
         raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
     return fun, at_start
 
@@ -282,7 +286,7 @@ class _Probe:
     """Does g take complex y, and is the derivative that this gives the one that differences give?"""
 
     def __init__(
-        self, fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...], threshold: Array, at_y: Array
+        self, fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array, at_y: Array
     ) -> None:
         self._fun, self._t, self._y, self._args, self._at_y = fun, t, y, args, at_y
         self._threshold = threshold

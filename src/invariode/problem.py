@@ -21,6 +21,7 @@ from ._arguments import (
     output_times,
     positive,
     positive_integer,
+    reals,
     state,
     tolerances,
     unknown_option,
@@ -32,7 +33,7 @@ from ._progress import run_bar
 from ._types import EventsLike, Fsal, Function, Interpolation, InvariantsLike, MethodName, Numbers, Options, Save, Span
 from .compiled import is_native, native_parameters, to_native
 from .events import direction_sign, event_spec, terminal_count, to_events
-from .invariants import BoundInvariants, InvariantError, bind, to_invariants
+from .invariants import BoundInvariants, InvariantError, as_columns, bind, to_invariants
 from .methods import METHODS, Method, find_method
 from .solution import DenseSolution, Names, Solution, Stats, Steps, default_labels
 
@@ -88,7 +89,6 @@ class Plan:
     event_names: list[str]
     rtol: Numbers
     atol: Numbers
-    keep_steps: bool
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
@@ -198,7 +198,6 @@ class Problem:
     ) -> Solution:
         """`resumed`: the run goes on from another; of each event its occurrences so far, and whether at the start."""
         solver = _core.Solver(**plan.solver)
-        solver.record = plan.keep_steps
         if resumed is not None:
             solver.resume(*resumed)
         y0 = plan.y0.view(float)
@@ -211,9 +210,7 @@ class Problem:
             raise exception
         if run.dropped:
             _warn_dropped(run, plan.names)
-        t, y = run.take_end()
-        next_h = run.next_h if METHODS[plan.solver["method"]].fixed_order and run.steps else None
-        return self._solution(run, plan, Origin(self, method, options, t, y.view(self.y0.dtype), next_h))
+        return self._solution(run, plan, method, options)
 
     def plan(
         self,
@@ -237,7 +234,8 @@ class Problem:
     ) -> Plan:
         """The options checked, and everything that the core needs but y0."""
         chosen, implied = find_method(method)
-        _foreign_options(chosen, {**options, "fsal": fsal != "reuse", "max_order": max_order, "bdf": bdf})
+        if options or fsal != "reuse" or max_order is not None or bdf is not None:
+            _foreign_options(chosen, {**options, "fsal": fsal != "reuse", "max_order": max_order, "bdf": bdf})
         bdf = implied.get("bdf", False) if bdf is None else flag("bdf", bdf)
         if self.matrices.mass is not None and "mass" not in chosen.options:
             raise ValueError(
@@ -258,7 +256,7 @@ class Problem:
         first = 0.0 if first_step is None else positive("first_step", first_step)
         if first > span:
             raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first_step!r}")
-        n = self.y0.view(float).size
+        n = reals(self.y0)
         natives = [self.fun, self.matrices.jac, *(f for one in self.invariants for f in (one.fun, one.jac))]
         natives += [f for event in self.events for f in (event.fun, event.action)]
         p = native_parameters(self.args, natives)
@@ -278,11 +276,12 @@ class Problem:
 
         solver = {
             "method": chosen.name,
+            "n": n,
             "fun": fun,
             "args": self.args,
             "t0": t0,
             "tf": tf,
-            "complex": np.iscomplexobj(y0),
+            "complex": y0.dtype.kind == "c",
             "rtol": rmin,
             "threshold": threshold,
             "scale": scale,
@@ -297,6 +296,7 @@ class Problem:
             "times": times,
             "dense": dense_output,
             "save_all": kept != "end",
+            "record": kept == "all",
             "check": flag("check", check),
             "events": [event_spec(event, n, p) for event in self.events],
             "callback": None if callback is None else function("callback", callback, "callback(t, y)"),
@@ -316,11 +316,10 @@ class Problem:
             event_names=[event.__name__ for event in self.events],
             rtol=rtol,
             atol=atol,
-            keep_steps=kept == "all",
         )
 
     def _consistent_start(
-        self, linear: _core.Linear, fun: Any, p: Array, rtol: float, threshold: Array, scale: Array | None
+        self, linear: _core.Linear, fun: Any, p: Array, rtol: float, threshold: float | Array, scale: Array | None
     ) -> Array:
         """y0, moved where the algebraic equations of a singular mass matrix ask for it."""
         if not linear.algebraic:
@@ -330,7 +329,7 @@ class Problem:
             args=self.args,
             t0=self.t_span[0],
             y0=self.y0.view(float),
-            complex=np.iscomplexobj(self.y0),
+            complex=self.y0.dtype.kind == "c",
             rtol=rtol,
             threshold=threshold,
             scale=scale,
@@ -341,51 +340,49 @@ class Problem:
             raise ValueError(inconsistent_start(verdict, self.t_span[0]))
         return y.view(self.y0.dtype) if verdict == "corrected" else self.y0
 
-    def _solution(self, run: _core.Run, plan: Plan, origin: Origin) -> Solution:
+    def _solution(self, run: _core.Run, plan: Plan, method: MethodName, options: dict[str, Any]) -> Solution:
         dtype = self.y0.dtype
         status, message = plan.verdict(run)
         bound = plan.bound
         if jumps := run.take_jumps():
             bound = replace(bound, jumps=tuple(jumps), forward=1.0 if self.t_span[1] >= self.t_span[0] else -1.0)
         dense = run.take_dense()
-        t, rows = run.take_points()
-        happened = run.take_events()
+        t, rows, t_end, y_end = run.take_points()
+        y = as_columns(rows, dtype)
+        happened = run.take_events() if self.events else None
+        stats = Stats(
+            *run.counts[:-1],
+            derivatives=" and ".join(sorted(set(run.derivatives))) or None,
+            projected_start=run.projected_start or plan.moved,
+        )
+        stats.ng += bound.evaluations
+        stats.ngdiff += bound.evaluations - len(bound.specs)
+        next_h = run.next_h if METHODS[plan.solver["method"]].fixed_order and stats.steps else None
         return Solution(
             t=t,
-            y=rows.view(dtype).T,
+            y=y,
             sol=None if dense is None else DenseSolution(dense, dtype, bound),
-            t_events=[times for times, _ in happened] if self.events else None,
-            y_events=[points.view(dtype) for _, points in happened] if self.events else None,
-            nfev=run.nfev,
-            njev=run.njev,
-            nlu=run.nlu,
+            t_events=None if happened is None else [times for times, _ in happened],
+            y_events=None if happened is None else [points.view(dtype) for _, points in happened],
+            nfev=stats.nfev,
+            njev=stats.njev,
+            nlu=stats.nlu,
             status=status,
             message=message,
             success=status >= 0,
-            stats=Stats(
-                steps=run.steps,
-                failed=run.failed,
-                nfev=run.nfev,
-                nfev_check=run.nfev_check,
-                njev=run.njev,
-                nlu=run.nlu,
-                nsolve=run.nsolve,
-                projections=run.projections,
-                skipped=run.skipped,
-                ng=run.ng + bound.evaluations,
-                ngjac=run.ngjac,
-                ngdiff=run.ngdiff + bound.evaluations - len(bound.specs),
-                derivatives=" and ".join(sorted(set(run.derivatives))) or None,
-                projected_start=run.projected_start or plan.moved,
-            ),
-            steps=Steps(run.take_steps()) if plan.keep_steps else None,
+            stats=stats,
+            steps=Steps(run.take_steps()) if plan.solver["record"] else None,
             _invariants=bound,
-            _drift=run.take_drift(),
+            _drift=run.take_drift() if plan.names else _NO_DRIFT,
             _rtol=plan.rtol,
             _atol=plan.atol,
             _names=Names(self.name, self._title, self._labels, len(self.y0), plan.event_names),
-            _origin=origin,
+            _origin=Origin(self, method, options, t_end, y[:, -1] if y_end is None else y_end.view(dtype), next_h),
         )
+
+
+#: Of a run without invariants: residuals, distances, correction.
+_NO_DRIFT = (np.zeros(0), np.zeros(0), 0.0)
 
 
 def _kept(save: object, times: Array | None) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ._arguments import Array, warn
 from ._core import Dense
-from .invariants import BoundInvariants
+from .invariants import BoundInvariants, as_columns
 
 if TYPE_CHECKING:
     import os
@@ -219,7 +219,7 @@ class DenseSolution:
         g = self._invariants
         about: dict[str, Any] = {"invariants": g.specs, "value": g.value, "args": g.args, "parameters": g.parameters}
         rows = self._dense.evaluate(np.atleast_1d(times), **about)
-        y: Array = (rows.view(self._dtype) if np.issubdtype(self._dtype, np.complexfloating) else rows).T
+        y = as_columns(rows, self._dtype)
         if self._imposed is not None and y.shape[1]:
             y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
         return y[:, 0] if times.ndim == 0 else y
