@@ -41,18 +41,26 @@ Adams::Adams(Callback& f, const Weights& weights, int max_order)
     : Step(f, weights),
       max_order_(max_order),
       phi_(static_cast<std::size_t>(max_order + 2) * weights.size()),
-      values_(6 * weights.size()) {
+      values_(4 * weights.size()) {
   double* next = values_.data();
-  for (double** v : {&weight_, &predictor_, &d_, &candidate_, &slope_, &fresh_}) *v = std::exchange(next, next + n());
+  for (double** v : {&weight_, &candidate_, &d_, &slope_}) *v = std::exchange(next, next + n());
 }
 
 Outcome Adams::start(double t, const double* y, const Span& span) {
   restart(t, y, 1);
-  if (const Outcome outcome = evaluate(t, y, slope_); outcome != Outcome::ok) return outcome;
+  if (const Outcome outcome = evaluate(t, y); outcome != Outcome::ok) return outcome;
+  std::swap(slope_, d_);
   std::copy(slope_, slope_ + n(), phi(1));
   weights_.fill(y, weight_);
   h_ = first_h(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
   return Outcome::ok;
+}
+
+/// Calls work(begin, end) for the components in blocks of which several vectors fit into the cache.
+template <class Work>
+void Adams::for_each_block(Work work) {
+  constexpr std::size_t block = 512;
+  for (std::size_t begin = 0; begin < n(); begin += block) work(begin, std::min(begin + block, n()));
 }
 
 /// Memory as it is before any step.
@@ -71,24 +79,15 @@ void Adams::restart(double t, const double* y, int order) {
   sigma_[1] = 1;
 }
 
-Outcome Adams::evaluate(double t, const double* y, double* out) {
+/// d = f(t, y)
+Outcome Adams::evaluate(double t, const double* y) {
   if (!all_finite(y, n())) return Outcome::not_finite;
-  const Status status = f_(t, y, out);
-  if (out != fresh_) std::copy(out, out + n(), fresh_);
-  if (status == Status::stop) return Outcome::stop;
-  return all_finite(out, n()) ? Outcome::ok : Outcome::not_finite;
+  if (f_(t, y, d_) == Status::stop) return Outcome::stop;
+  return all_finite(d_, n()) ? Outcome::ok : Outcome::not_finite;
 }
 
 double Adams::norm(const double* v) const {
-  MaxNorm norm;
-  for (std::size_t i = 0; i < n(); ++i) norm.add(v[i] / weight_[i]);
-  return norm.value();
-}
-
-double Adams::norm_of_sum(const double* a, const double* b) const {
-  MaxNorm norm;
-  for (std::size_t i = 0; i < n(); ++i) norm.add((a[i] + b[i]) / weight_[i]);
-  return norm.value();
+  return max_norm(n(), [v, w = weight_](std::size_t i) { return v[i] / w[i]; });
 }
 
 Step::Attempt Adams::attempt(double h, double t1) {
@@ -98,16 +97,15 @@ Step::Attempt Adams::attempt(double h, double t1) {
   weights_.fill(y(), weight_);
   update_coefficients();
   predict();
-  const Outcome outcome = evaluate(t1, predictor_, d_);
+  const Outcome outcome = evaluate(t1, candidate_);
   if (outcome != Outcome::ok) {
     lower_ = order_;
     return {outcome, std::numeric_limits<double>::quiet_NaN(), candidate_};
   }
-  for (std::size_t i = 0; i < n(); ++i) d_[i] -= phi(1)[i];
-  estimate_errors();
+  const double size = compare_orders();
   const auto k = static_cast<std::size_t>(order_);
-  for (std::size_t i = 0; i < n(); ++i) candidate_[i] = predictor_[i] + h * (g_[k + 1] * d_[i]);
-  return {Outcome::ok, h_ * norm(d_) * (g_[k] - g_[k + 1]), candidate_};
+  for (std::size_t i = 0; i < n(); ++i) candidate_[i] += h * (g_[k + 1] * d_[i]);
+  return {Outcome::ok, h_ * size * (g_[k] - g_[k + 1]), candidate_};
 }
 
 /// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
@@ -151,28 +149,33 @@ void Adams::update_coefficients() {
 
 /// φ becomes the predicted differences at t₁; p = y + h Σ g_i φ_i.
 void Adams::predict() {
-  const auto k = order_;
-  for (int i = steps_at_h_ + 1; i <= k; ++i)
-    for (std::size_t c = 0; c < n(); ++c) phi(i)[c] *= beta_[static_cast<std::size_t>(i)];
+  const int k = order_;
   std::copy(phi(k + 1), phi(k + 1) + n(), phi(k + 2));
-  std::fill(phi(k + 1), phi(k + 1) + n(), 0);
-  std::fill(predictor_, predictor_ + n(), 0);
-  for (int i = k; i >= 1; --i) {
-    const double g = g_[static_cast<std::size_t>(i)];
-    double* here = phi(i);
-    const double* above = phi(i + 1);
-    for (std::size_t c = 0; c < n(); ++c) {
-      predictor_[c] += g * here[c];
-      here[c] += above[c];
+  for_each_block([&](std::size_t begin, std::size_t end) {
+    for (int i = k; i >= 1; --i) {
+      const double g = g_[static_cast<std::size_t>(i)];
+      const double beta = i > steps_at_h_ ? beta_[static_cast<std::size_t>(i)] : 1;
+      double* here = phi(i);
+      const double* above = phi(i + 1);
+      if (i == k) {
+        for (std::size_t c = begin; c < end; ++c) candidate_[c] = g * (here[c] *= beta);
+        continue;
+      }
+      for (std::size_t c = begin; c < end; ++c) {
+        const double scaled = beta * here[c];
+        candidate_[c] += g * scaled;
+        here[c] = scaled + above[c];
+      }
     }
-  }
-  for (std::size_t c = 0; c < n(); ++c) predictor_[c] = y_[c] + signed_h_ * predictor_[c];
+    for (std::size_t c = begin; c < end; ++c) candidate_[c] = y_[c] + signed_h_ * candidate_[c];
+  });
   predicted_ = true;
 }
 
 /// Takes the prediction back.
 void Adams::restore() {
   if (!std::exchange(predicted_, false)) return;
+  std::fill(phi(order_ + 1), phi(order_ + 1) + n(), 0);
   for (int i = 1; i <= order_; ++i) {
     const double beta = beta_[static_cast<std::size_t>(i)];
     for (std::size_t c = 0; c < n(); ++c) phi(i)[c] = (phi(i)[c] - phi(i + 1)[c]) / beta;
@@ -180,17 +183,23 @@ void Adams::restore() {
   for (std::size_t i = 2; i <= static_cast<std::size_t>(order_); ++i) psi_[i - 1] = psi_[i] - signed_h_;
 }
 
-/// Errors that the orders k, k − 1 and k − 2 would make, and whether they ask for a lower order.
-void Adams::estimate_errors() {
+/// d becomes f(t₁, p) − φ₁. Errors that the orders k, k − 1 and k − 2 would make, and whether they ask for a lower
+/// order. Returns the norm of d.
+double Adams::compare_orders() {
   const auto k = static_cast<std::size_t>(order_);
-  const auto error = [&](std::size_t order, double size) { return h_ * sigma_[order + 1] * gamma_star[order] * size; };
-  erk_ = error(k, norm(d_));
+  const double* first = phi(1);
+  for (std::size_t c = 0; c < n(); ++c) d_[c] -= first[c];
+  const double size = norm(d_);
+  const auto error = [&](std::size_t order, double norm) { return h_ * sigma_[order + 1] * gamma_star[order] * norm; };
+  const auto with_d = [&](int order) {
+    return max_norm(n(), [a = phi(order), d = d_, w = weight_](std::size_t c) { return (a[c] + d[c]) / w[c]; });
+  };
+  erk_ = error(k, size);
   lower_ = order_;
-  if (k == 1) return;
-  erkm1_ = error(k - 1, norm_of_sum(phi(order_), d_));
-  const bool lower =
-      k == 2 ? erkm1_ <= 0.5 * erk_ : std::max(erkm1_, error(k - 2, norm_of_sum(phi(order_ - 1), d_))) <= erk_;
-  if (lower) lower_ = order_ - 1;
+  if (k == 1) return size;
+  erkm1_ = error(k - 1, with_d(order_));
+  if (k == 2 ? erkm1_ <= 0.5 * erk_ : std::max(erkm1_, error(k - 2, with_d(order_ - 1))) <= erk_) lower_ = order_ - 1;
+  return size;
 }
 
 bool Adams::reject(Cause, double hmin) {
@@ -207,17 +216,22 @@ bool Adams::reject(Cause, double hmin) {
 }
 
 Outcome Adams::accept(const double* y1) {
-  if (const Outcome outcome = evaluate(t1_, y1, fresh_); outcome != Outcome::ok) return outcome;
-  std::swap(slope_, fresh_);
+  if (const Outcome outcome = evaluate(t1_, y1); outcome != Outcome::ok) return outcome;
+  std::swap(slope_, d_);
   t_ = t1_;
   std::copy(y1, y1 + n(), y_.begin());
-  for (std::size_t c = 0; c < n(); ++c) {
-    const double correction = slope_[c] - phi(1)[c];
-    phi(order_ + 1)[c] = correction;
-    phi(order_ + 2)[c] = correction - phi(order_ + 2)[c];
-  }
-  for (int i = 1; i <= order_; ++i)
-    for (std::size_t c = 0; c < n(); ++c) phi(i)[c] += phi(order_ + 1)[c];
+  for_each_block([&](std::size_t begin, std::size_t end) {
+    const double* first = phi(1);
+    double *correction = phi(order_ + 1), *change = phi(order_ + 2);
+    for (std::size_t c = begin; c < end; ++c) {
+      correction[c] = slope_[c] - first[c];
+      change[c] = correction[c] - change[c];
+    }
+    for (int i = 1; i <= order_; ++i) {
+      double* here = phi(i);
+      for (std::size_t c = begin; c < end; ++c) here[c] += correction[c];
+    }
+  });
   previous_order_ = order_;
   previous_h_ = signed_h_;
   predicted_ = false;
@@ -249,7 +263,7 @@ void Adams::choose_order_and_step() {
       choose(k + 1, erkp1);
   }
   const double goal = 0.5 * weights_.rtol();
-  if (goal >= error * std::exp2(order_ + 1))
+  if (goal >= error * static_cast<double>(2 << order_))
     h_ *= 2;
   else if (goal < error)
     h_ *= std::max(0.5, std::min(0.9, std::pow(goal / error, 1.0 / (order_ + 1))));
@@ -270,7 +284,7 @@ Status Adams::extension(double* data) {
 
 int Adams::undefined_component() const {
   for (std::size_t i = 0; i < n(); ++i)
-    if (!std::isfinite(fresh_[i])) return static_cast<int>(i);
+    if (!std::isfinite(d_[i])) return static_cast<int>(i);
   return -1;
 }
 

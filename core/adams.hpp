@@ -57,11 +57,12 @@ class Adams : public Step {
   void update_coefficients();
   void predict();
   void restore();
-  void estimate_errors();
+  double compare_orders();
   void choose_order_and_step();
   [[nodiscard]] double norm(const double* v) const;
-  [[nodiscard]] double norm_of_sum(const double* a, const double* b) const;
-  Outcome evaluate(double t, const double* y, double* out);
+  Outcome evaluate(double t, const double* y);
+  template <class Work>
+  void for_each_block(Work work);
 
   double signed_h_ = 0;
   double t1_ = 0;
@@ -75,11 +76,9 @@ class Adams : public Step {
   std::vector<double> phi_;     // φ_i, one after the other
   std::vector<double> values_;
   double* weight_ = nullptr;     // w, of the start of the step
-  double* predictor_ = nullptr;  // p
-  double* d_ = nullptr;          // f(t₁, p) − φ₁ (predicted)
-  double* candidate_ = nullptr;  // y*
+  double* candidate_ = nullptr;  // p, then y*
+  double* d_ = nullptr;          // f as last evaluated; f(t₁, p) − φ₁ (predicted)
   double* slope_ = nullptr;      // f at the last point reached
-  double* fresh_ = nullptr;      // f as last evaluated
 };
 
 }  // namespace invariode

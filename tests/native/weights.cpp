@@ -25,6 +25,17 @@ TEST(the_norm_is_the_largest_size_and_lets_nan_through_in_any_position) {
   CHECK(MaxNorm{}.value() == 0);
 }
 
+TEST(the_norm_of_many_terms_is_that_of_all_of_them) {
+  for (const std::size_t n : {0, 1, 3, 63, 64, 65, 200}) {
+    for (std::size_t at = 0; at < n; ++at) {
+      const check::Case label("n = ", n, ", at ", at);
+      const auto with = [&](double v) { return max_norm(n, [&](std::size_t i) { return i == at ? v : 1.0; }); };
+      CHECK(with(-5) == 5 && with(-infinity) == infinity && std::isnan(with(NaN)));
+    }
+    CHECK(max_norm(n, [](std::size_t) { return -1.0; }) == (n > 0 ? 1 : 0));
+  }
+}
+
 TEST(a_vector_is_finite_only_if_every_value_is) {
   const double largest = std::numeric_limits<double>::max();
   const std::vector<double> good = {largest, -largest, 0, std::numeric_limits<double>::denorm_min(), largest};
