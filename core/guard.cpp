@@ -10,6 +10,8 @@ namespace {
 constexpr double suspicious_angle = 1e-6;              // ρ, with a Jacobian that is exact
 constexpr double suspicious_angle_differences = 1e-4;  // ρ, with one by differences
 constexpr double suspicious_drift = 0.01;              // D, in units of rtol
+constexpr double roundoff_in_t = 10 * eps;             // of t, as of all that g computes
+constexpr double suspicious_correction = 10;           // in units of rtol
 
 // The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
 // much.
@@ -95,16 +97,16 @@ Finding Guard::start_jacobian(double t, const double* y) {
   const std::size_t n = invariants_.n(), m = invariants_.m();
   if (invariants_.all_by_differences()) return {};
   const double* J = projector_.jacobian();
-  const double* w = projector_.weights();
-  for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] + cbrt_eps * w[j] * direction(j);
+  const double* size = invariants_.sizes(y);
+  for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] + cbrt_eps * size[j] * direction(j);
   if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return stopped();
-  for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] - cbrt_eps * w[j] * direction(j);
+  for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] - cbrt_eps * size[j] * direction(j);
   if (invariants_.residual(t, point_.data(), minus_.data()) == Status::stop) return stopped();
   for (std::size_t i = 0; i < m; ++i) {
     if (invariants_.by_differences(i) || invariants_.certain(i)) continue;
     double expected = 0, terms = 0;
     for (std::size_t j = 0; j < n; ++j) {
-      const double term = J[i * n + j] * w[j] * direction(j);
+      const double term = J[i * n + j] * size[j] * direction(j);
       expected += term;
       terms += std::abs(term);
     }
@@ -122,19 +124,19 @@ Finding Guard::worst_entry(double t, const double* y) {
   if (invariants_.difference_jacobian(t, y, differences_.data(), true) == Status::stop) return stopped();
   if (invariants_.difference_jacobian(t, y, halved_.data(), true, 0.5) == Status::stop) return stopped();
   const double* J = projector_.jacobian();
-  const double* w = projector_.weights();
+  const double* size = invariants_.sizes(y);
   Finding worst;
   double largest = 0;
   for (std::size_t i = 0; i < m; ++i) {
     if (invariants_.certain(i)) continue;
     double terms = 0;
     for (std::size_t j = 0; j < n; ++j)
-      terms = std::max({terms, std::abs(J[i * n + j] * w[j]), std::abs(differences_[i * n + j] * w[j])});
+      terms = std::max({terms, std::abs(J[i * n + j] * size[j]), std::abs(differences_[i * n + j] * size[j])});
     const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
     for (std::size_t j = 0; j < n; ++j) {
       const double given = J[i * n + j], quotient = halved_[i * n + j];
-      const double off = std::abs(given - quotient) * w[j];
-      const double doubt = uncertainty * std::abs(quotient - differences_[i * n + j]) * w[j];
+      const double off = std::abs(given - quotient) * size[j];
+      const double doubt = uncertainty * std::abs(quotient - differences_[i * n + j]) * size[j];
       if (!(off > jacobian_tolerance * terms + noise + doubt) || off / terms <= largest) continue;
       largest = off / terms;
       worst = {.kind = Finding::Kind::wrong_jacobian,
@@ -148,8 +150,8 @@ Finding Guard::worst_entry(double t, const double* y) {
   return worst;
 }
 
-/// Whether g changes with t alone, seen at a point near y0 (at y0 itself where g is not defined nearby). A wrong 'no'
-/// only costs a suspicion: `confirm` always takes g_t.
+/// Whether g changes with t alone, seen at a point near y0 (at y0 itself where g is not defined nearby). It may begin
+/// to do so later: `rate` goes on looking.
 Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
   const auto look = [&] {
     if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return Outcome::stop;
@@ -159,7 +161,8 @@ Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
     time_dependent_ = plus_ != minus_;
     return Outcome::ok;
   };
-  for (std::size_t j = 0; j < point_.size(); ++j) point_[j] = y[j] + cbrt_eps * weights_.at(j, y[j]) * direction(j);
+  const double* size = invariants_.sizes(y);
+  for (std::size_t j = 0; j < point_.size(); ++j) point_[j] = y[j] + cbrt_eps * size[j] * direction(j);
   Outcome outcome = look();
   if (outcome == Outcome::not_finite) {
     std::copy(y, y + point_.size(), point_.begin());
@@ -178,13 +181,27 @@ Finding Guard::rate(const Projector& projector, double t, const double* f, doubl
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
   const double* y = projector.point();
-  if (time_dependent_ && invariants_.time_derivative(t, h, y, projector.jacobian(), gt_.data()) == Status::stop)
+  const bool look = steps >= next_look_;
+  if (look) next_look_ = steps + std::max<std::int64_t>(steps / 2, 1);
+  const bool formed = time_dependent_ || look;
+  if (formed && invariants_.time_derivative(t, h, y, projector.jacobian(), gt_.data()) == Status::stop)
     return stopped();
-  if (suspect(projector, t, f, h, time_dependent_).kind == Finding::Kind::none) return {};
+  time_dependent_ = time_dependent_ || changes_with_time();
+  if (suspect(projector, t, f, h, formed).kind == Finding::Kind::none) return {};
   std::copy(y, y + n, point_.begin());
   const Finding confirmed = confirm(t, point_.data(), h);
   if (confirmed.kind == Finding::Kind::none) quiet_until_ = std::max<std::int64_t>(2 * steps, 1);
   return confirmed;
+}
+
+Finding Guard::corrected(double correction, double t, const double* y, double h, std::int64_t steps) {
+  if (!(correction > suspicious_correction * weights_.rtol()) || steps < unworried_until_) return {};
+  unworried_until_ = 2 * steps;
+  return confirm(t, y, h);
+}
+
+bool Guard::changes_with_time() const {
+  return std::any_of(gt_.begin(), gt_.end(), [](double g) { return g != 0; });
 }
 
 Finding Guard::confirm(double t, const double* y, double h) {
@@ -199,9 +216,8 @@ Finding Guard::confirm(double t, const double* y, double h) {
   if (!all_finite(slope_.data(), slope_.size())) return {};
   if (invariants_.time_derivative(t, h, point_.data(), projector_.jacobian(), gt_.data()) == Status::stop)
     return stopped();
-  const bool depends_on_t = std::any_of(gt_.begin(), gt_.end(), [](double g) { return g != 0; });
-  time_dependent_ |= depends_on_t;
-  const Finding finding = suspect(projector_, t, slope_.data(), h, depends_on_t);
+  time_dependent_ = time_dependent_ || changes_with_time();
+  const Finding finding = suspect(projector_, t, slope_.data(), h, true);
   return finding.kind == Finding::Kind::none ? finding : unless_uncertain(finding, t, h);
 }
 
@@ -238,33 +254,41 @@ Outcome Guard::examine(double t, const double* y, double h, std::vector<Examinat
   return Outcome::ok;
 }
 
-/// The finding of `confirm`, or none where the differences behind it are too coarse to tell: they are, where increments
-/// as large as thr are not small for g.
+/// The finding of `confirm` where differences with other increments say the same. Where they are too coarse to tell,
+/// none; where they contradict a Jacobian that is none of differences, that is wrong: a complex step of a function that
+/// is not analytic here is given up, a user's is the finding.
 Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   const std::size_t n = invariants_.n();
   const auto i = static_cast<std::size_t>(finding.invariant);
   const double* J = projector_.jacobian();
-  std::copy(J, J + halved_.size(), halved_.begin());
-  if (invariants_.difference_jacobian(t, point_.data(), halved_.data(), false, 0.5) == Status::stop) return stopped();
+  if (invariants_.difference_jacobian(t, point_.data(), halved_.data(), true, 0.5) == Status::stop) return stopped();
   if (invariants_.time_derivative(t, h, point_.data(), J, gt_.data(), 0.5) == Status::stop) return stopped();
   const double rate = gt_[i] + dot(halved_.data() + i * n, slope_.data(), n);
-  return std::abs(rate) > uncertainty * std::abs(rate - finding.size) ? finding : Finding{};
+  if (std::abs(rate) > uncertainty * std::abs(rate - finding.size)) return finding;
+  if (invariants_.by_differences(i) || invariants_.leave_complex_steps(i)) return {};
+  return worst_entry(t, point_.data());
 }
 
 /// The invariant with the largest angle ρ_i = |g_t + J_i f| / (|g_t| + ‖J_i W‖ ‖W⁻¹ f‖) among those whose drift
-/// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too.
-Finding Guard::suspect(const Projector& at, double t, const double* f, double h, bool differences_in_t) const {
+/// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too, and is not what roundoff makes of differences. `formed`: g_t is one.
+Finding Guard::suspect(const Projector& at, double t, const double* f, double h, bool formed) {
   const std::size_t n = invariants_.n();
   const double speed = weighted_norm(f, at.weights(), n);
+  const double *y = at.point(), *J = at.jacobian();
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
-    const bool differences = differences_in_t || invariants_.by_differences(i);
+    const bool differences = gt_[i] != 0 || invariants_.by_differences(i);
     const double limit = differences ? suspicious_angle_differences : suspicious_angle;
-    const double rate = gt_[i] + dot(at.jacobian() + i * n, f, n);
+    const double rate = gt_[i] + dot(J + i * n, f, n);
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm(i) * speed);
     const bool drifts = std::abs(h * rate) > suspicious_drift * weights_.rtol() * at.row_norm(i);
-    if (angle > limit && drifts && angle > worst.distance)
+    if (!(angle > limit && drifts && angle > worst.distance)) continue;
+    double noise = invariants_.roundoff_of_rate(i, y, J, f);
+    if (formed)  // t has roundoff too
+      noise +=
+          (invariants_.roundoff(i, y, J) + roundoff_in_t * std::abs(t * gt_[i])) / Invariants::time_increment(t, h);
+    if (std::abs(rate) > noise)
       worst = {.kind = Finding::Kind::not_conserved,
                .invariant = static_cast<int>(i),
                .t = t,

@@ -22,8 +22,8 @@ struct Finding {
 };
 
 /// The tests, in the order in which the loop asks for them: `start_value`, `start_jacobian`, `start_rate`; then after
-/// each accepted step `rate`, and `confirm` where corrections stay too large. A suspicion is confirmed on the manifold
-/// before it convicts.
+/// each accepted step `rate` and `corrected`, and `confirm` where corrections stay too large to be accepted. A
+/// suspicion is confirmed on the manifold before it convicts.
 class Guard {
  public:
   /// `f`: y' as a function, copied, so that the evaluations that the tests cost are counted apart from the method's.
@@ -40,6 +40,8 @@ class Guard {
   /// The same after accepted step number `steps`, with the linearization that `projector` has at hand and the method's
   /// slope f. (Where that is no more than what Newton's iteration left, suspicions are frequent, and rarely looked at.)
   Finding rate(const Projector& projector, double t, const double* f, double h, std::int64_t steps);
+  /// What the size of the correction of that step, (t, y) being its end, says.
+  Finding corrected(double correction, double t, const double* y, double h, std::int64_t steps);
   /// Projects (t, y) to roundoff, evaluates f there and tests again. `none` also where that cannot be done.
   Finding confirm(double t, const double* y, double h);
 
@@ -62,7 +64,8 @@ class Guard {
 
  private:
   Outcome detect_time_dependence(double t, const double* y, double h);
-  Finding suspect(const Projector& at, double t, const double* f, double h, bool differences_in_t) const;
+  [[nodiscard]] bool changes_with_time() const;
+  Finding suspect(const Projector& at, double t, const double* f, double h, bool formed);
   Finding worst_entry(double t, const double* y);
   Finding unless_uncertain(const Finding& finding, double t, double h);
   [[nodiscard]] Finding undefined(double t) const;
@@ -74,7 +77,9 @@ class Guard {
   std::vector<double> point_, slope_, gt_, plus_, minus_, differences_, halved_;
   bool time_dependent_ = false;
   bool projected_start_ = false;
-  std::int64_t quiet_until_ = 0;
+  std::int64_t quiet_until_ = 0;      // step before which `rate` does not ask again
+  std::int64_t unworried_until_ = 0;  // and `corrected`
+  std::int64_t next_look_ = 1;        // step in which g_t is formed although it has been 0
 };
 
 }  // namespace invariode

@@ -240,7 +240,9 @@ State Integration::finish_step() {
     drift.correction = std::max(drift.correction, correction_ / weights_.rtol());
   }
   if (guard_ && settings_.check && !projector_->skipped()) {
-    const Finding finding = guard_->rate(*projector_, t1_, step_->slope(), h_, counts_.steps + 1);
+    Finding finding = guard_->rate(*projector_, t1_, step_->slope(), h_, counts_.steps + 1);
+    if (finding.kind == Finding::Kind::none)
+      finding = guard_->corrected(correction_, t1_, step_->y(), h_, counts_.steps + 1);
     if (finding.kind != Finding::Kind::none) return refuse(finding);
   }
   ++counts_.steps;

@@ -7,11 +7,11 @@
 namespace invariode {
 namespace {
 
-const double cbrt_eps = std::cbrt(eps);       // optimal relative increment of a central difference
-const double sqrt_eps = std::sqrt(eps);       // and of a forward one
-constexpr double complex_increment = 1e-100;  // nothing beside 1, also where y is huge and g exponential
-constexpr double roundoff_units = 10;         // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
-constexpr double smallest_scale = 1e-300;     // |y_i| and thr_i below this tell no scale
+const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a central difference
+const double sqrt_eps = std::sqrt(eps);      // and of a forward one
+constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
+constexpr double roundoff_units = 10;        // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
+constexpr double smallest_size = 1e-300;     // |y_i| and thr_i below this tell no scale
 
 }  // namespace
 
@@ -24,6 +24,7 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
       point_(n),
       plus_(value_.size()),
       minus_(value_.size()),
+      sizes_(n),
       complex_point_(2 * n),
       complex_value_(2 * value_.size()) {
   for (InvariantBlock& block : blocks_)
@@ -32,11 +33,13 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
 }
 
 void Invariants::note_kinds() {
-  by_differences_.clear();
+  increment_.clear();
   certain_.clear();
   for (const InvariantBlock& block : blocks_) {
-    const bool differences = block.derivative == Derivative::central || block.derivative == Derivative::forward;
-    by_differences_.insert(by_differences_.end(), block.m, differences);
+    const double increment = block.derivative == Derivative::central   ? cbrt_eps
+                             : block.derivative == Derivative::forward ? sqrt_eps
+                                                                       : 0;
+    increment_.insert(increment_.end(), block.m, increment);
     certain_.insert(certain_.end(), block.m, block.certain);
   }
 }
@@ -63,7 +66,16 @@ std::int64_t Invariants::jacobian_calls() const {
 }
 
 bool Invariants::all_by_differences() const {
-  return std::all_of(by_differences_.begin(), by_differences_.end(), [](char d) { return d != 0; });
+  return std::all_of(increment_.begin(), increment_.end(), [](double d) { return d != 0; });
+}
+
+bool Invariants::leave_complex_steps(std::size_t i) {
+  auto block = blocks_.begin();
+  for (std::size_t end = block->m; end <= i; end += block->m) ++block;
+  if (block->derivative != Derivative::complex_step) return false;
+  block->derivative = Derivative::central;
+  note_kinds();
+  return true;
 }
 
 Status Invariants::evaluate(double t, const double* y, double* g) {
@@ -100,20 +112,23 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
   return central ? difference_jacobian(t, y, J, false) : Status::ok;
 }
 
-/// Size of y_j for increments.
-double Invariants::scale(std::size_t j, const double* y) const {
-  double scale = weights_.at(j, y[j]);
-  if (scale < smallest_scale) {  // pure relative control at y_j = 0
-    for (std::size_t i = 0; i < n_; ++i) scale = std::max(scale, std::abs(y[i]));
-    if (scale < smallest_scale) scale = 1;
+const double* Invariants::sizes(const double* y) {
+  double largest = 0;
+  for (std::size_t j = 0; j < n_; ++j) largest = std::max(largest, std::abs(y[j]));
+  if (largest < smallest_size) largest = 1;
+  for (std::size_t j = 0; j < n_; ++j) {
+    const double thr = weights_.threshold()[j];
+    const double least = thr < smallest_size ? (std::abs(y[j]) < smallest_size ? largest : 0) : std::min(thr, largest);
+    sizes_[j] = std::max(std::abs(y[j]), least);
   }
-  return scale;
+  return sizes_.data();
 }
 
 Status Invariants::complex_step(InvariantBlock& block, double t, const double* y, double* rows, bool& finite) {
+  const double* size = sizes(y);
   for (std::size_t j = 0; j < n_; ++j) complex_point_[2 * j] = y[j], complex_point_[2 * j + 1] = 0;
   for (std::size_t j = 0; j < n_; ++j) {
-    const double h = complex_increment * scale(j, y);
+    const double h = complex_increment * size[j];
     complex_point_[2 * j + 1] = h;
     ++derivative_calls_;
     if (block.complex_g(t, complex_point_.data(), complex_value_.data()) == Status::stop) return Status::stop;
@@ -125,11 +140,12 @@ Status Invariants::complex_step(InvariantBlock& block, double t, const double* y
 }
 
 Status Invariants::forward_differences(InvariantBlock& block, double t, const double* y, double* rows) {
+  const double* size = sizes(y);
   std::copy(y, y + n_, point_.begin());
   derivative_calls_ += static_cast<std::int64_t>(n_) + 1;
   if (block.g(t, y, minus_.data()) == Status::stop) return Status::stop;
   for (std::size_t j = 0; j < n_; ++j) {
-    point_[j] = y[j] + sqrt_eps * scale(j, y);
+    point_[j] = y[j] + sqrt_eps * size[j];
     if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
     for (std::size_t i = 0; i < block.m; ++i) rows[i * n_ + j] = (plus_[i] - minus_[i]) / (point_[j] - y[j]);
     point_[j] = y[j];
@@ -138,6 +154,7 @@ Status Invariants::forward_differences(InvariantBlock& block, double t, const do
 }
 
 Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor) {
+  sizes(y);
   std::copy(y, y + n_, point_.begin());
   std::size_t first = 0;
   for (InvariantBlock& block : blocks_) {
@@ -153,7 +170,7 @@ Status Invariants::difference_jacobian(double t, const double* y, double* J, boo
 /// its thr_j), the increment is taken relative to y_j itself.
 Status Invariants::difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                                      double* column) {
-  for (const double delta : {factor * cbrt_eps * scale(j, y), factor * cbrt_eps * std::abs(y[j])}) {
+  for (const double delta : {factor * cbrt_eps * sizes_[j], factor * cbrt_eps * std::abs(y[j])}) {
     if (delta == 0) break;
     const double up = y[j] + delta, down = y[j] - delta;
     point_[j] = up;
@@ -169,7 +186,7 @@ Status Invariants::difference_column(InvariantBlock& block, double t, const doub
 }
 
 Status Invariants::time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor) {
-  const double delta = factor * cbrt_eps * std::max(std::abs(t), std::abs(h));
+  const double delta = factor * time_increment(t, h);
   const double later = t + delta, earlier = t - delta;
   if (residual(later, y, plus_.data()) == Status::stop) return Status::stop;
   if (residual(earlier, y, minus_.data()) == Status::stop) return Status::stop;
@@ -178,6 +195,18 @@ Status Invariants::time_derivative(double t, double h, const double* y, const do
     gt[i] = std::abs(change) <= 2 * roundoff(i, y, J) ? 0 : change / (later - earlier);
   }
   return Status::ok;
+}
+
+double Invariants::time_increment(double t, double h) {
+  return std::cbrt(eps * std::max(std::abs(t), std::abs(h))) * std::cbrt(h * h);
+}
+
+double Invariants::roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f) {
+  if (!by_differences(i)) return 0;
+  const double* size = sizes(y);
+  double sum = 0;
+  for (std::size_t j = 0; j < n_; ++j) sum += std::abs(f[j]) / size[j];
+  return sum * roundoff(i, y, J) / increment_[i];
 }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {

@@ -41,9 +41,10 @@ class Invariants {
   /// Of `calls`, those for Jacobians.
   [[nodiscard]] std::int64_t derivative_calls() const { return derivative_calls_; }
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
-  [[nodiscard]] bool by_differences(std::size_t i) const { return by_differences_[i] != 0; }
-
+  [[nodiscard]] bool by_differences(std::size_t i) const { return increment_[i] != 0; }
   [[nodiscard]] bool all_by_differences() const;
+  /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
+  bool leave_complex_steps(std::size_t i);
   [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
 
   /// g(t, y)
@@ -51,15 +52,22 @@ class Invariants {
   /// g(t, y) − value
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
-  /// Central differences, increments ε^{1/3} max(|y_i|, thr_i) (docs/algorithms.md, 'Projection') times `factor`. Fills
-  /// the rows that are had by differences, or all of them.
+  /// Central differences, increments ε^{1/3} `sizes` times `factor`. Fills the rows that are had by differences, or
+  /// all.
   Status difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor = 1);
-  /// Central differences with increment ε^{1/3} max(|t|, |h|) times `factor`; what is below their roundoff counts as 0.
-  /// J and y tell the size of the terms that g sums.
+  /// Central differences with `time_increment`; what is below their roundoff counts as 0. J and y tell the size of the
+  /// terms that g sums.
   Status time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor = 1);
 
+  /// s_j = max(|y_j|, min(thr_j, max_i |y_i|)): sizes of the components for increments. thr can be far above all of y,
+  /// where the tolerance is tight. They stay until the next call of a member.
+  const double* sizes(const double* y);
+  /// (ε max(|t|, |h|) h²)^{1/3}: the solution changes in times like h, t has roundoff.
+  [[nodiscard]] static double time_increment(double t, double h);
   /// Size below which the residual of invariant i is roundoff: 10 ε (|value_i| + Σ_j |J_ij y_j|).
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
+  /// What that does to J_i f, where J_i is had by differences.
+  double roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f);
 
  private:
   void note_kinds();
@@ -67,15 +75,15 @@ class Invariants {
   Status forward_differences(InvariantBlock& block, double t, const double* y, double* rows);
   Status difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                            double* column);
-  [[nodiscard]] double scale(std::size_t j, const double* y) const;
 
   std::size_t n_;
   std::vector<InvariantBlock> blocks_;
   std::vector<double> value_;
   const Weights& weights_;
-  std::vector<char> by_differences_, certain_;
+  std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
+  std::vector<char> certain_;
   std::int64_t derivative_calls_ = 0;
-  std::vector<double> point_, plus_, minus_;
+  std::vector<double> point_, plus_, minus_, sizes_;
   std::vector<double> complex_point_, complex_value_;
 };
 

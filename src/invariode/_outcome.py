@@ -17,7 +17,7 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], rtol: f
     if run.state in _MESSAGES:
         return _MESSAGES[run.state]
     if run.state == "invariant_convicted":
-        return -2, _convicted(run, names, demanded)
+        return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:
         return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
     if run.state == "start_undefined":
@@ -77,7 +77,7 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     )
 
 
-def _convicted(run: Run, names: list[str], demanded: list[bool]) -> str:
+def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> str:
     if run.finding == "off_value":
         return (
             f"After the action of an event at t = {run.finding_t:.6g} the solution violates invariant "
@@ -87,6 +87,9 @@ def _convicted(run: Run, names: list[str], demanded: list[bool]) -> str:
         )
     if run.finding == "undefined":
         return f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}."
+    if run.finding == "wrong_jacobian":
+        text = _wrong_jacobian(run, names, pairs)
+        return text[0].upper() + text[1:]
     return _not_conserved(run, names, demanded)
 
 
@@ -106,6 +109,16 @@ def _not_conserved(run: Run, names: list[str], demanded: list[bool]) -> str:
     return text + "check=False switches this test off."
 
 
+def _wrong_jacobian(run: Run, names: list[str], pairs: bool) -> str:
+    part = (" (real part)", " (imaginary part)")[run.finding_component % 2] if pairs else ""
+    column = run.finding_component // 2 if pairs else run.finding_component
+    return (
+        f"the Jacobian of invariant {names[run.finding_invariant]} is wrong at t = {run.finding_t:.6g}: its entry for "
+        f"y[{column}]{part} is {run.finding_size:.9g}, differences of the invariant give {run.finding_distance:.9g} "
+        f"(good to about {EPS ** (2 / 3):.0e}). check=False switches this test off."
+    )
+
+
 def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs: bool) -> str:
     """The text of the InvariantError with which a run was refused at its start."""
     name = names[run.finding_invariant]
@@ -116,13 +129,7 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
             "it first: y0 = invariode.impose(invariants, t0, y0).y"
         )
     if run.finding == "wrong_jacobian":
-        part = (" (real part)", " (imaginary part)")[run.finding_component % 2] if pairs else ""
-        column = run.finding_component // 2 if pairs else run.finding_component
-        return (
-            f"the Jacobian of invariant {name} is wrong at t = {run.finding_t:.6g}: its entry for y[{column}]{part} is "
-            f"{run.finding_size:.9g}, differences of the invariant give {run.finding_distance:.9g} "
-            f"(good to about {EPS ** (2 / 3):.0e}). check=False switches this test off."
-        )
+        return _wrong_jacobian(run, names, pairs)
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, names, demanded)

@@ -295,23 +295,41 @@ class _Probe:
     def takes_complex(self) -> bool:
         if np.iscomplexobj(self._y):
             return False
-        size = np.maximum(np.abs(self._y), self._threshold)
-        size[size < 1e-300] = 1  # pure relative control at 0
-        golden = np.modf(0.6180339887498949 * np.arange(1, len(size) + 1))[0]
-        direction = size * (0.5 + golden) * np.where(np.arange(len(size)) % 2, -1, 1)
-        tiny, delta = 1e-100, EPS ** (1 / 3)
+        golden = np.modf(0.6180339887498949 * np.arange(1, len(self._y) + 1))[0]
+        direction = self._sizes() * (0.5 + golden) * np.where(np.arange(len(self._y)) % 2, -1, 1)
+        verdict = self._agrees(self._y + 0.1 * direction, direction)  # what is not analytic may not show at y itself
+        return bool(self._agrees(self._y, direction) if verdict is None else verdict)
+
+    def _sizes(self) -> Array:
+        """Of the components, for increments, as the core takes them."""
+        size = np.abs(self._y)
+        largest = size.max(initial=0)
+        if largest < 1e-300:
+            largest = 1.0
+        size = np.maximum(size, np.minimum(self._threshold, largest))
+        size[size < 1e-300] = largest  # pure relative control at 0
+        return size
+
+    def _agrees(self, y: Array, direction: Array) -> bool | None:
+        """Whether the two derivatives at y agree; None where g is not defined there."""
+        tiny, delta = 1e-40, EPS ** (1 / 3)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
             try:
-                by_step = self._evaluate(self._y + 1j * tiny * direction)
+                up, down = self._evaluate(y + delta * direction), self._evaluate(y - delta * direction)
+            except Exception:
+                return None
+            try:
+                by_step = self._evaluate(y + 1j * tiny * direction)
             except Exception:  # g is not made for this: no reason to tell the user
                 return False
+        if not np.isfinite(up).all() or not np.isfinite(down).all():
+            return None
         if by_step.shape != self._at_y.shape or not np.isfinite(by_step).all():
             return False
         by_step = by_step.imag / tiny
-        up, down = self._evaluate(self._y + delta * direction), self._evaluate(self._y - delta * direction)
         difference = (up - down) / (2 * delta)
-        noise = 10 * EPS / delta * np.abs(self._at_y) + np.finfo(float).tiny
+        noise = 10 * EPS / delta * np.maximum(np.abs(self._at_y), np.abs(up)) + np.finfo(float).tiny
         agrees = np.abs(by_step - difference) <= 1e-6 * np.maximum(np.abs(by_step), np.abs(difference)) + noise
         return bool(agrees.all())
 
