@@ -59,7 +59,7 @@ class Buffer {
 
   [[nodiscard]] std::vector<T> copy() const { return {begin(), end()}; }
 
-  /// Gives the values away, in a block of their size that is to be returned with std::free.
+  /// Gives the values away, in a block of their size (if there are any) that is to be returned with std::free.
   [[nodiscard]] T* release() {
     if (size_ < capacity_ && size_ > 0) resize_block(size_);
     size_ = capacity_ = 0;

@@ -59,15 +59,25 @@ State Integration::start(const double* y0) {
   if (dense) dense->start(t0_, y0_.data());
   if (emit(t0_, y0_.data()) != State::created) return state_;
   if (start_method(y0_.data()) != State::created) return state_;
-  switch (events_.start(t0_, y0_.data())) {
-    case Events::Result::stop: return end(State::interrupted);
-    case Events::Result::undefined: report_.event = events_.undefined().event; return end(State::event_undefined);
-    case Events::Result::ok: break;
-  }
+  if (after(events_.start(t0_, y0_.data())) != State::created) return state_;
   if (t0_ != settings_.tf && n_ > 0) return state_ = State::running;
+  return nothing_to_integrate();
+}
+
+State Integration::nothing_to_integrate() {
   reached_t_ = settings_.tf;
-  if (settings_.save_all && !settings_.output_at_times) points.add(settings_.tf, y0_.data(), n_);
-  return end(State::reached_end);  // nothing to integrate
+  if (!settings_.save_all) points.clear();
+  if (!settings_.save_all || !settings_.output_at_times) points.add(settings_.tf, y0_.data(), n_);
+  for (; next_time_ < settings_.times.size(); ++next_time_) points.add(settings_.times[next_time_], y0_.data(), n_);
+  return end(State::reached_end);
+}
+
+State Integration::after(Events::Result result) {
+  if (result == Events::Result::ok) return state_;
+  if (result == Events::Result::stop) return end(State::interrupted);
+  report_.event = events_.undefined().event;
+  report_.t = events_.undefined().t;
+  return end(State::event_undefined);
 }
 
 /// The invariants at y0, which may be projected.
@@ -325,11 +335,7 @@ State Integration::jump(double t) {
       {settings_.save_all ? points.t.size() : 0, t, invariants_ ? invariants_->value() : std::vector<double>{}});
   interpolant_.restart();
   if (t != settings_.tf && start_memory(y0_.data()) != State::running) return state_;
-  switch (events_.restart(t, y0_.data())) {
-    case Events::Result::stop: return end(State::interrupted);
-    case Events::Result::undefined: report_.event = events_.undefined().event; return end(State::event_undefined);
-    case Events::Result::ok: break;
-  }
+  if (after(events_.restart(t, y0_.data())) != State::running) return state_;
   t1_ = t;
   reached_y_ = y0_.data();
   return emit(t, y0_.data());
@@ -337,14 +343,7 @@ State Integration::jump(double t) {
 
 /// Finds the events of the step and keeps them with their states; the last one's is left in `point_`.
 State Integration::locate_events() {
-  switch (events_.search(t0_, t1_, step_->y(), step_->degree(), interpolant_)) {
-    case Events::Result::stop: return end(State::interrupted);
-    case Events::Result::undefined:
-      report_.event = events_.undefined().event;
-      report_.t = events_.undefined().t;
-      return end(State::event_undefined);
-    case Events::Result::ok: break;
-  }
+  if (after(events_.search(t0_, t1_, step_->y(), step_->degree(), interpolant_)) != State::running) return state_;
   for (const Occurrence& occurrence : events_.occurrences()) {
     if (occurrence.t == t1_)
       std::copy(step_->y(), step_->y() + n_, point_.begin());

@@ -126,6 +126,8 @@ class Integration {
 
   State end(State state);
   State refuse(const Finding& finding);
+  State after(Events::Result result);
+  State nothing_to_integrate();
   State inspect_start(double* y0);
   State start_memory(const double* y0);
   State start_method(const double* y0);

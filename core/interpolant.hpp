@@ -35,7 +35,7 @@ class Interpolant {
         mode_(mode),
         raw_(raw),
         projector_(projector),
-        target_(m) {}
+        target_(m_) {}
 
   [[nodiscard]] bool projects() const { return m_ > 0; }
   /// Doubles in a segment beyond its raw extension.

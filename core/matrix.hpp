@@ -70,17 +70,12 @@ class MatrixFunction {
   MatrixFunction() = default;
   MatrixFunction(Function* function, void* context) : function_(function), context_(context) {}
 
-  Status operator()(double t, const double* y, Matrix& out) noexcept {
-    ++calls_;
-    return function_(context_, t, y, out);
-  }
+  Status operator()(double t, const double* y, Matrix& out) noexcept { return function_(context_, t, y, out); }
   explicit operator bool() const noexcept { return function_ != nullptr; }
-  [[nodiscard]] std::int64_t calls() const noexcept { return calls_; }
 
  private:
   Function* function_ = nullptr;
   void* context_ = nullptr;
-  std::int64_t calls_ = 0;
 };
 
 /// LAPACK's routines for LU factors, which the binding takes from the copy that SciPy ships.

@@ -35,6 +35,7 @@ void DenseOutput::append(const DenseOutput& next) {
 }
 
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
+  if (n_ == 0) return Status::ok;
   Interpolant interpolant(n_, m_, mode_, raw_, projector);
   const Buffer<double>& knots = knots_.t;
   const double forward = knots.back() >= knots.front() ? 1 : -1;

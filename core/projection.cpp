@@ -129,6 +129,7 @@ double Projector::roundoff_units(const double* y) const {
 
 /// The residual of a candidate, and whether it is to be left alone: judged by the gradients of the last linearization.
 Outcome Projector::measure(double t, const double* y) {
+  skipped_ = false;
   if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
   if (!all_finite(r_.data(), r_.size())) return Outcome::not_finite;
   residual_before_ = r_;

@@ -31,8 +31,8 @@ class Pair final : public Step {
     stage_ = take();
     candidate_ = take();
     if (fsal_ == Fsal::evaluate) {
-      further_.resize(n());
-      reevaluated_ = further_.data();
+      again_.resize(n());
+      reevaluated_ = again_.data();
     }
   }
 
@@ -234,7 +234,7 @@ class Pair final : public Step {
   }
 
   Fsal fsal_;
-  std::vector<double> values_, further_;
+  std::vector<double> values_, further_, again_;
   std::array<double*, T.all_stages> k_{};
   double* start_ = nullptr;        // y at the start of the accepted step
   double* stage_ = nullptr;        // argument of the stage in work

@@ -1,7 +1,7 @@
 #pragma once
-// Explicit Runge-Kutta pairs as data. A tableau checks itself when it is compiled: row sums, order conditions of both
-// formulas and of the continuous extension, FSAL, and that the extension joins consecutive steps with a continuous
-// derivative.
+// Explicit Runge-Kutta pairs as data. Tableaux are checked, small ones when they are compiled, large ones by the tests:
+// row sums, order conditions of both formulas and of the continuous extension, FSAL, and that the extension joins
+// consecutive steps with a continuous derivative.
 
 #include <array>
 #include <cstddef>

@@ -168,3 +168,15 @@ def test_registry():
         assert method.min_order <= sol.steps.order.min() <= sol.steps.order.max() <= method.order
     with pytest.raises(TypeError):
         iv.METHODS["new"] = None
+
+
+def test_no_equations_have_a_solution_at_all_times_asked_for():
+    def fun(t, y):
+        return []
+
+    assert iv.solve_ivp(fun, (0, 1), []).t.tolist() == [0, 1]
+    assert iv.solve_ivp(fun, (0, 1), [], t_eval=[0, 0.5, 1]).t.tolist() == [0, 0.5, 1]
+    assert iv.solve_ivp(fun, (0, 1), [], t_eval=[]).y.shape == (0, 0)
+    assert iv.solve_ivp(fun, (0, 1), [], save="end").t.tolist() == [1]
+    dense = iv.solve_ivp(fun, (0, 1), [], dense_output=True)
+    assert dense.extend(2).sol([0.5, 1.5]).shape == (0, 2)

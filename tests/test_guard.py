@@ -167,6 +167,166 @@ def test_given_jacobian_is_not_accused_where_differences_are_coarse(method):
     assert sol.success, sol.message
 
 
+def pendulum_energy(t, y):
+    return y[1] ** 2 / 2 - np.cos(y[0])
+
+
+def spring(t, y):
+    q, r = y[:2], np.linalg.norm(y[:2])
+    return [*y[2:], *(-4 * (r - 1) * q / r)]
+
+
+DAY0, TURN = 2460000.5, 2 * np.pi / 1.5  # Julian days
+
+#: fun, span, y0, invariant, options: where increments, roundoff or complex steps mislead.
+MISLEADING = {
+    "thr far above y": (
+        lambda t, y: [y[1], -np.sin(y[0])],
+        (0, 10),
+        [1, 0.5],
+        pendulum_energy,
+        {"rtol": 1e-12},
+    ),
+    "an orbit, thr far above y": (kepler, (0, 5), ORBIT, kepler_invariants, {"rtol": 1e-11}),
+    "a spring at rest length": (
+        spring,
+        (0, 10),
+        [1, 0, 0.3, 0.5],
+        lambda t, y: (y[2] ** 2 + y[3] ** 2) / 2 + 2 * (np.linalg.norm(y[:2]) - 1) ** 2,
+        {},
+    ),
+    "an absolute value at 0": (
+        lambda t, y: [y[1], -y[0] * abs(y[0])],
+        (0, 20),
+        [0, 1],
+        lambda t, y: y[1] ** 2 / 2 + abs(y[0]) ** 3 / 3,
+        {},
+    ),
+    "a real part": (
+        lambda t, y: [y[1], -y[0]],
+        (0, 20),
+        [1, 0],
+        lambda t, y: y[0] ** 2 + np.real(y[1]) ** 2,
+        {},
+    ),
+    "a clearance": (
+        lambda t, y: [y[1], -np.sign(y[0]) * max(abs(y[0]) - 0.5, 0)],
+        (0, 20),
+        [0, 1],
+        lambda t, y: y[1] ** 2 / 2 + np.maximum(np.abs(y[0]) - 0.5, 0) ** 2 / 2,
+        {},
+    ),
+    "large t": (
+        lambda t, y: [-TURN * y[1], TURN * y[0]],
+        (DAY0, DAY0 + 6),
+        [1, 0.2],
+        lambda t, y: y[0] * np.cos(TURN * (t - DAY0)) + y[1] * np.sin(TURN * (t - DAY0)),
+        {},
+    ),
+    "a fading term": (
+        lambda t, y: [np.exp(-t), -y[1]],
+        (0, 30),
+        [1, 1],
+        lambda t, y: y[0] + np.exp(-t),
+        {"rtol": 1e-9, "atol": 1e-9},
+    ),
+    "a tiny first step": (
+        lambda t, y: [np.cos(t)],
+        (0, 1),
+        [1],
+        lambda t, y: y[0] - np.sin(t),
+        {"first_step": 1e-10, "rtol": 1e-9, "atol": 1e-9},
+    ),
+    "a stationary point": (
+        lambda t, y: [y[1], -y[0]],
+        (0, 20),
+        [np.sqrt(np.pi), 0],
+        lambda t, y: np.cos(y[0] ** 2 + y[1] ** 2),
+        {"rtol": 1e-3, "atol": 1e-3},
+    ),
+    "products that underflow": (
+        lambda t, y: [-y[0], 2 * y[1]],
+        (0, 300),
+        [1, 1],
+        lambda t, y: y[0] ** 2 * y[1],
+        {"rtol": 1e-6, "atol": 0},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISLEADING)
+def test_right_invariants_where_derivatives_mislead(method, name):
+    fun, span, y0, g, options = MISLEADING[name]
+    sol = iv.solve_ivp(fun, span, y0, method, invariants=g, **options)
+    assert sol.success, sol.message
+
+
+def test_projection_is_as_good_where_thr_is_far_above_y(method):
+    """Increments as large as thr would make Jacobians by differences worthless."""
+    held = iv.Invariants(kepler_invariants, jac="3-point")
+    sol = iv.solve_ivp(kepler, (0, 5), ORBIT, method, rtol=1e-10, invariants=held)
+    assert np.abs(sol.residual).max() < 1e-9
+
+
+#: What a right invariant gets added, which is 0 at the start.
+LATE = {
+    "a switch": (lambda t: 0.3 * (1 + np.tanh(2 * (t - 10))), {}),
+    "a ramp": (lambda t: 0.03 * np.maximum(t - 1, 0), {}),
+    "a parabola": (lambda t: 0.003 * np.maximum(t - 2, 0) ** 2, {}),
+    "a steep ramp": (lambda t: 0.1 * np.maximum(t - 1, 0), {}),
+    "an oscillation": (lambda t: 1e-3 * np.sin(t) ** 2, {"rtol": 1e-9, "atol": 1e-12}),
+}
+
+
+@pytest.mark.parametrize("name", LATE)
+def test_invariants_that_begin_to_change_with_t_are_found(method, name):
+    added, options = LATE[name]
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -y[0]],
+        (0, 20),
+        [1, 0],
+        method,
+        invariants=lambda t, y: y[0] ** 2 + y[1] ** 2 + added(t),
+        **options,
+    )
+    assert sol.status == -2
+    assert "not conserved" in sol.message
+
+
+@pytest.mark.parametrize("method", ["ode23", "ode45", "ode113", "ode15s"])
+def test_a_jacobian_that_goes_wrong_later_is_blamed_not_its_invariant(method):
+    wrong = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2, jac=lambda t, y: [2 * y[0], 2.01 * y[1]])
+    sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], method, invariants=wrong)
+    assert sol.status == -2
+    assert "The Jacobian of invariant" in sol.message
+    assert "y[1]" in sol.message
+
+
+def test_complex_steps_are_given_up_where_they_are_wrong():
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -np.sign(y[0]) * max(abs(y[0]) - 0.5, 0)],
+        (0, 20),
+        [0, 0.4],
+        invariants=lambda t, y: y[1] ** 2 / 2 + np.maximum(np.abs(y[0]) - 0.5, 0) ** 2 / 2,
+    )
+    assert sol.success
+    assert "central differences" in sol.stats.derivatives
+
+
+@pytest.mark.parametrize("when", ["always", "needed"])
+def test_an_invariant_that_becomes_undefined_ends_the_run_there(method, when):
+    held = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 if t < 5 else np.nan, when=when)
+    sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], method, invariants=held)
+    assert sol.status == -1
+    assert sol.t[-1] < 5.000001
+
+
+def test_a_right_jacobian_is_not_called_wrong_beside_the_manifold():
+    held = iv.Invariants(lambda t, y: y @ y, jac=lambda t, y: 2 * y, value=1)
+    report = iv.check_invariants(lambda t, y: [-y[1], y[0]], held, 0, [0.8003, 0.6004])
+    assert report.ok, report
+
+
 @pytest.mark.parametrize("name", HARD)
 def test_right_invariants_that_are_hard(method, name):
     fun, y0, g = HARD[name]

@@ -300,3 +300,21 @@ def test_the_solver_keeps_what_it_needs(method):
     while solver.status == "running":
         solver.step()
     np.testing.assert_allclose(solver.y, np.exp(-2), rtol=1e-4)
+
+
+def test_a_step_that_a_function_interrupted_stays_interrupted():
+    """Asking once more for the continuous solution ended the process."""
+    armed = False
+
+    def fun(t, y):
+        if armed:
+            raise RuntimeError("boom")
+        return [y[1], -y[0]]
+
+    solver = plugin.DOP853(fun, 0, [1.0, 0], 10)
+    solver.step()
+    armed = True
+    with pytest.raises(RuntimeError, match="boom"):
+        solver.dense_output()
+    with pytest.raises(RuntimeError, match="no accepted step"):
+        solver.dense_output()

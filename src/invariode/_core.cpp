@@ -541,6 +541,27 @@ Weights to_weights(std::size_t n, double rtol, const Threshold& threshold, const
           scale ? to_vector(*scale) : std::vector<double>{}};
 }
 
+/// Lets other threads run the interpreter until `end`, where nothing here needs it.
+class Unlocked {
+ public:
+  explicit Unlocked(bool possible) {
+    if (possible) released_.emplace();
+  }
+  void end() { released_.reset(); }
+
+ private:
+  std::optional<nb::gil_scoped_release> released_;
+};
+
+/// The invariants, of which there must be as many as values.
+Invariants bound(std::size_t n, Functions& functions, const std::vector<InvariantSpec>& specs, const ConstVector& value,
+                 const Weights& weights) {
+  std::size_t m = 0;
+  for (const auto& [g, jacobian, size, name, held] : specs) m += static_cast<std::size_t>(size);
+  if (m != value.size()) throw nb::value_error("not as many values as invariants");
+  return {n, functions.invariants(specs), to_vector(value), weights};
+}
+
 /// Hands a vector over to NumPy without copying it.
 template <class Array, class T, class... Size>
 Array to_array(std::vector<T>&& values, Size... shape) {
@@ -747,12 +768,14 @@ struct Dense {
     std::optional<Projector> projector;
     if (output.projects() && !invariants.empty()) {
       if (value.size() != output.parts().m) throw nb::value_error("not the number of invariants of the run");
-      g.emplace(output.n(), functions.invariants(invariants), to_vector(value), weights);
+      g.emplace(bound(output.n(), functions, invariants, value, weights));
       projector.emplace(*g, weights, 1);
     }
     std::vector<double> y(t.size() * output.n());
+    Unlocked unlocked(functions.native());
     if (output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr) == Status::stop)
       throw nb::python_error();
+    unlocked.end();
     return to_array<Table>(std::move(y), t.size(), output.n());
   }
 
@@ -855,7 +878,7 @@ struct Run {
   std::vector<int> dropped;
   double dropped_at = 0;
   double t_end = 0;
-  std::vector<double> y_end = {};  // empty: the last of the points
+  std::optional<std::vector<double>> y_end = {};  // nothing: it is the last of the points
   double next_h = 0;
 
   static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
@@ -877,9 +900,7 @@ struct Run {
             ngdiff,
             static_cast<std::int64_t>(dropped.size())};
   }
-  [[nodiscard]] const double* end() const {
-    return y_end.empty() && n > 0 ? points.y.data() + points.y.size() - n : y_end.data();
-  }
+  [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
   static std::pair<Vector, Table> arrays(Trajectory&& points, std::size_t n) {
     const std::size_t size = points.t.size();
     return {to_array<Vector>(std::move(points.t), size), to_array<Table>(std::move(points.y), size, n)};
@@ -1083,7 +1104,7 @@ Run Course::result() {
     run.dropped_at = projector.dropped_at();
   }
   run.t_end = integration.t();
-  if (output_at_times_ || run.points.t.empty()) run.y_end.assign(integration.y(), integration.y() + run.n);
+  if (output_at_times_ || run.points.t.empty()) run.y_end.emplace(integration.y(), integration.y() + run.n);
   run.next_h = integration.step().h();
   return run;
 }
@@ -1119,12 +1140,17 @@ class Progress {
 /// and tells how far it is. False: a signal's handler has raised, or who was told.
 bool run_without_interpreter(Integration& integration, const double* y0, Progress& progress) {
   using Clock = std::chrono::steady_clock;
-  constexpr int steps_between_looks = 16;
-  auto looked = Clock::now();
+  constexpr int most = 16;
+  int steps = 1;  // from one look at the clock to the next: more of those that are fast
+  auto looked = Clock::now(), watched = looked;
   State state = integration.start(y0);
-  for (int step = 1; state == State::running; ++step) {
+  for (int step = 0; state == State::running;) {
     state = integration.advance();
-    if (step % steps_between_looks != 0 || Clock::now() - looked < patience) continue;
+    if (++step < steps) continue;
+    step = 0;
+    const auto now = Clock::now(), before = std::exchange(watched, now);
+    steps = now - before < patience / most ? std::min(2 * steps, most) : 1;
+    if (now - looked < patience) continue;
     const nb::gil_scoped_acquire held;
     if (PyErr_CheckSignals() != 0) return false;
     if (progress.due() && !progress.tell(integration)) return false;
@@ -1169,7 +1195,6 @@ class Stepper {
         complex_(nb::cast<const Solver&>(solver_).complex),
         weights_(nb::cast<const Solver&>(solver_).weights) {
     if (y0.size() != weights_.size()) throw nb::value_error("y0 is not of the size of the problem");
-    t_old_ = nb::cast<const Solver&>(solver_).settings.t0;
     guarded([&] { integration().start(y0.data()); });
   }
 
@@ -1177,17 +1202,16 @@ class Stepper {
   void step() {
     if (integration().state() != State::running) throw std::runtime_error("the run has ended");
     guarded([&] {
-      const double before = integration().t();
       const std::int64_t steps = integration().counts().steps;
       integration().advance();
       accepted_ = integration().counts().steps > steps;
-      if (accepted_) t_old_ = before;
     });
   }
 
   /// The continuous solution over the last step.
   Dense interpolant() {
-    if (!accepted_) throw std::runtime_error("there is no accepted step to interpolate");
+    if (!accepted_ || integration().state() == State::interrupted)
+      throw std::runtime_error("there is no accepted step to interpolate");
     std::optional<DenseOutput> one;
     guarded([&] { one = integration().last_step(); });
     return {std::move(*one), weights_, complex_};
@@ -1195,7 +1219,6 @@ class Stepper {
 
   [[nodiscard]] Vector y() { return copied(integration().y()); }
   [[nodiscard]] Integration& integration() { return course_.integration; }
-  [[nodiscard]] double t_old() const { return t_old_; }
   [[nodiscard]] Run result() { return course_.result(); }
   [[nodiscard]] std::int64_t evaluations() const { return course_.f.calls(); }
 
@@ -1211,7 +1234,12 @@ class Stepper {
   void guarded(Work&& work) {
     if (busy_) throw std::runtime_error("the run is being advanced already");
     busy_ = true;
-    work();
+    try {
+      work();
+    } catch (...) {
+      busy_ = false;
+      throw;
+    }
     busy_ = false;
     if (integration().state() == State::interrupted) throw nb::python_error();
   }
@@ -1225,7 +1253,6 @@ class Stepper {
   Weights weights_;
   bool busy_ = false;
   bool accepted_ = false;
-  double t_old_;
 };
 
 int traverse_solver(PyObject* self, visitproc visit, void* arg) {
@@ -1401,10 +1428,11 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
-  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Invariants g = bound(n, functions, invariants, value, weights);
   Projector projector(g, weights, 1);
   std::vector<double> points(y.data(), y.data() + y.size()), residual(count * m);
   std::vector<std::int64_t> iterations(count), converged(count);
+  Unlocked unlocked(functions.native());
   for (std::size_t p = 0; p < count; ++p) {
     const Projector::Imposed imposed = projector.impose(t.data()[p], &points[p * n]);
     if (imposed.outcome == Outcome::stop || g.residual(t.data()[p], &points[p * n], &residual[p * m]) == Status::stop)
@@ -1412,6 +1440,7 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
     converged[p] = imposed.converged;
     iterations[p] = imposed.iterations;
   }
+  unlocked.end();
   using Integers = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
   return std::make_tuple(to_array<Table>(std::move(points), count, n), to_array<Integers>(std::move(converged), count),
                          to_array<Table>(std::move(residual), count, m),
@@ -1427,7 +1456,7 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
   const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
   const Callback f = functions.state_valued(fun, "fun(t, y)");
-  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Invariants g = bound(n, functions, invariants, value, weights);
   Guard guard(g, weights, f);
   std::vector<Guard::Examination> found;
   switch (guard.examine(t, y.data(), 1, found)) {
@@ -1435,8 +1464,9 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
     case Outcome::not_finite: return nb::none();
     case Outcome::ok: break;
   }
-  Finding jacobian = guard.start_value(t, to_vector(y).data());
-  if (jacobian.kind != Finding::Kind::stop) jacobian = guard.start_jacobian(t, y.data());
+  std::vector<double> point = to_vector(y);
+  Finding jacobian = guard.start_value(t, point.data());
+  if (jacobian.kind != Finding::Kind::stop) jacobian = guard.start_jacobian(t, point.data());
   if (jacobian.kind == Finding::Kind::stop) throw nb::python_error();
   const auto column = [&](auto member) {
     std::vector<double> values(m);
@@ -1463,10 +1493,12 @@ Table residual(const ConstVector& t, const ConstMatrix& y, bool complex, const s
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights(1, std::vector<double>(n), {});
   Functions functions({n, complex}, args, to_vector(parameters));
-  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Invariants g = bound(n, functions, invariants, value, weights);
   std::vector<double> r(count * m);
+  Unlocked unlocked(functions.native());
   for (std::size_t p = 0; p < count; ++p)
     if (g.residual(t.data()[p], y.data() + p * n, &r[p * m]) == Status::stop) throw nb::python_error();
+  unlocked.end();
   return to_array<Table>(std::move(r), count, m);
 }
 
@@ -1477,14 +1509,16 @@ Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double 
   const std::size_t count = y.shape(0), n = y.shape(1), m = value.size();
   const Weights weights = to_weights(n, rtol, threshold, scale);
   Functions functions({n, complex}, args, to_vector(parameters));
-  Invariants g(n, functions.invariants(invariants), to_vector(value), weights);
+  Invariants g = bound(n, functions, invariants, value, weights);
   Projector projector(g, weights, 1);
   std::vector<double> d(count * m);
+  Unlocked unlocked(functions.native());
   for (std::size_t p = 0; p < count; ++p) {
     if (projector.linearize_at(t.data()[p], y.data() + p * n) == Outcome::stop) throw nb::python_error();
     for (std::size_t i = 0; i < m; ++i)
       d[p * m + i] = projector.row_norm(i) > 0 ? std::abs(projector.residual()[i]) / projector.row_norm(i) / rtol : 0;
   }
+  unlocked.end();
   return to_array<Table>(std::move(d), count, m);
 }
 
@@ -1548,7 +1582,7 @@ NB_MODULE(_core, module) {
           "take_points",
           [](Run& r) {
             std::optional<Vector> end;
-            if (!r.y_end.empty()) end = to_array<Vector>(std::move(r.y_end), r.n);
+            if (r.y_end) end = to_array<Vector>(std::move(*r.y_end), r.n);
             auto [t, y] = Run::arrays(std::move(r.points), r.n);
             return std::make_tuple(t, y, r.t_end, end);
           },
@@ -1688,12 +1722,9 @@ NB_MODULE(_core, module) {
       .def_prop_ro("state", [](Stepper& s) { return name_of(s.integration().state()); })
       .def_prop_ro("t", [](Stepper& s) { return s.integration().t(); })
       .def_prop_ro("y", &Stepper::y, nb::rv_policy::move)
-      .def_prop_ro("t_old", &Stepper::t_old)
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
-      .def_prop_ro("steps", [](Stepper& s) { return s.integration().counts().steps; })
-      .def_prop_ro("failed", [](Stepper& s) { return s.integration().counts().failed; })
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

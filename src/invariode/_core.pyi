@@ -201,20 +201,11 @@ class Stepper:
     def y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     @property
-    def t_old(self) -> float: ...
-
-    @property
     def h(self) -> float:
         """|h| that the next step will try."""
 
     @property
     def order(self) -> int: ...
-
-    @property
-    def steps(self) -> int: ...
-
-    @property
-    def failed(self) -> int: ...
 
     @property
     def nfev(self) -> int: ...
