@@ -302,7 +302,7 @@ class _Probe:
 
     def _sizes(self) -> Array:
         """Of the components, for increments, as the core takes them."""
-        size = np.abs(self._y)
+        size: Array = np.abs(self._y)
         largest = size.max(initial=0)
         if largest < 1e-300:
             largest = 1.0
