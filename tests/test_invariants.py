@@ -240,3 +240,16 @@ class TestImposeOnResults:
 
     def test_points_have_none(self):
         assert iv.impose(kepler_invariants, 0, [0.4, 0, 0, 2]).sol is None
+
+
+def test_invariants_and_events_of_one_name_are_numbered():
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -y[0], 0.0],
+        (0, 1),
+        [1, 0, 2],
+        invariants=[lambda t, y: y[0] ** 2 + y[1] ** 2, lambda t, y: y[2]],
+        events=[lambda t, y: y[0], lambda t, y: y[1]],
+    )
+    assert sol.drift().names == ["g_0", "g_1"]
+    assert len(set(sol._names.events)) == 2
+    assert list(sol.to_dataframe().attrs["invariants"]) == ["g_0", "g_1"]

@@ -35,6 +35,14 @@ def call_name(fun: object, default: str) -> str:
     return name if isinstance(name, str) and name != "<lambda>" else default
 
 
+def distinct(names: list[str]) -> list[str]:
+    """The names, those that occur several times numbered: tables and columns tell things apart by them."""
+    if len(set(names)) == len(names):
+        return names
+    numbered = [f"{one}_{names[:i].count(one)}" if names.count(one) > 1 else one for i, one in enumerate(names)]
+    return numbered if len(set(numbered)) == len(names) else [f"{one}_{i}" for i, one in enumerate(names)]
+
+
 def function(name: str, value: object, signature: str) -> Any:
     if not callable(value):
         raise TypeError(f"{name} must be a function {signature}, got {value!r}")

@@ -17,6 +17,7 @@ from ._arguments import (
     Array,
     call_name,
     choice,
+    distinct,
     extra_arguments,
     function,
     numbers,
@@ -258,7 +259,8 @@ def bind(
     iterations = [one.iterations for one in invariants if one.iterations is not None]
     value = values[0] if len(values) == 1 else np.concatenate(values)
     negligible = _NEGLIGIBLE if all(one.when == "needed" for one in invariants) else 0.0
-    return BoundInvariants(specs, value, names, args, p, max(iterations, default=None), negligible, evaluations)
+    names, most = distinct(names), max(iterations, default=None)
+    return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
 
 
 def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> tuple[Any, Array]:

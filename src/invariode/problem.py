@@ -14,6 +14,7 @@ from ._arguments import (
     Array,
     call_name,
     choice,
+    distinct,
     extra_arguments,
     flag,
     function,
@@ -313,7 +314,7 @@ class Problem:
             bound=bound,
             names=names,
             demanded=demanded,
-            event_names=[event.__name__ for event in self.events],
+            event_names=distinct([event.__name__ for event in self.events]),
             rtol=rtol,
             atol=atol,
         )
