@@ -465,7 +465,8 @@ def report(repetitions: int, large: bool) -> str:
         asked = faster_forms(field, times[SIZES[-2]]) if many else field
         times[size] = timed(asked, size, min(FEW, repetitions) if many else repetitions)
         print(f"{size} trajectories done at {perf_counter() - start:.0f} s", file=sys.stderr)
-    parts = [f"{machine(*PACKAGES)}. Medians of {repetitions}, from N = {SIZES[-1]:,} on of {min(FEW, repetitions)}."]
+    fewer = f", from N = {SIZES[-1]:,} on of {FEW}" if repetitions > FEW else ""
+    parts = [f"{machine(*PACKAGES)}. Medians of {repetitions}{fewer}."]
     if missing:
         parts.append(f"Not installed, and left out: {', '.join(missing)}.")
     parts += [

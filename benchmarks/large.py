@@ -328,10 +328,11 @@ def calls(function: Any, count: int, y: Array, out: Array, p: Array) -> None:
 def report(repetitions: int) -> str:
     library = build("large.cpp")
     found = costs(library, repetitions)
+    least = few(LARGEST, repetitions)
+    fewer = f", from n = {MANY_NUMBERS:,} on of {least}" if least != repetitions else ""
     return "\n\n".join(
         [
-            f"{machine('invariode', 'numpy')}. Medians of {repetitions}, from n = {MANY_NUMBERS:,} on of "
-            f"{few(LARGEST, repetitions)}; ns per component and step.",
+            f"{machine('invariode', 'numpy')}. Medians of {repetitions}{fewer}; ns per component and step.",
             per_component(found),
             flatness(found),
             traffic(library, found),

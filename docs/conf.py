@@ -77,6 +77,21 @@ html_theme_options = {
 html_sidebars = {"index": [], "tutorial": [], "benchmarks": [], "gallery/*": []}
 
 
+RESULTS = (
+    "Solution",
+    "DenseSolution",
+    "Stats",
+    "Steps",
+    "Drift",
+    "EnsembleSolution",
+    "EnsembleEvents",
+    "EnsembleStats",
+    "CheckReport",
+    "ImposeResult",
+    "CompiledFunction",
+)
+
+
 def every_public_name_is_here(app):
     """The reference lists what the package exports, no more and no less."""
     page = (Path(__file__).parent / "reference.md").read_text()
@@ -85,5 +100,11 @@ def every_public_name_is_here(app):
         raise ValueError(f"docs/reference.md and invariode.__all__ differ in {listed ^ set(invariode.__all__)}")
 
 
+def no_signature_of_results(app, what, name, obj, options, signature, returns):
+    """What calls return is not made by hand: its fields are documented as such."""
+    return ("", None) if what == "class" and name.removeprefix("invariode.") in RESULTS else None
+
+
 def setup(app):
+    app.connect("autodoc-process-signature", no_signature_of_results)
     app.connect("builder-inited", every_public_name_is_here)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -328,3 +329,16 @@ def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch)
 @pytest.mark.parametrize("name", plotting.__all__)
 def test_every_function_is_a_method(name):
     assert f"invariode.plotting.{name}" in getattr(iv.Solution, name).__doc__
+
+
+def test_a_first_figure_leaves_a_notebook_interactive(tmp_path):
+    """Such a backend turns `interactive` on when it is loaded, which is when the first figure is made."""
+    backend = "from matplotlib.backends.backend_agg import *\nimport matplotlib\nmatplotlib.interactive(True)\n"
+    (tmp_path / "notebook.py").write_text(backend)
+    code = (
+        "import invariode as iv, matplotlib\n"
+        "iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).plot()\n"
+        "assert matplotlib.is_interactive()"
+    )
+    environment = {**os.environ, "MPLBACKEND": "module://notebook", "PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)

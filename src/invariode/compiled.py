@@ -123,6 +123,14 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
         numba, the extra `compiled`, is not installed.
     TypeError
         Where it is used: numba cannot compile the function.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> decay = iv.compile(lambda t, y, p: -p[0] * y[0])
+    >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,))
+    >>> bool(abs(sol.y[0, -1] - np.exp(-2)) < 1e-3)
+    True
     """
     if not callable(fun):
         raise TypeError(f"compile takes a function f(t, y), got {fun!r}")

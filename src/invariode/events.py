@@ -35,6 +35,14 @@ class Event:
     rehold : bool, default True
         After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
         which y_new must have.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> ground = iv.Event(lambda t, y: y[0], terminal=True, direction=-1)
+    >>> sol = iv.solve_ivp(lambda t, y: [y[1], -9.81], (0, 10), [1.0, 0.0], events=ground)
+    >>> (sol.status, float(sol.t_events[0][0].round(4)))  # falls for √(2 / 9.81)
+    (1, 0.4515)
     """
 
     def __init__(

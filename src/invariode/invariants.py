@@ -60,8 +60,9 @@ class Invariants:
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
     iterations : int, optional
-        Projection iterations per step. Default: that of the method, 1 or, for ode45, 2 (paper, section 4).
-    when : {'always', 'needed'}
+        Projection iterations per step. Default: that of the method, 1, or 2 for ode45, dop853 and ode78 (paper,
+        section 4).
+    when : {'always', 'needed'}, default 'always'
         Project after every step (paper, section 4), or leave alone what is closer to the manifold than 0.01 of the
         tolerance, which saves the evaluation of the Jacobian there.
 
@@ -69,6 +70,16 @@ class Invariants:
     -----
     The units of g do not matter: distances to the manifold are measured in the weights of the error test. Redundant
     invariants are dropped with a warning. A function that is no invariant of the equations is refused.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> circle = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2, value=1, names="radius²")
+    >>> circle
+    Invariants(radius², value=[1.0])
+    >>> sol = iv.solve_ivp(lambda t, y: [-y[1], y[0]], (0, 100), [1.0, 0.0], invariants=circle)
+    >>> bool(abs(sol.residual).max() < 1e-9)
+    True
     """
 
     def __init__(
@@ -474,9 +485,23 @@ def impose(
     ImposeResult
         With the shapes of the points given.
 
+    Raises
+    ------
+    TypeError
+        `t` is no result, and there is no `y`.
+    ValueError
+        The shapes of t and y do not match; an invariant is not finite at the first point; there is no invariant.
+
     Notes
     -----
     Gauss-Newton iterations, each with a fresh Jacobian, until the correction stagnates at roundoff, 50 at the most.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> found = iv.impose(lambda t, y: y @ y, 0.0, [0.6, 0.81], value=1)
+    >>> (found.y.round(4), found.converged)
+    (array([0.5969, 0.8023]), True)
     """
     dense = None
     if y is None:

@@ -310,6 +310,8 @@ def _new(sol: Solution, **options: Any) -> Axes:
 def _new_panels(sol: Solution, rows: int = 3, **options: Any) -> Array:
     import matplotlib.pyplot as plt  # here, since it chooses a backend, which axes that are given have
 
+    # It chooses now: that of a notebook turns `interactive` on when it is loaded, which the context would take back.
+    plt.draw_if_interactive()  # type: ignore[no-untyped-call]
     options = {"figsize": (6.4, 4.0 if rows == 1 else 5.6), **options}
     with mpl.rc_context(LOOK):
         _, axes = plt.subplots(

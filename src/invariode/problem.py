@@ -116,11 +116,12 @@ class Problem:
         ``f(t, y, *args)``, the derivative, a sequence or array of shape (n,). y is a new array whenever someone still
         holds the last one, so it may be kept; a buffer may be returned again and again.
     t_span : (float, float)
-        (t0, tf); tf < t0 integrates backwards; tf may be infinite if a terminal event or `callback` ends the run.
+        (t0, tf); tf < t0 integrates backwards; with an infinite tf only a terminal event or a callback ends the run;
+        without one it goes on until memory is full.
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     args : tuple, optional
-        Extra arguments of `fun`, the invariants and the events.
+        Extra arguments of `fun`, `jac`, `mass`, invariants, events and actions.
     invariants : callable, Invariants, or list of these, optional
         What the solution keeps. See `Invariants`.
     events : callable, Event, or list of these, optional
@@ -141,6 +142,25 @@ class Problem:
         For tables and plots.
     labels : sequence of n str, optional
         Names of the components.
+
+    Raises
+    ------
+    TypeError
+        An argument of a wrong type, as a `fun` that is no function.
+    ValueError
+        y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; `labels` are not n. What only a
+        method can tell, as a Jacobian of a wrong shape, is an error of `solve`.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def orbit(t, y):
+    ...     return [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])]
+    >>> problem = iv.Problem(orbit, (0, 10), [1.0, 3.0], labels=["prey", "predators"])
+    >>> problem
+    Problem('orbit', t_span=(0.0, 10.0), n=2)
+    >>> problem.solve("ode23", rtol=1e-4).success
+    True
     """
 
     def __init__(
@@ -184,7 +204,12 @@ class Problem:
         return f"Problem({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
 
     def solve(self, method: MethodName = "ode45", **options: Unpack[Options]) -> Solution:
-        """Solves the problem. The options are those of `solve_ivp`."""
+        """Solves the problem. The options, errors and warnings are those of `solve_ivp`.
+
+        Returns
+        -------
+        Solution
+        """
         given: dict[str, Any] = {**options}
         progress = given.pop("progress", False)
         return self._run(self.plan(method, **given), method, given, progress)

@@ -54,16 +54,28 @@ class Stats(Record):
 
     Attributes
     ----------
-    steps, failed : int
-        Accepted steps and failed attempts.
-    nfev, njev, nlu, nsolve : int
-        Evaluations of f by the method, of its Jacobian, factorisations and solutions of linear systems.
+    steps : int
+        Accepted steps.
+    failed : int
+        Failed attempts.
+    nfev : int
+        Evaluations of f by the method.
     nfev_check : int
         Evaluations of f by the tests that an invariant is one; not in `nfev`.
-    projections, skipped : int
-        Projected attempts, and those whose projection was not needed.
-    ng, ngjac : int
-        Evaluations of the invariants and of their Jacobians, output between steps included.
+    njev : int
+        Evaluations of the Jacobian of f.
+    nlu : int
+        Factorisations.
+    nsolve : int
+        Solutions of linear systems.
+    projections : int
+        Projected attempts.
+    skipped : int
+        Attempts whose projection was not needed.
+    ng : int
+        Evaluations of the invariants, output between steps included.
+    ngjac : int
+        Evaluations of their Jacobians, likewise.
     ngdiff : int
         Of `ng`, those that Jacobians cost: complex steps and differences, and the choice between them at the start.
     derivatives : str or None
@@ -95,12 +107,16 @@ class Steps(Record):
 
     Attributes
     ----------
-    t, h : ndarray of float
-        Where the step ended, and its signed size.
+    t : ndarray of float
+        Where the step ended.
+    h : ndarray of float
+        Its signed size.
     order : ndarray of int
         Its order.
-    error, correction : ndarray of float
-        The estimated error and the size of the correction by projection, ``max_i |·|_i / w_i``, in units of rtol.
+    error : ndarray of float
+        The estimated error e, ``max_i |e_i| / w_i``, in units of rtol.
+    correction : ndarray of float
+        The size of the correction by projection, in the same norm and unit.
     """
 
     def __init__(self, rows: Array) -> None:
@@ -140,16 +156,23 @@ class Drift(Record):
     Attributes
     ----------
     names : list of str
+        The names of the invariants.
     value : ndarray
         What was held (at first, if events with actions changed it).
-    residual_before, residual_after : ndarray
-        Largest ``|g - value|`` of the accepted candidates before projection, and at the outputs.
-    distance_before, distance_after : ndarray
-        The same as distances from the level set, in units of rtol in the weights of the error test.
+    residual_before : ndarray
+        Largest ``|g - value|`` of the accepted candidates before projection.
+    distance_before : ndarray
+        The same as a distance from the level set, in units of rtol in the weights of the error test.
+    residual_after : ndarray
+        Largest ``|g - value|`` at the outputs.
+    distance_after : ndarray
+        The same as a distance.
     correction : float
         Largest correction of a step, in units of rtol.
-    projections, skipped : int
-        Projected attempts, and steps that were close enough.
+    projections : int
+        Projected attempts.
+    skipped : int
+        Steps that were close enough.
     """
 
     names: list[str]
@@ -197,8 +220,10 @@ class DenseSolution:
     ----------
     ts : ndarray
         The ends of the steps, the start first.
-    t_min, t_max : float
-        The interval.
+    t_min : float
+        Where the interval begins.
+    t_max : float
+        Where it ends.
     """
 
     def __init__(
@@ -261,10 +286,16 @@ class Solution(Record):
         The solution at t.
     sol : DenseSolution or None
         The solution as a function of t, with ``dense_output=True``.
-    t_events, y_events : list of ndarray, or None
-        For each event its times, (k,), and states, (k, n). None without events.
-    nfev, njev, nlu : int
-        Evaluations of f, of its Jacobian, factorisations.
+    t_events : list of ndarray, or None
+        For each event its times, (k,). None without events.
+    y_events : list of ndarray, or None
+        For each event its states, (k, n).
+    nfev : int
+        Evaluations of f.
+    njev : int
+        Evaluations of its Jacobian.
+    nlu : int
+        Factorisations.
     status : int
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 an invariant is none.
     message : str
@@ -376,8 +407,10 @@ class Solution(Record):
             an event or the callback ended it. May be infinite.
         t_eval : array_like, optional
             Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
-        first_step, max_step, callback, check, progress : optional
-            As in `solve_ivp`. `max_step` is by default that of the run, or a tenth of the whole interval.
+        max_step : float, optional
+            Default: that of the run, or a tenth of the whole interval.
+        first_step, callback, check, progress : optional
+            As in `solve_ivp`.
 
         Returns
         -------

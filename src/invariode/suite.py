@@ -46,11 +46,13 @@ def solve_ivp(
         ``fun(t, y, *args)``: the derivative, a sequence or array of shape (n,); y has shape (n,). Machine code is
         accepted too, here as for all other functions: see `compile`.
     t_span : (float, float)
-        (t0, tf). tf < t0 integrates backwards; an infinite tf needs a terminal event or a callback that stops.
+        (t0, tf). tf < t0 integrates backwards; with an infinite tf only a terminal event or a callback ends the run;
+        without one it goes on until memory is full.
     y0 : array_like of shape (n,)
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'
-        A name in `METHODS`, or SciPy's name of the same method ('RK23', 'RK45', 'BDF').
+        A name in `METHODS`, or SciPy's name of the same method ('RK23', 'RK45', 'DOP853',
+        'BDF').
     t_eval : array_like, optional
         Times of the output, sorted in the direction of integration. Default: the ends of the steps.
     dense_output : bool, default False
@@ -60,34 +62,38 @@ def solve_ivp(
     vectorized : bool, default False
         Whether `fun` takes y of shape (n, k). It is called with k = 1.
     args : tuple, optional
-        Extra arguments of `fun`, `jac`, `mass`, invariants and events.
+        Extra arguments of `fun`, `jac`, `mass`, invariants, events and actions.
     invariants : callable, Invariants, or list of these, optional
         What the solution keeps: each accepted step is projected onto it (paper, sections 3 and 4).
 
     Other Parameters
     ----------------
-    jac, jac_sparsity, lband, uband, mass
-        For ode15s: what is known of the Jacobian of f, and the mass matrix. See `Problem`.
+    jac, jac_sparsity, lband, uband : optional
+        For ode15s: the Jacobian of f, or what is known of it. See `Problem`.
+    mass : optional
+        For ode15s: the matrix M. See `Problem`.
     max_order : int, optional
         Highest order of the formulas of ode113 (12) and ode15s (5).
     bdf : bool, default False
         ode15s with backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5
         are stable in wider sectors.
-    rtol, atol : float or array_like of shape (n,), defaults 1e-3 and 1e-6
+    rtol : float or array_like of shape (n,), default 1e-3
         The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is raised
         to it.
+    atol : float or array_like of shape (n,), default 1e-6
+        See `rtol`; in the units of y.
     first_step : float, optional
         Size of the first step. Default: chosen from f(t0, y0).
     max_step : float, optional
         Largest step. Default: a tenth of the interval; ``inf`` lifts that.
     refine : int, default 1
         Points per step in the output; those inside the step are interpolated.
-    interpolation : {'projected', 'corrected', 'raw'}
+    interpolation : {'projected', 'corrected', 'raw'}, default 'projected'
         Values between steps: continuous and on the manifold of the invariants; continuous only; or the method's own
         extension, as in the paper and the suite.
-    fsal : {'reuse', 'evaluate'}
-        After a projection: take the last stage of the step as the first of the next (paper, section 4), or evaluate f
-        at the projected value, for one more f per step.
+    fsal : {'reuse', 'evaluate'}, default 'reuse'
+        For ode23 and ode45, elsewhere a warning. After a projection: take the last stage of the step as the first of
+        the next (paper, section 4), or evaluate f at the projected value, for one more f per step.
     callback : callable, optional
         ``callback(t, y)`` after each accepted step; returning True stops.
     save : {'all', 'outputs', 'end'}, optional
