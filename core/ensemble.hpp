@@ -9,7 +9,6 @@
 #include <exception>
 #include <memory>
 #include <mutex>
-#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -53,7 +52,7 @@ class alignas(64) Share {
 
 /// Calls work(worker, index, cancelled) for each index < count, on `workers` threads; meanwhile, every `patience` and
 /// at the end, watch(done) on the calling thread, which cancels what is left by returning false. True: all were done.
-/// `cancelled` is for work that takes long. What work throws cancels the others and is thrown again.
+/// `cancelled` is for work that takes long. What work throws first cancels the others and is thrown again.
 template <class Work, class Watch>
 bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work,
                     Watch watch) {
@@ -80,7 +79,7 @@ bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milli
           work(own, index, cancelled);
         } catch (...) {
           const std::lock_guard lock(mutex);
-          error = std::current_exception();
+          if (!error) error = std::current_exception();
           cancelled = true;
         }
         done.fetch_add(1, std::memory_order_relaxed);
@@ -95,7 +94,7 @@ bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milli
   threads.reserve(workers);
   try {
     for (std::size_t w = 0; w < workers; ++w) threads.emplace_back(labour, w);
-  } catch (const std::system_error&) {  // no more threads to be had: those that run take the others' shares
+  } catch (...) {  // no more threads to be had: those that run take the others' shares
     if (threads.empty()) throw;
     const std::lock_guard lock(mutex);
     running -= workers - threads.size();

@@ -7,11 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
+import warnings
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 import invariode as iv
+from invariode import ensemble
 
 numba = pytest.importorskip("numba")
 
@@ -74,6 +78,11 @@ def same(a: iv.EnsembleSolution, b: iv.EnsembleSolution) -> None:
             np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
+def same_counts(out: iv.EnsembleSolution, i: int, one: iv.Solution) -> None:
+    for name in out.stats:
+        assert out.stats[name][i] == one.stats[name], name
+
+
 @pytest.mark.parametrize("kind", FUNCTIONS)
 @pytest.mark.parametrize("t_eval", [None, TIMES], ids=["end", "t_eval"])
 def test_each_row_is_the_single_solve_of_it(method, kind, t_eval):
@@ -86,8 +95,7 @@ def test_each_row_is_the_single_solve_of_it(method, kind, t_eval):
         np.testing.assert_array_equal(out.y[i], one.y)
         assert out.t_end[i] == SPAN[1]
         assert out.status[i] == one.status == 0
-        for name in ("steps", "failed", "nfev", "njev", "nlu", "projections", "ngjac", "nfev_check"):
-            assert out.stats[name][i] == one.stats[name], name
+        same_counts(out, i, one)
         np.testing.assert_allclose(out.residual_after[i], np.abs(one.residual).max(axis=1), rtol=1e-12, atol=1e-15)
         np.testing.assert_array_equal(out.residual_before[i], one.drift().residual_before)
         np.testing.assert_array_equal(out.value[i], one.drift().value)
@@ -138,6 +146,58 @@ def test_a_trajectory_that_fails_is_a_status_and_disturbs_no_other(kind):
     assert "38 reached the end, 2 failed (the first, number 3" in repr(out)
 
 
+@pytest.mark.parametrize("demanded", [False, True])
+@pytest.mark.parametrize("fun", [kepler, kepler_code], ids=["python", "native"])
+@pytest.mark.parametrize("g", [integrals, integrals_code], ids=["python g", "native g"])
+def test_counts_are_those_of_single_solves_however_jacobians_are_had(fun, g, demanded):
+    y0, mu = rows(3)
+    value = integrals(0, y0[0], mu[0, 0]) if demanded else None
+    invariants = iv.Invariants(g, value=value, names=["energy", "momentum"])
+    about = {"invariants": invariants, "events": iv.Event(apsis_code)}
+    out = iv.solve_ensemble(fun, SPAN, y0, args=mu, workers=1, **about)
+    for i in range(1 if demanded else 3):  # the others are off the value that is demanded
+        same_counts(out, i, iv.solve_ivp(fun, SPAN, y0[i], args=tuple(mu[i]), save="end", **about))
+
+
+turn_code = iv.compile(lambda t, y, p: (p[0] * y[1], -p[0] * y[0]))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_threads_and_processes_agree_on_rows_that_fail(workers):
+    held = iv.Invariants(iv.compile(lambda t, y, p: y[0] ** 2 + y[1] ** 2), names="square")
+    y0 = [[1.0, 0.0], [np.nan, 0.0], [0.0, 2.0], [3.0, 4.0]]
+    rates = np.array([[1.0], [1.0], [3.0], [0.5]])
+    about = {"args": rates, "invariants": held, "t_eval": np.linspace(0, 4, 9), "rtol": 1e-6}
+
+    def undefined_later(t, y, rate):
+        return y[0] if t < 1.3 or rate < 2 else np.nan
+
+    native = iv.Event(iv.compile(lambda t, y, p: y[0] if t < 1.3 or p[0] < 2 else np.nan))
+    threads = iv.solve_ensemble(turn_code, (0, 4), y0, events=native, **about)
+    processes = iv.solve_ensemble(turn_code, (0, 4), y0, events=undefined_later, workers=workers, **about)
+    np.testing.assert_array_equal(threads.status, [0, -3, -3, 0])
+    assert 0 < threads.t_end[2] < 4
+    assert (threads.stats.steps[[0, 2, 3]] > 0).all()
+    assert np.isnan(threads.value[1]).all()
+    assert threads.messages[1] == "ValueError: y0 must be finite, got y0[0] = nan"
+    assert "returned NaN at t = " in threads.messages.pop(2)
+    assert "undefined_later returned NaN at t = " in processes.messages.pop(2)
+    same(threads, processes)
+
+
+@pytest.mark.parametrize("kind", FUNCTIONS)
+def test_events_that_do_not_occur_have_no_rows(kind):
+    fun, _, _ = FUNCTIONS[kind]
+    y0, mu = rows(4)
+    never = iv.compile(lambda t, y, p: y[0] - 50)
+    seldom = iv.compile(lambda t, y, p: y[0] + 1.5)
+    out = iv.solve_ensemble(fun, SPAN, y0, args=mu, events=[never, seldom], workers=1)
+    assert out.success.all()
+    assert [out.events[0][name].shape for name in ("trajectory", "t", "y")] == [(0,), (0,), (0, 4)]
+    assert 0 < len(np.unique(out.events[1].trajectory)) < 4
+    assert (np.diff(out.events[1].trajectory) >= 0).all()
+
+
 def raising(t, y, mu):
     if mu > 1.9 and t > 1:
         raise RuntimeError(f"mu is {mu:.3f}")
@@ -168,6 +228,30 @@ def test_a_process_that_dies_takes_only_its_trajectory_with_it():
     assert "worker process died" in out.messages[int(np.flatnonzero(mu[:, 0] > 1.9)[0])]
 
 
+def test_a_process_that_dies_costs_two_more(monkeypatch):
+    started = []
+
+    class Counted(ensemble._Worker):
+        def __init__(self, *about):
+            started.append(self)
+            super().__init__(*about)
+
+    monkeypatch.setattr(ensemble, "_Worker", Counted)
+    y0, mu = rows(400)
+    mu[:] = 1
+    mu[[3, 4, 399]] = 2
+    out = iv.solve_ensemble(dying, (0, 0.1), y0, args=mu, workers=2)
+    np.testing.assert_array_equal(np.flatnonzero(out.status), [3, 4, 399])
+    assert len(started) <= 2 + 2 * 3
+
+
+def test_processes_that_cannot_start_are_said_to_be(monkeypatch):
+    monkeypatch.setattr(ensemble, "_work", lambda *about: os._exit(1))
+    y0, mu = rows(4)
+    with pytest.raises(RuntimeError, match="end before they solve anything"):
+        iv.solve_ensemble(kepler, SPAN, y0, args=mu, workers=2)
+
+
 @pytest.mark.parametrize("kind", FUNCTIONS)
 def test_terminal_events_end_trajectories_where_they_occur(kind):
     _, _, event = FUNCTIONS[kind]
@@ -193,6 +277,36 @@ def test_rows_of_y0_or_of_args_or_of_both():
         np.testing.assert_array_equal(by_states.y_end[i], both.y_end[i])
     one = iv.solve_ensemble(kepler_code, SPAN, y0[0], args=tuple(mu[0]))
     np.testing.assert_array_equal(one.y_end, both.y_end[:1])
+
+
+def test_rows_of_a_list_are_handed_over_as_they_are():
+    seen = set()
+
+    def f(t, y, n, name, more):
+        seen.add((type(n), name, more))
+        return [-n * y[0]]
+
+    out = iv.solve_ensemble(f, (0, 1), [1.0], args=[[1, "one", None], (2, "two", "x")], workers=1)
+    assert out.success.all()
+    assert seen == {(int, "one", None), (int, "two", "x")}
+
+    y0, mu = rows(3)
+    code = iv.compile(lambda t, y, p: kepler_jit(t, y, p[0] * p[1] * p[2]))
+    flat = iv.solve_ensemble(code, SPAN, y0, args=[[m, 1.0, 1.0] for m in mu[:, 0]])
+    nested = iv.solve_ensemble(code, SPAN, y0, args=[[np.array([m, 1.0]), 1.0] for m in mu[:, 0]])
+    np.testing.assert_array_equal(nested.y_end, flat.y_end)
+
+
+def test_complex_results_of_threads_keep_the_signs_of_zeros():
+    rest = iv.compile(lambda t, y: (0.0, 0.0, 0.0, 0.0))  # pairs of reals
+    y0 = np.array([[complex(-0.0, 1), complex(2, -0.0)], [complex(-0.0, -0.0), 3]])
+    out = iv.solve_ensemble(rest, (0, 1), y0, t_eval=[0, 1])
+    for i in range(2):
+        one = iv.solve_ivp(rest, (0, 1), y0[i], t_eval=[0, 1])
+        np.testing.assert_array_equal(out.y[i], one.y)
+        for part in (np.real, np.imag):
+            np.testing.assert_array_equal(np.signbit(part(out.y[i])), np.signbit(part(one.y)))
+            np.testing.assert_array_equal(np.signbit(part(out.y[i, :, 0])), np.signbit(part(y0[i])))
 
 
 def test_complex_problems_backwards_and_stiff_ones():
@@ -227,6 +341,59 @@ def test_singular_mass_matrices_start_consistently_in_each_trajectory():
     np.testing.assert_allclose(out.y_end[:2, 0], np.exp(-rates[:2, 0]), rtol=1e-6)
 
 
+def test_counts_with_singular_mass_matrices_are_those_of_single_solves():
+    decay = iv.compile(lambda t, y, p: (-p[0] * y[0] * y[2], p[0] * y[0] * y[2], y[0] + y[1] + y[2] - 3))
+    y0 = np.array([[1, 0, 2], [1, 0, 1.7]])
+    total = iv.Invariants(iv.compile(lambda t, y, p: y[0] + y[1]), names="total")
+    about = {"mass": np.diag([1, 1, 0]), "invariants": total, "rtol": 1e-6}
+    out = iv.solve_ensemble(decay, (0, 1), y0, "ode15s", args=[[0.5], [1.0]], **about)
+    for i, rate in enumerate((0.5, 1.0)):
+        one = iv.solve_ivp(decay, (0, 1), y0[i], "ode15s", args=(rate,), save="end", **about)
+        np.testing.assert_array_equal(out.y_end[i], one.y[:, -1])
+        same_counts(out, i, one)
+
+
+def test_starts_that_singular_mass_matrices_refuse_are_told_apart():
+    equations = iv.compile(
+        lambda t, y, p: (-y[0] + np.sqrt(p[2]), p[0] * (y[1] - y[0]) + p[1] * (y[1] ** 2 + 1)),
+    )
+    p = [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, -1.0]]
+    about = {"method": "ode15s", "mass": np.diag([1, 0])}
+    y0 = [1.0, 1.0]
+    out = iv.solve_ensemble(equations, (0, 1), y0, args=p, **about)
+    np.testing.assert_array_equal(out.status, [0, -3, -3, -1])
+    for i in (1, 2):
+        with pytest.raises(ValueError, match="algebraic") as refused:
+            iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[i]), **about)
+        assert out.messages[i] == f"ValueError: {refused.value}"
+        np.testing.assert_array_equal(out.y_end[i], y0)
+    assert "index 1" in out.messages[1]
+    assert "no consistent values" in out.messages[2]
+    assert out.messages[3] == iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[3]), **about).message
+    assert "fun is not finite at the start" in out.messages[3]
+
+
+def test_what_the_options_warn_of_is_said_once():
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        solve("python", workers=1, size=4, rtol=1e-20, first_step=1e-3, max_step=6.0, method="ode23", bdf=True)
+    assert sorted(str(one.message).split()[0] for one in said) == ["option", "rtol"]
+
+
+def test_states_at_times_are_not_copied():
+    y0 = np.ones((1000, 2), dtype=complex)
+    code = iv.compile(lambda t, y: (y[1], -y[0], y[3], -y[2]))
+    iv.solve_ensemble(code, (0, 1), y0[:1], t_eval=[1])  # imports, and compiles
+    tracemalloc.start()  # sees what numpy allocates, not the arrays of the core
+    try:
+        out = iv.solve_ensemble(code, (0, 1), y0, t_eval=np.linspace(0, 1, 200))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert out.y.nbytes == 1000 * 2 * 200 * 16
+    assert peak < out.y.nbytes / 4
+
+
 def test_redundant_invariants_are_said_once():
     y0, mu = rows()
     twice = iv.Invariants(
@@ -250,6 +417,13 @@ def test_redundant_invariants_are_said_once():
         ({"dense_output": True}, ValueError, "dense_output"),
         ({"refine": 4}, ValueError, "refine"),
         ({"save": "all"}, ValueError, "t_eval"),
+        ({"save": "outputs"}, ValueError, "save='outputs' of an ensemble needs t_eval"),
+        ({"save": "ends"}, ValueError, "did you mean 'end'"),
+        ({"save": 7}, ValueError, "save must be one of"),
+        ({"save": "end", "t_eval": [1.0]}, ValueError, 'save="end" keeps the final state only'),
+        ({"t_span": 1}, ValueError, r"t_span must be a pair \(t0, tf\), got 1"),
+        ({"args": [[1.0], [1.0, 2.0]]}, ValueError, r"one length, got lengths \[1, 2\]"),
+        ({"args": ["a", "b"]}, ValueError, "got 'a' as a row"),
         ({"t_eval": [13.0]}, ValueError, "t_eval must lie"),
         ({"y0": np.zeros((0, 4)), "args": (1.0,)}, ValueError, "at least one row"),
     ],
@@ -258,7 +432,9 @@ def test_what_is_wrong_for_all_is_an_exception(wrong, error, text):
     y0, mu = rows()
     given = {"y0": y0, "args": mu, **wrong}
     with pytest.raises(error, match=text):
-        iv.solve_ensemble(kepler_code, SPAN, given.pop("y0"), given.pop("method", "ode45"), **given)
+        iv.solve_ensemble(
+            kepler_code, given.pop("t_span", SPAN), given.pop("y0"), given.pop("method", "ode45"), **given
+        )
 
 
 def test_where_processes_start_afresh_functions_must_be_picklable(monkeypatch):
@@ -282,20 +458,36 @@ def test_the_bar_counts_trajectories(capsys):
     assert "100%" in capsys.readouterr().out
 
 
-def test_ctrl_c_ends_threads_at_once(tmp_path):
+FOREVER = """
+import os, signal, sys, threading
+import numpy as np, invariode as iv
+f = iv.compile(lambda t, y: (y[1], -y[0]))
+g = lambda t, y: (y[1], -y[0])
+iv.solve_ivp(f, (0, 1), [1, 1])  # compiles
+def interrupt():
+    print("interrupted", flush=True)
+    os.kill(os.getpid(), signal.SIGINT)  # this process alone, as `kill` does
+threading.Timer(1, interrupt).start()
+iv.solve_ensemble({fun}, (0, 1e9), np.ones((4, 2)), max_step=0.01, workers=2, progress={progress})
+"""
+
+
+@pytest.mark.parametrize("fun", ["f", "g"], ids=["threads", "processes"])
+@pytest.mark.parametrize("progress", [False, True], ids=["", "progress"])
+def test_ctrl_c_ends_all_at_once(tmp_path, fun, progress):
     script = tmp_path / "forever.py"
-    script.write_text(
-        "import numpy as np, invariode as iv\n"
-        "f = iv.compile(lambda t, y: (y[1], -y[0]))\n"
-        "print('started', flush=True)\n"
-        "iv.solve_ensemble(f, (0, 1e9), np.ones((4, 2)), max_step=0.01, workers=2)\n"
+    script.write_text(FOREVER.format(fun=fun, progress=progress))
+    process = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    process.stdout.readline()
-    time.sleep(3)  # numba compiles meanwhile
-    sent = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
+    try:
+        process.stdout.readline()
+        sent = time.monotonic()
+        _, errors = process.communicate(timeout=20)  # workers that live on keep its pipes open
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
     assert time.monotonic() - sent < 10
-    assert "KeyboardInterrupt" in errors
+    assert errors.rstrip().endswith("KeyboardInterrupt")
+    assert "SystemError" not in errors

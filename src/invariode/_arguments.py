@@ -8,7 +8,9 @@ import operator
 import os
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
@@ -18,15 +20,28 @@ Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
 
+_quiet = ContextVar("quiet", default=False)
 _PACKAGE = os.path.dirname(__file__) + os.sep
 
 
 def warn(message: str) -> None:
     """A UserWarning that points at the line of the caller of this package."""
+    if _quiet.get():
+        return
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, UserWarning, stacklevel=level)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Without warnings of this package, where they have been said."""
+    token = _quiet.set(True)
+    try:
+        yield
+    finally:
+        _quiet.reset(token)
 
 
 def call_name(fun: object, default: str) -> str:

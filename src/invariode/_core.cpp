@@ -1003,11 +1003,18 @@ class Course {
   Consistency prepare(double t0, double* y0) {
     Consistency verdict = Consistency::consistent;
     Mass* mass = implicit_ ? implicit_->mass() : nullptr;
+    Callback uncounted = f;  // nfev is what the method evaluates
     if (mass && mass->singular())
-      verdict = make_consistent(f, implicit_->jacobian(), *mass, weights_, implicit_->lapack(), t0, y0);
+      verdict = make_consistent(uncounted, implicit_->jacobian(), *mass, weights_, implicit_->lapack(), t0, y0);
     if (g_ && g_->hold(t0, y0) == Status::stop) return Consistency::stop;
     if (between_ && between_->hold(t0, y0) == Status::stop) return Consistency::stop;
     return verdict;
+  }
+  /// What a single solve has in ng before its run, each invariant once, less what `prepare` has added: what is held,
+  /// for the steps and for the output between them.
+  [[nodiscard]] std::int64_t uncounted_starts(const std::vector<InvariantBlock>& blocks) const {
+    const std::int64_t held = std::ranges::count_if(blocks, &InvariantBlock::held);
+    return static_cast<std::int64_t>(blocks.size()) - (between_ ? 2 : 1) * held;
   }
 
   /// What the run did, when it has ended; arrays are moved out.
@@ -1276,17 +1283,18 @@ struct EnsembleRun {
     Report report;
   };
   /// States that only trajectories of an ensemble have: the initial value is not finite, or not consistent.
-  static constexpr std::int8_t not_finite = -1, inconsistent = -2;
+  static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3;
   static constexpr std::size_t counts = Run::count_size;
-  EnsembleRun(std::size_t size, std::size_t n, std::size_t m, std::size_t n_t, std::size_t events)
+  EnsembleRun(std::size_t size, std::size_t n, bool complex, std::size_t m, std::size_t n_t, std::size_t events)
       : size(size),
         n(n),
+        parts(complex ? 2 : 1),
         m(m),
         n_t(n_t),
         t(size),
         y_end(size * n),
         y(size * n * n_t, std::numeric_limits<double>::quiet_NaN()),
-        value(size * m),
+        value(size * m, std::numeric_limits<double>::quiet_NaN()),
         before(size * m),
         after(size * m),
         correction(size),
@@ -1300,11 +1308,13 @@ struct EnsembleRun {
     t[i] = t0;
     std::copy(y0, y0 + n, &y_end[i * n]);
   }
-  /// Keeps what trajectory i did. The rows of y that it did not reach stay NaN.
-  void keep(std::size_t i, Course& course, std::vector<double> held);
+  /// Keeps what trajectory i did; ng gets `uncounted` more. The times of y that it did not reach stay NaN.
+  void keep(std::size_t i, Course& course, std::vector<double> held, std::int64_t uncounted);
 
-  std::size_t size, n, m, n_t;
-  std::vector<double> t, y_end, y, value, before, after, correction;
+  std::size_t size, n, parts, m, n_t;
+  std::vector<double> t, y_end;
+  std::vector<double> y;  // (size, n / parts, n_t, parts): numbers of one or two reals
+  std::vector<double> value, before, after, correction;
   std::vector<std::int64_t> count;
   std::vector<std::int8_t> state;
   std::vector<Occurrences> occurrences;
@@ -1312,14 +1322,16 @@ struct EnsembleRun {
   std::mutex shared;  // for the last two
 };
 
-void EnsembleRun::keep(std::size_t i, Course& course, std::vector<double> held) {
-  const Run run = course.result();
+void EnsembleRun::keep(std::size_t i, Course& course, std::vector<double> held, std::int64_t uncounted) {
+  Run run = course.result();
+  run.ng += uncounted;
   t[i] = run.t_end;
   std::copy(run.end(), run.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(run.state);
   std::ranges::copy(run.counted(), &count[i * counts]);
   for (std::size_t j = 0; j < run.points.t.size() && n_t > 0; ++j)
-    for (std::size_t c = 0; c < n; ++c) y[(i * n + c) * n_t + j] = run.points.y[j * n + c];
+    for (std::size_t c = 0; c < n; ++c)
+      y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = run.points.y[j * n + c];
   if (m > 0) {
     std::copy(held.begin(), held.end(), &value[i * m]);
     std::copy_n(run.drift.residual.begin(), m, &before[i * m]);
@@ -1327,7 +1339,11 @@ void EnsembleRun::keep(std::size_t i, Course& course, std::vector<double> held) 
     std::vector<double> g(m);
     const auto measure = [&](double at, const double* point) {
       if (course.invariants()->evaluate(at, point, g.data()) == Status::stop) return;
-      for (std::size_t k = 0; k < m; ++k) after[i * m + k] = std::max(after[i * m + k], std::abs(g[k] - held[k]));
+      for (std::size_t k = 0; k < m; ++k) {
+        double& largest = after[i * m + k];
+        const double residual = std::abs(g[k] - held[k]);
+        if (residual > largest || std::isnan(residual)) largest = residual;  // NaN, where g was NaN, stays
+      }
     };
     auto jump = run.jumps.begin();
     const auto pass_jumps = [&](std::size_t row) {
@@ -1365,26 +1381,37 @@ std::unique_ptr<EnsembleRun> integrate_all(const std::vector<Solver*>& solvers, 
   for (const Solver* solver : solvers)
     if (!solver->functions.native()) throw nb::value_error("functions of an ensemble on threads must be native");
   if (size >= std::numeric_limits<std::uint32_t>::max()) throw nb::value_error("too many trajectories");
-  auto run = std::make_unique<EnsembleRun>(size, n, m, first.settings.times.size(), first.event_functions.size());
+  auto run = std::make_unique<EnsembleRun>(size, n, first.complex, m, first.settings.times.size(),
+                                           first.event_functions.size());
   const auto work = [&](std::size_t worker, std::uint32_t i, const std::atomic<bool>& cancelled) {
     Solver& solver = *solvers[worker];
     solver.functions.set_parameters(parameters.data() + i * parameters.shape(1));
-    std::vector<double> start(y0.data() + i * n, y0.data() + (i + 1) * n);
+    const double t0 = solver.settings.t0;
+    const double* given = y0.data() + i * n;
+    std::vector<double> start(given, given + n);
     Course course(solver);
     std::vector<double> held;
-    if (!all_finite(start.data(), n)) return run->refuse(i, EnsembleRun::not_finite, solver.settings.t0, start.data());
-    const Consistency verdict = course.prepare(solver.settings.t0, start.data());
-    if (verdict != Consistency::consistent && verdict != Consistency::corrected)
-      return run->refuse(i, EnsembleRun::inconsistent, solver.settings.t0, start.data());
+    if (!all_finite(given, n)) return run->refuse(i, EnsembleRun::not_finite, t0, given);
+    switch (course.prepare(t0, start.data())) {
+      case Consistency::not_found: return run->refuse(i, EnsembleRun::not_found, t0, given);
+      case Consistency::index_too_high: return run->refuse(i, EnsembleRun::index_too_high, t0, given);
+      case Consistency::consistent:
+      case Consistency::corrected:
+      case Consistency::undefined:  // the run says so
+      case Consistency::stop: break;
+    }
     if (const Invariants* g = course.invariants()) held = g->value();
     State state = course.integration.start(start.data());
     while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = course.integration.advance();
-    run->keep(i, course, std::move(held));
+    run->keep(i, course, std::move(held), course.uncounted_starts(solver.blocks));
   };
   bool raised = false;
   const auto watch = [&](std::uint32_t done) {
     const nb::gil_scoped_acquire held;
-    if (raised || PyErr_CheckSignals() != 0) return false;
+    if (raised || PyErr_CheckSignals() != 0) {
+      raised = true;
+      return false;
+    }
     if (progress.is_none()) return true;
     try {
       progress(done);
@@ -1646,7 +1673,8 @@ NB_MODULE(_core, module) {
                           "Results of `integrate_all`. Arrays are handed over: each `take_…` works once.")
       .def("take_t", [](EnsembleRun& r) { return to_array<Vector>(std::move(r.t), r.size); })
       .def("take_end", [](EnsembleRun& r) { return to_array<Table>(std::move(r.y_end), r.size, r.n); })
-      .def("take_y", [](EnsembleRun& r) { return to_array<Block>(std::move(r.y), r.size, r.n, r.n_t); })
+      .def("take_y",
+           [](EnsembleRun& r) { return to_array<Block>(std::move(r.y), r.size, r.n / r.parts, r.n_t * r.parts); })
       .def("take_drift",
            [](EnsembleRun& r) {
              return std::make_tuple(

@@ -8,19 +8,34 @@ import os
 import pickle
 import signal
 import warnings
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing, suppress
+from multiprocessing.connection import Connection
+from multiprocessing.connection import wait as wait_for_any
+from multiprocessing.context import BaseContext
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
-from ._arguments import Array, extra_arguments, flag, numbers, positive_integer, warn
+from ._arguments import (
+    Array,
+    choice,
+    extra_arguments,
+    flag,
+    interval,
+    numbers,
+    positive_integer,
+    quietly,
+    state,
+    warn,
+)
 from ._outcome import inconsistent_start
 from ._progress import bar
 from ._types import EnsembleOptions, EventsLike, Function, InvariantsLike, MethodName, Span
+from .compiled import native_parameters
 from .invariants import as_columns
 from .problem import Plan, Problem
 from .solution import Record
@@ -29,7 +44,10 @@ __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensembl
 
 _STATUS = {"reached_end": 0, "terminal_event": 1, "stopped_by_callback": 2, "invariant_convicted": -2}
 _EXCEPTIONS = ("invariant_refused", "event_undefined", "action_undefined", "interrupted")
-_NOT_FINITE, _INCONSISTENT = -1, -2  # states that only trajectories of an ensemble have
+_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+# States that only trajectories of an ensemble have.
+_NOT_FINITE = -1
+_INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
 
 
 @dataclasses.dataclass(eq=False, repr=False)
@@ -79,16 +97,16 @@ class EnsembleSolution(Record):
     Attributes
     ----------
     t : ndarray, (n_t,)
-        `t_eval`; with ``save="end"`` the end of the interval.
+        `t_eval`; without it the end of the interval.
     y : ndarray, (N, n, n_t)
-        The states at t, NaN at times that a trajectory did not reach. With ``save="end"`` the final states, wherever
-        the trajectory ended: see `t_end`.
+        The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, wherever the
+        trajectory ended: see `t_end`.
     t_end, y_end : ndarray, (N,) and (N, n)
         Where each trajectory ended, and the state there.
     status : ndarray of int, (N,)
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 an invariant is none,
-        -3 what ends a single solve with an exception: the initial value is off a demanded manifold or not finite, an
-        invariant or an event is refused, a function raised.
+        -3 what ends a single solve with an exception: the initial value is off a demanded manifold, not consistent or
+        not finite, an invariant or an event is refused, a function raised.
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str
@@ -98,7 +116,7 @@ class EnsembleSolution(Record):
     stats : EnsembleStats
         Counts of each trajectory.
     value : ndarray, (N, m)
-        At what the invariants were held (at first, if events with actions changed it).
+        At what the invariants were held (at first, if events with actions changed it). NaN where there was no start.
     residual_before, residual_after : ndarray, (N, m)
         Largest ``|g - value|`` of the accepted candidates before projection; at the outputs and the end.
     correction : ndarray, (N,)
@@ -161,15 +179,16 @@ def solve_ensemble(
         As in `solve_ivp`. An invariant without `value` is held at its initial value of each trajectory.
     y0 : array_like of shape (N, n) or (n,)
         Initial states, one row per trajectory, or one for all.
-    args : tuple, or array_like of shape (N, k), optional
-        A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i.
+    args : tuple, or array or list of shape (N, k), optional
+        A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i;
+        those of a list may be of any types.
     workers : int, optional
         Threads or processes. Default: the processors that this process may use.
     progress : bool
         Whether a progress bar is shown (needs rich).
     **options
-        Those of `solve_ivp` but for `dense_output` and `refine`. With `t_eval` the states at these times are kept;
-        without it, or with ``save="end"``, the final ones.
+        Those of `solve_ivp` but for `dense_output` and `refine`. With `t_eval` the states at these times are kept,
+        without it the final ones.
 
     Returns
     -------
@@ -180,6 +199,8 @@ def solve_ensemble(
     TypeError, ValueError
         What is wrong for all trajectories. With several processes on a platform that starts them afresh (not by fork):
         a function that cannot be pickled, such as a lambda or one defined in a function or a notebook.
+    RuntimeError
+        The processes end before they solve anything: they cannot import the functions.
 
     Notes
     -----
@@ -211,20 +232,21 @@ def solve_ensemble(
     for name, harmless in (("dense_output", False), ("refine", 1)):
         if options.get(name, harmless) != harmless:
             raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
-    if options.get("save") == "all" and options.get("t_eval") is None:
-        raise ValueError('save="all" of an ensemble needs t_eval: trajectories have steps of their own')
+    if (save := options.get("save")) is not None:
+        choice("save", save, ("all", "outputs", "end"))
     if options.get("t_eval") is None:
+        if save in ("all", "outputs"):
+            raise ValueError(f"save={save!r} of an ensemble needs t_eval: trajectories have steps of their own")
         options["save"] = "end"
     workers = positive_integer("workers", _processors() if workers is None else workers)
     rows, extra = _rows(y0, args)
-    task = _Task(fun, tuple(t_span), describing, method, options, rows, extra)
+    task = _Task(fun, interval(t_span), describing, method, options, rows, extra)
     if len(rows) == 0:
         raise ValueError("an ensemble needs at least one row of y0 or args")
     plan = task.first_plan()
     with bar(flag("progress", progress), "trajectories", len(rows)) as report:
         native = _core.Solver(**plan.solver).native
-        results = (_on_threads if native else _in_processes)(task, plan, min(workers, len(rows)), report)
-    return results.solution()
+        return (_on_threads if native else _in_processes)(task, plan, min(workers, len(rows)), report)
 
 
 def _processors() -> int:
@@ -232,23 +254,34 @@ def _processors() -> int:
 
 
 def _rows(y0: ArrayLike, args: Any) -> tuple[Array, Any]:
-    """The initial values as (N, n), and the extra arguments as a tuple or as an array of rows."""
+    """The initial values as (N, n), and the extra arguments as a tuple, a list of such, or an array of rows."""
     states = numbers("y0", y0)
     if states.ndim not in (1, 2):
         raise ValueError(f"y0 of an ensemble must have shape (N, n) or (n,), got {states.shape}")
     if args is None or isinstance(args, tuple):
         return np.atleast_2d(states), extra_arguments(args)
-    extra = np.asarray(args)
-    if extra.ndim != 2:
-        raise ValueError(
-            f"args of an ensemble must be a tuple, for all trajectories, or an array of shape (N, k), got shape "
-            f"{extra.shape}"
-        )
+    extra = [_row_of_arguments(row) for row in args] if isinstance(args, list) else np.asarray(args)
+    if isinstance(extra, list) and len(set(map(len, extra))) > 1:
+        raise ValueError(f"rows of args must be of one length, got lengths {sorted(set(map(len, extra)))}")
+    if isinstance(extra, np.ndarray) and extra.ndim != 2:
+        raise _no_rows(f"shape {extra.shape}")
     if states.ndim == 1:
         states = np.broadcast_to(states, (len(extra), len(states)))
     if len(states) != len(extra):
         raise ValueError(f"y0 has {len(states)} rows and args has {len(extra)}: they must be as many")
     return states, extra
+
+
+def _row_of_arguments(row: Any) -> tuple[Any, ...]:
+    if isinstance(row, np.ndarray) and row.ndim > 0:
+        return tuple(row.tolist())
+    if isinstance(row, Sequence) and not isinstance(row, str):
+        return tuple(row)
+    raise _no_rows(f"{row!r} as a row")
+
+
+def _no_rows(got: str) -> ValueError:
+    return ValueError(f"args of an ensemble must be a tuple, for all trajectories, or rows of shape (N, k), got {got}")
 
 
 @dataclasses.dataclass
@@ -261,10 +294,12 @@ class _Task:
     method: MethodName
     options: Any
     y0: Array
-    args: Any  # a tuple, or rows
+    args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
 
     def problem(self, i: int) -> Problem:
-        args = self.args if isinstance(self.args, tuple) else tuple(self.args[i].tolist())
+        args = self.args if isinstance(self.args, tuple) else self.args[i]
+        if isinstance(args, np.ndarray):
+            args = tuple(args.tolist())
         return Problem(self.fun, self.t_span, self.y0[i], args=args, **self.describing)
 
     def plan(self, i: int) -> Plan:
@@ -283,120 +318,82 @@ class _Task:
         raise first_error
 
 
-class _Results:
-    """The rows of the result, filled as trajectories end."""
-
-    def __init__(self, task: _Task, plan: Plan) -> None:
-        size, n = task.y0.shape
-        times = plan.solver["times"]
-        self.t = np.array([plan.solver["tf"]]) if times is None else times
-        m = len(plan.bound)
-        self.y = np.full((size, n, len(self.t)), np.nan, dtype=task.y0.dtype)
-        self.t_end, self.y_end = np.full(size, plan.solver["t0"], dtype=float), task.y0.copy()
-        self.status = np.full(size, -3, dtype=np.int8)
-        self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
-        self.value = np.full((size, m), np.nan)
-        self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
-        self.messages: dict[int, str] = {}
-        self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
-        self.ends_only = times is None
-
-    def keep(self, outcome: _Outcome) -> None:
-        """What one trajectory came to."""
-        i = outcome.trajectory
-        if outcome.status < 0:
-            self.messages[i] = outcome.message
-        self.status[i] = outcome.status
-        if outcome.run is None:
-            return
-        one = outcome.run
-        self.t_end[i], self.y_end[i] = one.t_end, one.y_end
-        self.y[i, :, : one.y.shape[1]] = one.y
-        self.counts[i] = one.counts
-        self.value[i], self.before[i], self.after[i], self.correction[i] = (
-            one.value,
-            one.before,
-            one.after,
-            one.correction,
-        )
-        for found, (t, y) in zip(self.found, one.events, strict=True):
-            if len(t):
-                found.append((i, t, y))
-
-    def solution(self) -> EnsembleSolution:
-        if self.ends_only:
-            self.y = self.y_end[:, :, None].copy()
-        if dropped := int((self.counts[:, -1] > 0).sum()):
-            warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
-        stats = dict(zip(_core.COUNTS, self.counts.T, strict=True))
-        del stats["dropped"]
-        return EnsembleSolution(
-            t=self.t,
-            y=self.y,
-            t_end=self.t_end,
-            y_end=self.y_end,
-            status=self.status,
-            success=self.status >= 0,
-            messages=dict(sorted(self.messages.items())),
-            events=[self._events(found) for found in self.found],
-            stats=EnsembleStats(**stats),
-            value=self.value,
-            residual_before=self.before,
-            residual_after=self.after,
-            correction=self.correction,
-        )
-
-    def _events(self, found: list[tuple[int, Array, Array]]) -> EnsembleEvents:
-        found.sort(key=lambda one: one[0])
-        trajectory = np.repeat([i for i, _, _ in found], [len(t) for _, t, _ in found]).astype(np.int64)
-        t = np.concatenate([np.zeros(0), *(t for _, t, _ in found)])
-        y = np.concatenate([np.zeros((0, self.y_end.shape[1]), self.y_end.dtype), *(y for _, _, y in found)])
-        return EnsembleEvents(trajectory, t, y)
+def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) -> EnsembleSolution:
+    times = plan.solver["times"]
+    if dropped := int((counts[:, -1] > 0).sum()):
+        warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
+    stats = dict(zip(_core.COUNTS, counts.T, strict=True))
+    del stats["dropped"]
+    return EnsembleSolution(
+        t=np.array([plan.solver["tf"]]) if times is None else times,
+        y=y_end[:, :, None].copy() if times is None else y,
+        y_end=y_end,
+        success=fields["status"] >= 0,
+        stats=EnsembleStats(**stats),
+        **fields,
+    )
 
 
 # ----------------------------------------------------------------------------------------------------------------------
 # On threads, in the core
 
 
-def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> _Results:
-    size = len(task.y0)
+def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     y0 = np.ascontiguousarray(task.y0)
-    p = plan.solver["parameters"]
-    if isinstance(task.args, tuple):
-        parameters = np.ascontiguousarray(np.broadcast_to(p, (size, len(p))))
-    else:
-        parameters = np.ascontiguousarray(task.args, dtype=float)
-    solvers = [_core.Solver(**plan.solver) for _ in range(min(workers, size))]
-    run = _core.integrate_all(solvers, y0.view(float).reshape(size, -1), parameters, report)
-
-    results = _Results(task, plan)
-    dtype = task.y0.dtype
-    results.t_end, results.y_end = run.take_t(), run.take_end().view(dtype)
-    if not results.ends_only:
-        results.y = _components(run.take_y(), dtype)
-    results.counts = run.take_counts()
-    results.value, results.before, results.after, results.correction = run.take_drift()
+    solvers = [_core.Solver(**plan.solver) for _ in range(workers)]
+    run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
+    dtype = y0.dtype
     states = run.take_states()
+    value, before, after, correction = run.take_drift()
     codes = np.array([_STATUS.get(name, -3 if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8)
-    results.status = np.where(states < 0, np.int8(-3), codes[states])
+    return _solution(
+        plan,
+        y=run.take_y().view(dtype),
+        t_end=run.take_t(),
+        y_end=run.take_end().view(dtype),
+        status=np.where(states < 0, np.int8(-3), codes[states]),
+        counts=run.take_counts(),
+        messages=_messages(task, plan, run, states),
+        events=[_in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
+        value=value,
+        residual_before=before,
+        residual_after=after,
+        correction=correction,
+    )
+
+
+def _parameters(task: _Task, plan: Plan) -> Array:
+    """The parameters of the native functions, one row for each trajectory."""
+    size, p = len(task.y0), plan.solver["parameters"]
+    if isinstance(task.args, tuple):
+        return np.ascontiguousarray(np.broadcast_to(p, (size, len(p))))
+    try:
+        return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
+    except ValueError:  # arguments of different shapes
+        return np.stack([native_parameters(row, [task.fun]) for row in task.args])
+
+
+def _messages(task: _Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
+    """Why trajectories failed, in their order."""
+    messages: dict[int, str] = {}
     for i, failure in run.failures():
         exception = plan.exception(failure)
-        results.messages[i] = plan.verdict(failure)[1] if exception is None else _as_text(exception)
-    t0 = plan.solver["t0"]
-    for row in np.flatnonzero(states == _NOT_FINITE).tolist():
-        results.messages[row] = f"ValueError: y0 must be finite, got {task.y0[row]}"
-    for row in np.flatnonzero(states == _INCONSISTENT).tolist():
-        results.messages[row] = f"ValueError: {inconsistent_start('not_found', t0)}"
-    for found, (trajectory, t, y) in zip(results.found, run.take_events(), strict=True):
-        starts = np.flatnonzero(np.diff(trajectory, prepend=-1))
-        for start, stop in zip(starts, [*starts[1:], len(t)], strict=True):
-            found.append((int(trajectory[start]), t[start:stop], y[start:stop].view(dtype)))
-    return results
+        messages[i] = plan.verdict(failure)[1] if exception is None else _as_text(exception)
+    for i in np.flatnonzero(states == _NOT_FINITE).tolist():
+        try:
+            state(task.y0[i])
+        except ValueError as error:
+            messages[i] = _as_text(error)
+    for code, verdict in _INCONSISTENT.items():
+        text = f"ValueError: {inconsistent_start(verdict, plan.solver['t0'])}"
+        messages.update(dict.fromkeys(np.flatnonzero(states == code).tolist(), text))
+    return dict(sorted(messages.items()))
 
 
-def _components(y: Array, dtype: np.dtype[Any]) -> Array:
-    """Reals (N, reals, n_t) as components (N, n, n_t): of a complex problem each is two neighbouring rows."""
-    return y if dtype.kind != "c" else y[:, 0::2] + 1j * y[:, 1::2]
+def _in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
+    """Occurrences as trajectories ended, by trajectory; those of each one are in order."""
+    order = np.argsort(trajectory, kind="stable")
+    return EnsembleEvents(trajectory[order], t[order], y[order])
 
 
 def _as_text(error: BaseException) -> str:
@@ -414,7 +411,7 @@ class _Row:
     t_end: float
     y_end: Array
     y: Array
-    counts: list[int]
+    counts: Array
     value: Array
     before: Array
     after: Array
@@ -433,14 +430,12 @@ class _Outcome:
 def _solve_one(task: _Task, i: int) -> _Outcome:
     """One trajectory, with whatever goes wrong in it as its status."""
     try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "invariants? .* redundant")  # counted, and said once
+        with quietly():  # the first plan has said it
             plan = task.plan(i)
-            run = _core.Solver(**plan.solver).integrate(plan.y0.view(float))
-            if exception := plan.exception(run):
-                return _Outcome(i, -3, _as_text(exception), None)
-            status, message = plan.verdict(run)
-            return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
+        run = _core.Solver(**plan.solver).integrate(plan.y0.view(float))
+        exception = plan.exception(run)
+        status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
+        return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
     except Exception as error:
         return _Outcome(i, -3, _as_text(error), None)
 
@@ -454,6 +449,9 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     t, rows, t_end, end = run.take_points()
     y = as_columns(rows, dtype)
     y_end = y[:, -1] if end is None else end.view(dtype)
+    counts = np.array(run.counts)
+    counts[_NG] += bound.evaluations  # before the run, as in `Problem._solution`
+    counts[_NGDIFF] += bound.evaluations - len(bound.specs)
     before, _, correction = run.take_drift()
     after = np.zeros(len(bound))
     if len(bound):
@@ -464,7 +462,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
         t_end=t_end,
         y_end=y_end,
         y=y if plan.solver["times"] is not None else y[:, :0],
-        counts=list(run.counts),
+        counts=counts,
         value=bound.value,
         before=before[: len(bound)],
         after=after,
@@ -473,70 +471,180 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     )
 
 
-_inherited: _Task | None = None  # in a worker process: what it works on
+class _Rows:
+    """The rows of the result, filled as trajectories end."""
+
+    def __init__(self, task: _Task, plan: Plan) -> None:
+        size, n = task.y0.shape
+        times, m = plan.solver["times"], len(plan.bound)
+        self.plan = plan
+        self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
+        self.t_end, self.y_end = np.full(size, plan.solver["t0"], dtype=float), task.y0.copy()
+        self.status = np.full(size, -3, dtype=np.int8)
+        self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
+        self.value = np.full((size, m), np.nan)
+        self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
+        self.messages: dict[int, str] = {}
+        self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
+
+    def keep(self, outcome: _Outcome) -> None:
+        """What one trajectory came to."""
+        i = outcome.trajectory
+        if outcome.status < 0:
+            self.messages[i] = outcome.message
+        self.status[i] = outcome.status
+        if outcome.run is None:
+            return
+        one = outcome.run
+        self.t_end[i], self.y_end[i] = one.t_end, one.y_end
+        self.y[i, :, : one.y.shape[1]] = one.y
+        self.counts[i] = one.counts
+        self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
+        self.correction[i] = one.correction
+        for found, (t, y) in zip(self.found, one.events, strict=True):
+            if len(t):
+                found.append((i, t, y))
+
+    def solution(self) -> EnsembleSolution:
+        return _solution(
+            self.plan,
+            y=self.y,
+            t_end=self.t_end,
+            y_end=self.y_end,
+            status=self.status,
+            counts=self.counts,
+            messages=dict(sorted(self.messages.items())),
+            events=[self._events(found) for found in self.found],
+            value=self.value,
+            residual_before=self.before,
+            residual_after=self.after,
+            correction=self.correction,
+        )
+
+    def _events(self, found: list[tuple[int, Array, Array]]) -> EnsembleEvents:
+        trajectory = np.repeat([i for i, _, _ in found], [len(t) for _, t, _ in found]).astype(np.int64)
+        t = np.concatenate([np.zeros(0), *(t for _, t, _ in found)])
+        y = np.concatenate([np.zeros((0, self.y_end.shape[1]), self.y_end.dtype), *(y for _, _, y in found)])
+        return _in_order(trajectory, t, y)
 
 
-def _begin(task: _Task) -> None:
-    global _inherited
-    _inherited = task
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
+def _in_processes(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
+    rows, done = _Rows(task, plan), 0
+    with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
+        for outcomes in chunks:
+            for outcome in outcomes:
+                rows.keep(outcome)
+            done += len(outcomes)
+            if report:
+                report(done)
+    return rows.solution()
 
 
-def _solve_some(indices: range) -> list[_Outcome]:
-    assert _inherited is not None
-    return [_solve_one(_inherited, i) for i in indices]
-
-
-def _in_processes(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> _Results:
-    results = _Results(task, plan)
-    size, done = len(task.y0), 0
-    for outcomes in _here(task, size) if workers == 1 else _elsewhere(task, size, workers):
-        for outcome in outcomes:
-            results.keep(outcome)
-        done += len(outcomes)
-        if report:
-            report(done)
-    return results
-
-
-def _here(task: _Task, size: int) -> Iterator[list[_Outcome]]:
-    for i in range(size):
+def _here(task: _Task) -> Generator[list[_Outcome]]:
+    for i in range(len(task.y0)):
         yield [_solve_one(task, i)]
 
 
-def _elsewhere(task: _Task, size: int, workers: int) -> Iterator[list[_Outcome]]:
+def _elsewhere(task: _Task, workers: int) -> Generator[list[_Outcome]]:
     """Chunks of outcomes from worker processes, as they end. A trajectory that kills its process is a failure."""
     context = multiprocessing.get_context()
     if context.get_start_method() != "fork":
         _require_picklable(task)
+    size = len(task.y0)
     chunk = max(1, min(256, size // (8 * workers)))
-    left = [range(i, min(i + chunk, size)) for i in range(0, size, chunk)]
-    unfinished: list[range] = []
-    with ProcessPoolExecutor(workers, context, _begin, (task,)) as pool:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
-                waiting: dict[Future[list[_Outcome]], range] = {pool.submit(_solve_some, some): some for some in left}
-            while waiting:
-                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                    some = waiting.pop(future)
-                    try:
-                        yield future.result()
-                    except BrokenProcessPool:
-                        unfinished.append(some)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    for i in (i for some in unfinished for i in some):  # one of them did it: each alone, in a process of its own
-        yield from _alone(task, i)
+    left = deque(range(i, min(i + chunk, size)) for i in range(0, size, chunk))
+    crew: list[_Worker] = []
+    try:
+        for _ in range(workers):
+            crew.append(_Worker(context, task))
+        while True:
+            for worker in crew:
+                if left and worker.chunk is None:
+                    worker.give(left.popleft())
+            busy = {worker.connection: worker for worker in crew if worker.chunk is not None}
+            if not busy:
+                break
+            for connection in wait_for_any(list(busy)):
+                worker = busy[connection]  # type: ignore[index]  # they are among those that were waited for
+                chunk_of_it, outcomes = worker.take()
+                if outcomes is None:
+                    if all(one.row.value < 0 for one in crew):
+                        raise RuntimeError(_NOTHING_SOLVED)
+                    outcomes, again = _narrowed(chunk_of_it, worker.row.value)
+                    left.extendleft(again)
+                    worker.end(at_once=True)
+                    crew[crew.index(worker)] = _Worker(context, task)
+                if outcomes:
+                    yield outcomes
+    except BaseException:
+        for worker in crew:
+            worker.end(at_once=True)
+        raise
+    for worker in crew:
+        worker.end()
 
 
-def _alone(task: _Task, i: int) -> Iterator[list[_Outcome]]:
-    with ProcessPoolExecutor(1, multiprocessing.get_context(), _begin, (task,)) as pool:
+def _narrowed(chunk: range, row: int) -> tuple[list[_Outcome], list[range]]:
+    """What becomes of a chunk whose process died at `row`, and what of it is left to be solved: `row` alone, in case
+    that it was not to blame, and those before and behind it."""
+    if len(chunk) == 1:
+        why = "the worker process died: fun ended the process, or memory ran out"
+        return [_Outcome(chunk.start, -3, why, None)], []
+    row = row if row in chunk else chunk.start
+    parts = range(chunk.start, row), range(row, row + 1), range(row + 1, chunk.stop)
+    return [], [part for part in parts if part]
+
+
+class _Worker:
+    """A process that solves one chunk after the other, and says at which row it is."""
+
+    def __init__(self, context: BaseContext, task: _Task) -> None:
+        self.connection, theirs = context.Pipe()
+        self.row = context.RawValue("q", -1)
+        self.chunk: range | None = None  # what it is solving
+        self._process = context.Process(target=_work, args=(task, theirs, self.row))  # type: ignore[attr-defined]  # all contexts have it
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
+            self._process.start()
+        theirs.close()  # theirs alone, it ends with them
+
+    def give(self, chunk: range) -> None:
+        self.chunk = chunk
+        with suppress(OSError):  # it has died: `take` will see it
+            self.connection.send(chunk)
+
+    def take(self) -> tuple[range, list[_Outcome] | None]:
+        """The chunk that was given, and its outcomes. None: the process has died."""
+        chunk, self.chunk = self.chunk, None
+        assert chunk is not None
         try:
-            yield pool.submit(_solve_some, range(i, i + 1)).result()
-        except BrokenProcessPool:
-            yield [_Outcome(i, -3, "the worker process died: fun ended the process, or memory ran out", None)]
+            return chunk, self.connection.recv()
+        except (EOFError, OSError):
+            return chunk, None
+
+    def end(self, at_once: bool = False) -> None:
+        if at_once:
+            self._process.kill()
+        with suppress(OSError):  # closing alone ends no process whose siblings have inherited this end
+            self.connection.send(None)
+        self.connection.close()
+        self._process.join()
+
+
+def _work(task: _Task, connection: Connection, row: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
+    while (chunk := connection.recv()) is not None:
+        outcomes = []
+        for i in chunk:
+            row.value = i
+            outcomes.append(_solve_one(task, i))
+        connection.send(outcomes)
+
+
+_NOTHING_SOLVED = (
+    "the worker processes end before they solve anything: where processes are started afresh, define the functions in "
+    'a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
+)
 
 
 def _require_picklable(task: _Task) -> None:

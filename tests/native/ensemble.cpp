@@ -69,3 +69,23 @@ TEST(what_work_throws_cancels_the_rest_and_is_thrown_again) {
   }
   CHECK(thrown && worked < 1000000);
 }
+
+TEST(the_first_of_several_exceptions_is_the_one_that_is_thrown) {
+  std::atomic<bool> second_at_work = false;
+  const auto work = [&](std::size_t, std::uint32_t i, const std::atomic<bool>& cancelled) {
+    if (i == 0) {
+      while (!second_at_work) std::this_thread::yield();
+      throw std::runtime_error("first");
+    }
+    second_at_work = true;
+    while (!cancelled) std::this_thread::yield();
+    throw std::runtime_error("second");
+  };
+  std::string thrown;
+  try {
+    (void)for_each_index(2, 2, soon, work, go_on);
+  } catch (const std::runtime_error& error) {
+    thrown = error.what();
+  }
+  CHECK(thrown == "first");
+}
