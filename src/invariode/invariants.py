@@ -330,7 +330,7 @@ class _Probe:
             warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
             try:
                 up, down = self._evaluate(y + delta * direction), self._evaluate(y - delta * direction)
-            except Exception:
+            except (ValueError, ArithmeticError, Warning):  # as math.log(-1), 1 / 0 and np.log(-1) have it
                 return None
             try:
                 by_step = self._evaluate(y + 1j * tiny * direction)
