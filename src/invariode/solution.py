@@ -367,7 +367,8 @@ class Solution(Record):
         go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
         order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
         event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the
-        extension at its next occurrence, and occurrences that an integer `terminal` counts are counted on.
+        extension at its next occurrence, and occurrences that an integer `terminal` counts are counted on. The action
+        of an event that ended the run was not taken, and is not taken now.
 
         Parameters
         ----------
@@ -375,7 +376,8 @@ class Solution(Record):
             The new end, beyond the old one in the direction of integration; the old one is where the run ended, also if
             an event or the callback ended it. May be infinite.
         t_eval : array_like, optional
-            Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
+            Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached. Those
+            beyond `t_end` are left for a further extension.
         first_step, max_step, callback, check, progress : optional
             As in `solve_ivp`. `max_step` is by default that of the run, or a tenth of the whole interval.
 
