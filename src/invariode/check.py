@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, function, number, state, tolerances
+from ._outcome import wrong_jacobian
 from ._types import Function, InvariantsLike, Numbers
 from .compiled import is_native, native_parameters, to_native
 from .invariants import bind, to_invariants
@@ -147,10 +148,7 @@ def check_invariants(
     wrong = found["wrong_jacobian"]
     if wrong is not None:
         i, j, entry, quotient = wrong
-        findings.append(
-            f"the Jacobian of {bound.names[i]} is wrong: its entry for y[{j}] is {entry:.9g}, differences give "
-            f"{quotient:.9g}"
-        )
+        findings.append(wrong_jacobian(bound.names[i], at, j, entry, quotient, np.iscomplexobj(point)))
     return CheckReport(
         names=list(bound.names),
         value=bound.value,
