@@ -137,6 +137,30 @@ def test_native_jacobians_of_stiff_problems():
         np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-6)
 
 
+def test_a_native_function_takes_no_complex_steps():
+    held = iv.Invariants(iv.compile(integrals), "complex-step", names=["energy", "momentum"])
+    with pytest.raises(ValueError, match=r'invariant integrals: jac="complex-step" is not for native functions'):
+        iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
+
+
+def test_copies_and_pickles_of_solutions(method):
+    options = {"dense_output": True, "rtol": 1e-6}
+    held = iv.Invariants(iv.compile(integrals), iv.compile(gradients), names=["energy", "momentum"])
+    sol = iv.solve_ivp(decorated, (0, 5), ORBIT, method, invariants=held, **options)
+    for one in (copy.deepcopy(sol), pickle.loads(pickle.dumps(sol))):
+        np.testing.assert_array_equal(one.sol([1.1, 3.3]), sol.sol([1.1, 3.3]))
+        np.testing.assert_array_equal(one.residual, sol.residual)
+
+    @numba.cfunc(VECTOR)
+    def momentum(t, y, out, p):
+        out[0] = y[0] * y[3] - y[1] * y[2]
+
+    sol = iv.solve_ivp(kepler, (0, 5), ORBIT, method, invariants=iv.Invariants(momentum, names="momentum"), **options)
+    np.testing.assert_array_equal(copy.deepcopy(sol).sol(1.1), sol.sol(1.1))
+    with pytest.raises(TypeError, match="native functions cannot be pickled"):
+        pickle.dumps(sol)
+
+
 def test_parameters_pass_as_args():
     def spring(t, y, p):
         return (y[1], -p[0] * y[0] - p[1])

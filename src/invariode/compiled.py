@@ -78,7 +78,7 @@ class CompiledFunction:
             made = self._made.get(key)
             if made is None:
                 code = self._make(*key)
-                made = self._made[key] = _core.Native(address=code.address, event=event, owner=code)
+                made = self._made[key] = _Native(code.address, event, code, (self, *key))
         return made
 
     def _make(self, n: int, size: int, parameters: int, event: bool) -> Any:
@@ -245,7 +245,23 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
         address = ctypes.cast(fun, ctypes.c_void_p).value or 0
     if address == 0:
         raise ValueError(f"{name} is a null pointer")
-    return _core.Native(address=address, event=event, owner=fun)
+    return _Native(address, event, fun)
+
+
+class _Native(_core.Native):
+    """Machine code that is shared by copies, and made again from a pickle where `compile` made it."""
+
+    def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
+        super().__init__(address=address, event=event, owner=owner)
+        self._made_of = made_of
+
+    def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
+        if self._made_of is None:
+            raise TypeError("native functions cannot be pickled, but for those that invariode.compile makes")
+        return CompiledFunction.native, self._made_of
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
+        return self
 
 
 _NO_PARAMETERS = np.zeros(0)

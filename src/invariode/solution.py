@@ -212,6 +212,12 @@ class DenseSolution:
         self.t_min = float(min(self.ts[0], self.ts[-1]))
         self.t_max = float(max(self.ts[0], self.ts[-1]))
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_dense": self._dense.parts()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
+
     def __call__(self, t: ArrayLike) -> Array:
         times = np.asarray(t, dtype=float)
         if times.ndim > 1:
@@ -275,6 +281,11 @@ class Solution(Record):
         All counts.
     steps : Steps or None
         The accepted steps, with ``save="all"``: the default without `t_eval`.
+
+    Notes
+    -----
+    A solution can be copied and pickled. The functions of its invariants go with it, and pickle takes those of a module
+    only, no lambdas; `save` needs none. Its other functions stay behind: the copy from a pickle cannot be extended.
     """
 
     t: Array
@@ -376,8 +387,8 @@ class Solution(Record):
             The new end, beyond the old one in the direction of integration; the old one is where the run ended, also if
             an event or the callback ended it. May be infinite.
         t_eval : array_like, optional
-            Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached. Those
-            beyond `t_end` are left for a further extension.
+            Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
+            Those beyond `t_end` are left for a further extension.
         first_step, max_step, callback, check, progress : optional
             As in `solve_ivp`. `max_step` is by default that of the run, or a tenth of the whole interval.
 
