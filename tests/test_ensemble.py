@@ -279,7 +279,7 @@ def real(name: str):
 def test_the_bar_counts_trajectories(capsys):
     out = solve("native", progress=True)
     assert out.success.all()
-    assert "100%" in capsys.readouterr().out
+    assert "100%" in capsys.readouterr().err
 
 
 def test_ctrl_c_ends_threads_at_once(tmp_path):
