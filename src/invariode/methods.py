@@ -17,7 +17,7 @@ class Method:
     Attributes
     ----------
     name : str
-        The name in the MATLAB ODE Suite.
+        As in MATLAB; of dop853, which is not there, as its authors call it.
     family : str
         What kind of method it is.
     min_order, order : int
