@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
-
-_PACKAGE = os.path.dirname(__file__) + os.sep
+#: What the paths of our own files start with.
+PACKAGE = os.path.dirname(__file__) + os.sep
 
 
 def warn(message: str) -> None:
     """A UserWarning that points at the line of the caller of this package."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, UserWarning, stacklevel=level)
 

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from .._arguments import PACKAGE
 from ..invariants import InvariantError
 from ..methods import METHODS, Method, find_method
 from ..problem import Problem
@@ -49,8 +50,6 @@ INTERRUPTED = 130
 
 #: Endings of figures, and the packages they need.
 PICTURES: Mapping[str, tuple[str, ...]] = {".png": ("matplotlib",), ".svg": ("matplotlib",), ".pdf": ("matplotlib",)}
-
-_PACKAGE = str(Path(__file__).parents[1])
 
 
 def examples(*lines: str) -> str:
@@ -115,7 +114,7 @@ def plain_warnings() -> Iterator[None]:
 
 
 def _ours(filename: str) -> bool:
-    return filename.startswith(_PACKAGE)
+    return filename.startswith(PACKAGE)
 
 
 class _Lines:
