@@ -282,8 +282,15 @@ class TestCompile:
         assert again.fun is kepler
         assert iv.compile(iv.compile(kepler, inplace=True)).inplace
 
-    def test_threads_compile_one_function(self):
-        fun, failed = iv.compile(lambda t, y: (y[1], -y[0])), []
+    def test_threads_compile_one_function_once(self, monkeypatch):
+        fun, failed, jitted, njit = iv.compile(lambda t, y: (y[1], -y[0])), [], [], numba.njit
+
+        def slow(*args, **options):
+            time.sleep(0.05)  # the others come meanwhile
+            jitted.append(args)
+            return njit(*args, **options)
+
+        monkeypatch.setattr(numba, "njit", slow)
 
         def run():
             try:
@@ -297,6 +304,7 @@ class TestCompile:
         for thread in threads:
             thread.join()
         assert failed == []
+        assert len(jitted) == 1
 
     def test_copies_and_pickles_also_after_use(self):
         for fun in (iv.compile(kepler), decorated):

@@ -94,9 +94,9 @@ class CompiledFunction:
             body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
         else:
             head = "def code(t, y_, out_, p_):"
-            lines = [call] if self.inplace else [f"r = {call}", *self._stores(size, parameters)]
             body += [f"out = carray(out_, ({size},))", "out[:] = nan"]  # what is not filled is not evaluated
-            body += ["try:", *(f"    {line}" for line in lines), "except Exception:", "    out[:] = nan"]
+            body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
+            body += [] if self.inplace else self._stores(size, parameters)
         text = "\n    ".join([head, *body])
         namespace: dict[str, Any] = {"f": self._jitted, "carray": numba.carray, "nan": np.nan}
         exec(text, namespace)
