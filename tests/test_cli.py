@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -20,7 +21,7 @@ import invariode as iv
 from invariode.cli.app import app
 from invariode.cli.compare import answer
 from invariode.cli.precision import Judgement, Row, Run, best, judge, judgements
-from invariode.cli.session import clock, count, power
+from invariode.cli.session import clock, count, guarded, power
 from invariode.cli.solve import INTERVAL, OUTPUTS, Bar
 
 FILES = {
@@ -287,6 +288,17 @@ def test_exception_of_a_users_function_shows_its_frames_only(command):
     assert "ZeroDivisionError: boom" in outcome.output
     assert 'File "faulty.py"' in outcome.output
     assert "invariode/" not in outcome.output
+
+
+def test_a_folder_whose_name_starts_with_that_of_the_package_is_the_users():
+    package = Path(iv.__file__).parent
+    names = {"guarded": guarded}
+    text = "def run():\n    with guarded():\n        raise ValueError"
+    for folder, exit_code in ((package, 2), (package.with_name(f"{package.name}_mine"), 1)):
+        exec(compile(text, str(folder / "own.py"), "exec"), names)
+        with pytest.raises(typer.Exit) as ended:
+            names["run"]()
+        assert ended.value.exit_code == exit_code
 
 
 def test_warnings_are_lines():

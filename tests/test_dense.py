@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -116,3 +119,37 @@ def test_dense_output_outlives_the_run_and_may_be_used_in_threads(method):
     with ThreadPoolExecutor(4) as pool:
         for values in pool.map(sol, [t] * 8):
             np.testing.assert_array_equal(values, expected)
+
+
+def oscillator(t, y):
+    return [y[1], -y[0]]
+
+
+def energy(t, y):
+    return y[0] ** 2 + y[1] ** 2
+
+
+def bounce(t, y):
+    return y[0]
+
+
+@pytest.mark.parametrize("imposed", [False, True])
+def test_copies_and_pickles_are_the_same_function(method, imposed):
+    """Jumps and projection included; functions that are of no module stay behind where they can."""
+    jump = iv.Event(bounce, direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]])
+    sol = iv.solve_ivp(oscillator, (0, 9), [1.0, 0.0], method, invariants=energy, events=jump, dense_output=True)
+    sol = sol.impose() if imposed else sol
+    t = np.linspace(-0.1, 9.1, 77)
+    for one in (copy.copy(sol), copy.deepcopy(sol), pickle.loads(pickle.dumps(sol))):
+        np.testing.assert_array_equal(one.sol(t), sol.sol(t))
+        np.testing.assert_array_equal(one.sol.ts, sol.sol.ts)
+        np.testing.assert_array_equal(one.residual, sol.residual)
+        np.testing.assert_array_equal(one.impose().y, sol.impose().y)
+    np.testing.assert_array_equal(copy.deepcopy(sol).extend(12).y, sol.extend(12).y)
+
+
+def test_a_lambda_is_copied_and_named_where_pickle_refuses_it(method):
+    sol = iv.solve_ivp(oscillator, (0, 9), [1.0, 0.0], method, invariants=lambda t, y: y @ y, dense_output=True)
+    np.testing.assert_array_equal(copy.deepcopy(sol).sol(1.1), sol.sol(1.1))
+    with pytest.raises((AttributeError, pickle.PicklingError), match="<lambda>"):
+        pickle.dumps(sol)

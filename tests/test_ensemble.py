@@ -455,7 +455,7 @@ def real(name: str):
 def test_the_bar_counts_trajectories(capsys):
     out = solve("native", progress=True)
     assert out.success.all()
-    assert "100%" in capsys.readouterr().out
+    assert "100%" in capsys.readouterr().err
 
 
 FOREVER = """

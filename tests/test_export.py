@@ -309,7 +309,7 @@ def test_continuous_output_that_could_not_be_evaluated_is_refused(method, tmp_pa
     bouncing(method, dense_output=True).save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as archive:
         parts = {name: archive[name] for name in archive if name.startswith("dense.")}
-        plain = json.loads(str(archive["about"]))["dense"]
+        plain, jumps = json.loads(str(archive["about"]))["dense"], len(archive["jumps.t"])
     offset, end, knots = parts["dense.offset"], parts["dense.end"], parts["dense.t"]
     first = end.copy()
     first[0] = knots[0]
@@ -335,6 +335,12 @@ def test_continuous_output_that_could_not_be_evaluated_is_refused(method, tmp_pa
         {"about": {"dense": plain | {"rtol": "x"}}},
         {"about": {"invariants": ["a", "b"]}},
         {"about": {"stats": {}}},
+        {"invariants.value": np.zeros(0)},
+        {"invariants.value": np.zeros(2)},
+        {"invariants.value": np.array(1.0)},
+        {"jumps.value": np.zeros((len(knots), 0))},
+        {"jumps.value": np.zeros((jumps, 2))},
+        {"dense.y": parts["dense.y"][:, 0]},
         {"t": np.zeros(3)},
         {"y": None},
     ]

@@ -193,6 +193,38 @@ def test_times_of_output(method):
         solve(method, (0, 1)).extend(2, t_eval=[2])
 
 
+def test_times_beyond_an_extension_are_kept(method):
+    times = np.linspace(0, 10, 21)
+    sol = solve(method, (0, 10), t_eval=times, events=iv.Event(lambda t, y: t - 4.2, terminal=True))
+    np.testing.assert_array_equal(sol.extend(6).extend(8).extend(10).t, times)
+    chosen = sol.extend(6, t_eval=[5.1]).extend(10)
+    np.testing.assert_array_equal(chosen.t, [*times[:9], 5.1, *times[13:]])
+
+
+def test_changing_what_was_given_or_returned_changes_nothing(method):
+    expected = solve(method, (0, 3), save="all").extend(5)
+    sol = solve(method, (0, 3), save="all")
+    sol.y[:] = 0
+    np.testing.assert_array_equal(sol.extend(5).y[:, -1], expected.y[:, -1])
+
+    stop = iv.Event(lambda t, y: t - 2.5, terminal=True)
+    given = {"t_eval": np.arange(6.0), "rtol": np.full(4, 1e-8), "atol": np.full(4, 1e-10)}
+    first = solve(method, (0, 5), events=stop, invariants=KEPLER.invariants(), **given)
+    expected, drift = first.extend(5), first.drift()
+    for one in given.values():
+        one *= 1e3
+    np.testing.assert_array_equal(first.extend(5).t, expected.t)
+    np.testing.assert_array_equal(first.extend(5).y, expected.y)
+    np.testing.assert_array_equal(first.drift().distance_after, drift.distance_after)
+
+
+def test_the_action_of_an_event_that_ended_the_run_is_not_taken(method):
+    event = iv.Event(lambda t, y: y[0] - 1, terminal=True, action=lambda t, y: [5.0])
+    sol = iv.solve_ivp(lambda t, y: [1.0], (0, 10), [0.0], method, events=event)
+    assert sol.y[0, -1] == pytest.approx(1)
+    assert sol.extend(3).y[0, -1] == pytest.approx(3)
+
+
 @pytest.mark.parametrize("options", [{"save": "end"}, {"save": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
 def test_the_options_of_the_run_hold(method, options):
     sol = solve(method, (0, 2), **options).extend(4)

@@ -148,8 +148,13 @@ class TestCheck:
             0,
             [0.5, 0.1, 0.2, 1],
         )
-        assert any("Jacobian of kepler_invariants" in finding for finding in report.findings)
+        assert any("Jacobian of invariant kepler_invariants" in finding for finding in report.findings)
         assert not report.ok
+
+    def test_wrong_jacobian_of_a_complex_problem(self):
+        wrong = iv.Invariants(lambda t, z: abs(z[1]) ** 2 + abs(z[0]) ** 2, lambda t, z: [2 * z[0], 2 * z[1].conj()])
+        report = iv.check_invariants(lambda t, z: 1j * z, wrong, 0, [1 + 1j, 1 + 1j])
+        assert any(r"entry for y[1] (imaginary part)" in finding for finding in report.findings)
 
     def test_misuse(self):
         with pytest.raises(ValueError, match="not finite"):

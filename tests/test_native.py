@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import os
+import pickle
 import signal
 import threading
 import time
@@ -135,6 +137,30 @@ def test_native_jacobians_of_stiff_problems():
         np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-6)
 
 
+def test_a_native_function_takes_no_complex_steps():
+    held = iv.Invariants(iv.compile(integrals), "complex-step", names=["energy", "momentum"])
+    with pytest.raises(ValueError, match=r'invariant integrals: jac="complex-step" is not for native functions'):
+        iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
+
+
+def test_copies_and_pickles_of_solutions(method):
+    options = {"dense_output": True, "rtol": 1e-6}
+    held = iv.Invariants(iv.compile(integrals), iv.compile(gradients), names=["energy", "momentum"])
+    sol = iv.solve_ivp(decorated, (0, 5), ORBIT, method, invariants=held, **options)
+    for one in (copy.deepcopy(sol), pickle.loads(pickle.dumps(sol))):
+        np.testing.assert_array_equal(one.sol([1.1, 3.3]), sol.sol([1.1, 3.3]))
+        np.testing.assert_array_equal(one.residual, sol.residual)
+
+    @numba.cfunc(VECTOR)
+    def momentum(t, y, out, p):
+        out[0] = y[0] * y[3] - y[1] * y[2]
+
+    sol = iv.solve_ivp(kepler, (0, 5), ORBIT, method, invariants=iv.Invariants(momentum, names="momentum"), **options)
+    np.testing.assert_array_equal(copy.deepcopy(sol).sol(1.1), sol.sol(1.1))
+    with pytest.raises(TypeError, match="native functions cannot be pickled"):
+        pickle.dumps(sol)
+
+
 def test_parameters_pass_as_args():
     def spring(t, y, p):
         return (y[1], -p[0] * y[0] - p[1])
@@ -183,6 +209,119 @@ class TestCompile:
             iv.solve_ivp(iv.compile(lambda t, y: (t.nothing,)), (0, 1), [1.0])
         with pytest.raises(TypeError, match=r"compile takes a function f\(t, y\)"):
             iv.compile(3)
+
+    @pytest.mark.parametrize(
+        ("fun", "what"),
+        [
+            (lambda t, y: (-y[0],), "returns 1 value, expected 2"),
+            (lambda t, y: (-y[0], -y[1], 0.0), "returns 3 values, expected 2"),
+            (lambda t, y: (-y[0], 1, 0.0), "returns 3 values, expected 2"),
+            (lambda t, y: -y[0], "returns 1 value, expected 2"),
+            (lambda t, y: None, "returns nothing, expected 2"),
+        ],
+    )
+    def test_another_number_of_values_is_refused(self, fun, what):
+        fun.__name__ = "decay"
+        with pytest.raises(TypeError, match=rf"compile\(decay\): the function {what}"):
+            iv.solve_ivp(iv.compile(fun), (0, 1), [1.0, 1.0])
+        with pytest.raises(TypeError, match=r"the function returns 2 values, expected 16"):
+            iv.ode15s(iv.compile(kepler), (0, 1), ORBIT, jac=iv.compile(lambda t, y: (0.0, 1.0)))
+
+    @pytest.mark.parametrize(
+        "fun",
+        [
+            lambda t, y: y[:1] * 1.0,
+            lambda t, y: [y[0]],
+            lambda t, y: np.ones(3),
+            lambda t, y: np.linalg.solve(np.zeros((2, 2)), y),
+        ],
+    )
+    def test_what_gives_no_values_cannot_be_evaluated(self, fun):
+        sol = iv.solve_ivp(iv.compile(fun), (0, 1), [1.0, 1.0])
+        assert sol.status == -1
+        assert "component 0 is NaN or infinite" in sol.message
+
+    def test_an_output_not_filled_cannot_be_evaluated(self):
+        def half(t, y, out):
+            out[0] = 1.0
+
+        def raising(t, y, out):
+            out[0], out[1] = 1.0, 1.0
+            if t >= 0:
+                raise ValueError
+
+        for fun, component in ((half, 1), (raising, 0)):
+            sol = iv.solve_ivp(iv.compile(fun, inplace=True), (0, 1), [1.0, 1.0])
+            assert f"component {component} is NaN" in sol.message
+
+    def test_an_event_that_raises_is_undefined(self):
+        def late(t, y):
+            if t > 0.5:
+                raise ValueError
+            return y[0]
+
+        with pytest.raises(ValueError, match="event late returned NaN"):
+            iv.solve_ivp(iv.compile(lambda t, y: (1.0,)), (0, 1), [1.0], events=iv.compile(late))
+
+    @pytest.mark.parametrize("mixed", [False, True])
+    def test_long_tuples(self, mixed):
+        n = 40
+        values = ", ".join(f"{i}" if mixed and i % 2 else f"y[{i}] * 0 + {i}" for i in range(n))
+        fun = eval(f"lambda t, y: ({values})")
+        sol = iv.solve_ivp(iv.compile(fun), (0, 1), np.zeros(n))
+        np.testing.assert_allclose(sol.y[:, -1], np.arange(n), rtol=1e-14)
+
+    def test_other_arguments_are_refused(self):
+        with pytest.raises(TypeError, match=r"compile\(kepler\): too many .*; with args it is f\(t, y, p\)"):
+            iv.solve_ivp(iv.compile(kepler), (0, 1), ORBIT, args=(1.0,))
+        with pytest.raises(TypeError, match=r"missing .*'p'; without args it is f\(t, y\)"):
+            iv.solve_ivp(iv.compile(lambda t, y, p: (p[0],)), (0, 1), [1.0])
+
+    def test_what_is_compiled_already(self):
+        again = iv.compile(iv.compile(numba.njit(kepler)))
+        assert again.fun is kepler
+        assert iv.compile(iv.compile(kepler, inplace=True)).inplace
+
+    def test_threads_compile_one_function_once(self, monkeypatch):
+        fun, failed, jitted, njit = iv.compile(lambda t, y: (y[1], -y[0])), [], [], numba.njit
+
+        def slow(*args, **options):
+            time.sleep(0.05)  # the others come meanwhile
+            jitted.append(args)
+            return njit(*args, **options)
+
+        monkeypatch.setattr(numba, "njit", slow)
+
+        def run():
+            try:
+                iv.solve_ivp(fun, (0, 1), [1.0, 0.0])
+            except Exception as error:
+                failed.append(error)
+
+        threads = [threading.Thread(target=run) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert failed == []
+        assert len(jitted) == 1
+
+    def test_copies_and_pickles_also_after_use(self):
+        for fun in (iv.compile(kepler), decorated):
+            expected = iv.solve_ivp(fun, (0, 1), ORBIT)
+            for one in (copy.copy(fun), copy.deepcopy(fun), pickle.loads(pickle.dumps(fun))):
+                np.testing.assert_array_equal(iv.solve_ivp(one, (0, 1), ORBIT).y, expected.y)
+        assert pickle.loads(pickle.dumps(decorated)) is decorated
+        filled = pickle.loads(pickle.dumps(iv.compile(kepler, inplace=True)))
+        assert (filled.fun, filled.inplace) == (kepler, True)
+
+
+@iv.compile
+def decorated(t, y):
+    return kepler_jitted(t, y)
+
+
+kepler_jitted = numba.njit(kepler)
 
 
 def test_nan_is_a_failed_attempt(method):

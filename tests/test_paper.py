@@ -231,6 +231,15 @@ def test_command_paper_fails_when_a_number_differs(monkeypatch):
     assert "1 of" in outcome.output
 
 
+def test_ctrl_c_ends_the_command_paper_with_130(monkeypatch):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("invariode.cli.paper.run", interrupted)
+    outcome = CliRunner().invoke(app, ["paper", "--no-report"])
+    assert (outcome.exit_code, outcome.output) == (130, "Interrupted.\n")
+
+
 def test_command_paper_needs_a_directory(tmp_path):
     outcome = CliRunner().invoke(app, ["paper", "--output", str(tmp_path / "none" / "paper.html")])
     assert outcome.exit_code == 2
@@ -238,9 +247,10 @@ def test_command_paper_needs_a_directory(tmp_path):
 
 
 def test_command_paper_without_matplotlib_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("invariode.cli.paper.find_spec", lambda name: None)
+    monkeypatch.setattr("invariode.cli.session.find_spec", lambda name: None)
     outcome = CliRunner().invoke(app, ["paper"])
     assert outcome.exit_code == 1
+    assert "--no-report" in outcome.output
     assert "pip install invariode[plot]" in outcome.output
 
 

@@ -205,3 +205,11 @@ def test_no_warnings_where_scipy_gives_none():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         iv.solve_ivp(decay, (0, 1), [1, 2], "RK45", None, True, None, False, None, rtol=1e-6, atol=1e-8, max_step=0.1)
+
+
+def test_a_vectorized_function_may_return_a_list():
+    def fun(t, y):
+        return [y[1], -y[0]]
+
+    ours = iv.solve_ivp(fun, (0, 1), [1.0, 0.0], vectorized=True)
+    np.testing.assert_array_equal(ours.y, iv.solve_ivp(fun, (0, 1), [1.0, 0.0]).y)

@@ -274,21 +274,41 @@ def test_mass_matrices_and_jacobians_reach_ode15s():
     assert (sol.njev, sol.nlu) == (ours.njev, ours.nlu)
 
 
-def test_a_solver_that_its_function_refers_to_is_collected(method):
-    class Simulation:
-        def __init__(self):
-            self.solver = CLASSES[method](self.fun, 0, [1.0, 0.0], 10, invariants=self.radius)
+class Simulation:
+    """Its functions refer to the solver that has them."""
 
-        def fun(self, t, y):
-            return [y[1], -y[0]]
+    def __init__(self, method, *matrices):
+        given = {name: getattr(self, name) for name in ("invariants", *matrices)}
+        self.solver = CLASSES[method](self.fun, 0, [1.0, 0.0], 10, **given)
 
-        def radius(self, t, y):
-            return y[0] ** 2 + y[1] ** 2
+    def fun(self, t, y):
+        return [y[1], -y[0]]
 
-    simulation = Simulation()
+    def invariants(self, t, y):
+        return y[0] ** 2 + y[1] ** 2
+
+    def jac(self, t, y):
+        return np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+    def mass(self, t):
+        return np.eye(2)
+
+
+def after_use(simulation):
     simulation.solver.step()
-    alive = weakref.ref(simulation)
-    del simulation
+    simulation.solver.dense_output()
+    return weakref.ref(simulation)
+
+
+def test_a_solver_that_its_functions_refer_to_is_collected(method):
+    alive = after_use(Simulation(method))
+    gc.collect()
+    assert alive() is None
+
+
+@pytest.mark.parametrize("matrices", [["jac"], ["mass"], ["jac", "mass"]])
+def test_a_solver_that_its_matrices_refer_to_is_collected(matrices):
+    alive = after_use(Simulation("ode15s", *matrices))
     gc.collect()
     assert alive() is None
 

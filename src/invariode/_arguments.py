@@ -21,7 +21,9 @@ EPS = float(np.finfo(float).eps)
 
 
 _quiet = ContextVar("quiet", default=False)
-_PACKAGE = os.path.dirname(__file__) + os.sep
+
+#: What the paths of our own files start with.
+PACKAGE = os.path.dirname(__file__) + os.sep
 
 
 def warn(message: str) -> None:
@@ -29,7 +31,7 @@ def warn(message: str) -> None:
     if _quiet.get():
         return
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, UserWarning, stacklevel=level)
 

@@ -70,9 +70,9 @@ def extend(old: Solution, t_end: float, options: dict[str, Any]) -> Solution:
     rest.t_span, rest.y0 = (origin.t, tf), origin.y
     progress = options.pop("progress", False)
     given = {**origin.options, "first_step": None, **options}
-    if origin.options.get("t_eval") is not None or options.get("t_eval") is not None:
-        given["t_eval"] = _times(origin, options.get("t_eval"), forward, tf)
     run_options = dict(given)
+    if origin.options.get("t_eval") is not None or options.get("t_eval") is not None:
+        run_options["t_eval"], given["t_eval"] = _times(origin, options.get("t_eval"), forward, tf)
     if run_options.get("max_step") is None:
         run_options["max_step"] = abs(whole.t_span[1] - whole.t_span[0]) / 10
     if run_options["first_step"] is None and origin.next_h is not None:
@@ -101,17 +101,19 @@ def _not_anew(name: str) -> TypeError:
     )
 
 
-def _times(origin: Origin, t_eval: Any, forward: float, tf: float) -> Array:
-    """The times of output that are left, or those given."""
+def _times(origin: Origin, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
+    """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
     if origin.options.get("t_eval") is None:
         raise ValueError("the run has output at its steps, so has its extension: t_eval is not possible")
-    if t_eval is not None:
-        return output_times(t_eval, origin.t, tf)
     times = np.asarray(origin.options["t_eval"], dtype=float)
-    left = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
-    if left.size == 0:
-        raise ValueError(f"the run has output at t_eval, which has no times left up to t_end = {tf}: give t_eval")
-    return left
+    beyond = times[forward * (times - tf) > 0]
+    if t_eval is not None:
+        now = output_times(t_eval, origin.t, tf)
+    else:
+        now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
+        if now.size == 0:
+            raise ValueError(f"the run has output at t_eval, which has no times left up to t_end = {tf}: give t_eval")
+    return now, np.concatenate([now, beyond])
 
 
 def _last_values(bound: BoundInvariants) -> Array:

@@ -88,7 +88,7 @@ def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) ->
     if run.finding == "undefined":
         return f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}."
     if run.finding == "wrong_jacobian":
-        text = _wrong_jacobian(run, names, pairs)
+        text = _wrong_jacobian_of(run, names, pairs)
         return text[0].upper() + text[1:]
     return _not_conserved(run, names, demanded)
 
@@ -109,13 +109,19 @@ def _not_conserved(run: Run, names: list[str], demanded: list[bool]) -> str:
     return text + "check=False switches this test off."
 
 
-def _wrong_jacobian(run: Run, names: list[str], pairs: bool) -> str:
-    part = (" (real part)", " (imaginary part)")[run.finding_component % 2] if pairs else ""
-    column = run.finding_component // 2 if pairs else run.finding_component
+def _wrong_jacobian_of(run: Run, names: list[str], pairs: bool) -> str:
+    name, component = names[run.finding_invariant], run.finding_component
+    text = wrong_jacobian(name, run.finding_t, component, run.finding_size, run.finding_distance, pairs)
+    return text + " check=False switches this test off."
+
+
+def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: float, pairs: bool) -> str:
+    """What is wrong with the Jacobian of an invariant. `component`: of the reals that make up y."""
+    part = (" (real part)", " (imaginary part)")[component % 2] if pairs else ""
+    column = component // 2 if pairs else component
     return (
-        f"the Jacobian of invariant {names[run.finding_invariant]} is wrong at t = {run.finding_t:.6g}: its entry for "
-        f"y[{column}]{part} is {run.finding_size:.9g}, differences of the invariant give {run.finding_distance:.9g} "
-        f"(good to about {EPS ** (2 / 3):.0e}). check=False switches this test off."
+        f"the Jacobian of invariant {name} is wrong at t = {t:.6g}: its entry for y[{column}]{part} is {entry:.9g}, "
+        f"differences of the invariant give {quotient:.9g} (good to about {EPS ** (2 / 3):.0e})."
     )
 
 
@@ -129,7 +135,7 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
             "it first: y0 = invariode.impose(invariants, t0, y0).y"
         )
     if run.finding == "wrong_jacobian":
-        return _wrong_jacobian(run, names, pairs)
+        return _wrong_jacobian_of(run, names, pairs)
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, names, demanded)

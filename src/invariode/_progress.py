@@ -22,7 +22,7 @@ def bar(shown: bool, what: str, total: float) -> Iterator[Callable[[float], None
         return
     rich = _rich()
     columns = (rich.TextColumn("{task.description}"), rich.BarColumn(), rich.TaskProgressColumn())
-    with rich.Progress(*columns, rich.TimeRemainingColumn()) as progress:
+    with rich.Progress(*columns, rich.TimeRemainingColumn(), console=_stderr()) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)
 
@@ -32,11 +32,9 @@ def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float]
     """A bar over t, for one run: what it yields is called with t and h. On an infinite interval it pulses.
 
     It is drawn when it is called and by nobody else, so that a run of native code need not share the interpreter with
-    a thread; and on the standard error, so that the output of a script stays its own.
+    a thread.
     """
     rich = _rich()
-    from rich.console import Console
-
     columns = (
         rich.TextColumn("{task.description}", markup=False),
         rich.BarColumn(),
@@ -44,10 +42,17 @@ def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float]
         rich.TextColumn("t = {task.fields[t]:.6g}  h = {task.fields[h]:.2e}"),
         rich.TimeRemainingColumn(),
     )
-    with rich.Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
+    with rich.Progress(*columns, console=_stderr(), auto_refresh=False) as progress:
         total = abs(tf - t0) if math.isfinite(tf) else None
         task = progress.add_task(what, total=total, t=t0, h=0.0)
         yield lambda t, h: progress.update(task, completed=abs(t - t0), t=t, h=h, refresh=True)
+
+
+def _stderr() -> Any:
+    """Where bars are drawn: the output of a script stays its own."""
+    from rich.console import Console
+
+    return Console(stderr=True)
 
 
 def _rich() -> Any:

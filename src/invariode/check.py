@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, function, number, state, tolerances
+from ._outcome import wrong_jacobian
 from ._types import Function, InvariantsLike, Numbers
 from .compiled import is_native, native_parameters, to_native
 from .invariants import bind, to_invariants
@@ -27,13 +28,22 @@ class CheckReport:
     names : list of str
     value : ndarray
         The value held or demanded.
-    residual, distance : ndarray
-        g(t, y) - value, and as a distance from the level set in units of rtol.
-    rate, angle : ndarray
-        d/dt of the invariant along f, at the nearest point of the manifold, and in units of the size of its terms:
-        roundoff for invariants.
-    redundant, stationary, conserved, on_manifold : ndarray of bool
-        Dependent on the others; gradient 0; the rate is roundoff; the distance is at most 1.
+    residual : ndarray
+        g(t, y) - value.
+    distance : ndarray
+        That as a distance from the level set, in units of rtol.
+    rate : ndarray
+        d/dt of the invariant along f, at the nearest point of the manifold.
+    angle : ndarray
+        That in units of the size of its terms: roundoff for invariants.
+    redundant : ndarray of bool
+        Dependent on the others.
+    stationary : ndarray of bool
+        The gradient is 0.
+    conserved : ndarray of bool
+        The rate is roundoff.
+    on_manifold : ndarray of bool
+        The distance is at most 1.
     derivatives : list of str
         Where the gradient came from.
     findings : list of str
@@ -87,12 +97,15 @@ def check_invariants(
         ``f(t, y, *args)``.
     invariants : callable, Invariants, or list of these
         As for `solve_ivp`.
-    t, y : float, array_like of shape (n,)
+    t : float
+        The time.
+    y : array_like of shape (n,)
         The point; better no equilibrium and no point of symmetry, where much looks conserved.
     args : tuple, optional
         Extra arguments of the functions.
-    rtol, atol : float or array_like of shape (n,)
-        The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured. Default 1e-3, 1e-6.
+    rtol : float or array_like of shape (n,), default 1e-3
+    atol : float or array_like of shape (n,), default 1e-6
+        The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured.
 
     Returns
     -------
@@ -147,10 +160,7 @@ def check_invariants(
     wrong = found["wrong_jacobian"]
     if wrong is not None:
         i, j, entry, quotient = wrong
-        findings.append(
-            f"the Jacobian of {bound.names[i]} is wrong: its entry for y[{j}] is {entry:.9g}, differences give "
-            f"{quotient:.9g}"
-        )
+        findings.append(wrong_jacobian(bound.names[i], at, j, entry, quotient, np.iscomplexobj(point)))
     return CheckReport(
         names=list(bound.names),
         value=bound.value,

@@ -7,14 +7,19 @@ f, g, Jacobians    ``void (double t, const double* y, double* out, const double*
 event              ``double (double t, const double* y, const double* p)``
 =================  ====================================================================================
 
-NaN in the output means 'cannot be evaluated here'. The code must not raise, and must be thread-safe.
+NaN in the output means 'cannot be evaluated here'. The code must not raise, and must be thread-safe. `compile` makes
+such code of functions that do raise: their values are NaN there.
 """
 
 from __future__ import annotations
 
 import ctypes
+import inspect
+import sys
+import threading
 from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -26,6 +31,9 @@ __all__ = ["CompiledFunction", "compile", "is_native", "to_native"]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
+
+#: Tuples of more values, all of one type, are stored by a loop, which is compiled in less time.
+_UNROLLED = 32
 
 
 class CompiledFunction:
@@ -43,8 +51,11 @@ class CompiledFunction:
         self.fun = fun
         self.inplace = inplace
         self.__name__ = call_name(fun, "compiled")
+        self.__module__ = getattr(fun, "__module__", __name__)
+        self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self._made: dict[tuple[int, int, int, bool], _core.Native] = {}
         self._jitted: Any = None
+        self._making = threading.Lock()
 
     def __call__(self, *args: Any) -> Any:
         return self.fun(*args)
@@ -52,53 +63,87 @@ class CompiledFunction:
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
 
+    def __reduce__(self) -> str | tuple[type[CompiledFunction], tuple[Callable[..., Any], bool]]:
+        """By name where `compile` was the decorator of a function; never with the machine code."""
+        try:
+            named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
+        except (AttributeError, KeyError):
+            named = None
+        return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace))
+
     def native(self, n: int, size: int, parameters: int, event: bool) -> _core.Native:
         """The machine code for n components, `size` values and that many parameters."""
         key = (n, size, parameters, event)
-        made = self._made.get(key)
-        if made is None:
-            code = self._make(*key)
-            made = self._made[key] = _core.Native(address=code.address, event=event, owner=code)
+        with self._making:
+            made = self._made.get(key)
+            if made is None:
+                code = self._make(*key)
+                made = self._made[key] = _Native(code.address, event, code, (self, *key))
         return made
 
     def _make(self, n: int, size: int, parameters: int, event: bool) -> Any:
         numba = _numba()
         if self._jitted is None:
             self._jitted = numba.njit(self.fun, error_model="numpy")  # 1/0 is inf: no exceptions
-        call = ["t", "y", *(["out"] if self.inplace and not event else []), *(["p"] if parameters else [])]
+        names = ["t", "y", *(["out"] if self.inplace and not event else []), *(["p"] if parameters else [])]
+        self._check_call(names)
+        call = f"f({', '.join(names)})"
         body = [f"y = carray(y_, ({n},))", *([f"p = carray(p_, ({parameters},))"] if parameters else [])]
         if event:
             head = "def code(t, y_, p_):"
-            body.append(f"return f({', '.join(call)})")
+            body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
         else:
             head = "def code(t, y_, out_, p_):"
-            body.append(f"out = carray(out_, ({size},))")
-            if self.inplace:
-                body.append(f"f({', '.join(call)})")
-            else:
-                body.append(f"r = f({', '.join(call)})")
-                sequence = self._returns_sequence(parameters)
-                body.extend([f"out[{i}] = r[{i}]" for i in range(size)] if sequence else ["out[0] = r"])
+            body += [f"out = carray(out_, ({size},))", "out[:] = nan"]  # what is not filled is not evaluated
+            body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
+            body += [] if self.inplace else self._stores(size, parameters)
         text = "\n    ".join([head, *body])
-        namespace: dict[str, Any] = {"f": self._jitted, "carray": numba.carray}
+        namespace: dict[str, Any] = {"f": self._jitted, "carray": numba.carray, "nan": np.nan}
         exec(text, namespace)
         double, pointer = numba.types.double, numba.types.CPointer(numba.types.double)
         signature = double(double, pointer, pointer) if event else numba.void(double, pointer, pointer, pointer)
         try:
             return numba.cfunc(signature, error_model="numpy")(namespace["code"])
         except numba.core.errors.NumbaError as error:
-            raise TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}") from error
+            raise self._cannot_compile(error) from error
 
-    def _returns_sequence(self, parameters: int) -> bool:
+    def _check_call(self, names: list[str]) -> None:
+        """That the function takes these arguments; numba would tell their number only."""
+        try:
+            inspect.signature(self.fun).bind(*names)
+        except TypeError as error:
+            form = "with args it is" if "p" in names else "without args it is"
+            raise TypeError(f"compile({self.__name__}): {error}; {form} f({', '.join(names)})") from None
+
+    def _stores(self, size: int, parameters: int) -> list[str]:
+        """Lines that store the result r in `out`."""
+        types = _numba().types
+        result = self._result(parameters)
+        if isinstance(result, (types.Array, types.List, types.ListType)):
+            return [f"if len(r) == {size}:", f"    for i in range({size}):", "        out[i] = r[i]"]
+        returned = len(result) if isinstance(result, types.BaseTuple) else 1
+        if returned != size or isinstance(result, types.NoneType):
+            what = "nothing" if isinstance(result, types.NoneType) else f"{returned} value{'s' * (returned != 1)}"
+            raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size}")
+        if not isinstance(result, types.BaseTuple):
+            return ["out[0] = r"]
+        if isinstance(result, types.UniTuple) and size > _UNROLLED:
+            return [f"for i in range({size}):", "    out[i] = r[i]"]
+        return [f"out[{i}] = r[{i}]" for i in range(size)]
+
+    def _result(self, parameters: int) -> Any:
+        """numba's type of what the function returns."""
         numba = _numba()
         vector = numba.types.Array(numba.types.double, 1, "C")
         arguments = (numba.types.double, vector, *([vector] if parameters else []))
         try:
             self._jitted.compile(arguments)
-        except numba.core.errors.NumbaError as error:
-            raise TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}") from error
-        result = self._jitted.overloads[arguments].signature.return_type
-        return not isinstance(result, numba.types.Number)
+        except (numba.core.errors.NumbaError, TypeError) as error:
+            raise self._cannot_compile(error) from error
+        return self._jitted.overloads[arguments].signature.return_type
+
+    def _cannot_compile(self, error: Exception) -> TypeError:
+        return TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}")
 
 
 def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFunction:
@@ -109,6 +154,8 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     fun : callable
         ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
         compiles; it returns a number, a tuple (fast), a list or an array, the rows of a Jacobian one after the other.
+        Where it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here'. Of a
+        function that numba, or this, has compiled, the Python function is taken.
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
 
@@ -122,7 +169,8 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     ModuleNotFoundError
         numba, the extra `compiled`, is not installed.
     TypeError
-        Where it is used: numba cannot compile the function.
+        Where it is used: numba cannot compile the function; it takes other arguments, or returns another number of
+        values.
 
     Examples
     --------
@@ -134,7 +182,11 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     """
     if not callable(fun):
         raise TypeError(f"compile takes a function f(t, y), got {fun!r}")
-    _numba()
+    numba = _numba()
+    if isinstance(fun, CompiledFunction):
+        inplace, fun = inplace or fun.inplace, fun.fun
+    elif isinstance(fun, numba.core.dispatcher.Dispatcher):
+        fun = fun.py_func
     return CompiledFunction(fun, inplace)
 
 
@@ -201,7 +253,23 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
         address = ctypes.cast(fun, ctypes.c_void_p).value or 0
     if address == 0:
         raise ValueError(f"{name} is a null pointer")
-    return _core.Native(address=address, event=event, owner=fun)
+    return _Native(address, event, fun)
+
+
+class _Native(_core.Native):
+    """Machine code that is shared by copies, and made again from a pickle where `compile` made it."""
+
+    def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
+        super().__init__(address=address, event=event, owner=owner)
+        self._made_of = made_of
+
+    def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
+        if self._made_of is None:
+            raise TypeError("native functions cannot be pickled, but for those that invariode.compile makes")
+        return CompiledFunction.native, self._made_of
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
+        return self
 
 
 _NO_PARAMETERS = np.zeros(0)

@@ -101,8 +101,10 @@ class EnsembleSolution(Record):
     y : ndarray, (N, n, n_t)
         The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, wherever the
         trajectory ended: see `t_end`.
-    t_end, y_end : ndarray, (N,) and (N, n)
-        Where each trajectory ended, and the state there.
+    t_end : ndarray, (N,)
+        Where each trajectory ended.
+    y_end : ndarray, (N, n)
+        The state there.
     status : ndarray of int, (N,)
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 an invariant is none,
         -3 what ends a single solve with an exception: the initial value is off a demanded manifold, not consistent or
@@ -117,8 +119,10 @@ class EnsembleSolution(Record):
         Counts of each trajectory.
     value : ndarray, (N, m)
         At what the invariants were held (at first, if events with actions changed it). NaN where there was no start.
-    residual_before, residual_after : ndarray, (N, m)
-        Largest ``|g - value|`` of the accepted candidates before projection; at the outputs and the end.
+    residual_before : ndarray, (N, m)
+        Largest ``|g - value|`` of the accepted candidates before projection.
+    residual_after : ndarray, (N, m)
+        The same at the outputs and the end.
     correction : ndarray, (N,)
         Largest correction by projection of a step, in units of rtol.
     """

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, extra_arguments, tolerances, warn
+from ._arguments import Array, extra_arguments, reals, tolerances, warn
 from ._core import Dense
 from ._types import InvariantsLike
 from .invariants import BoundInvariants, bind, to_invariants
@@ -346,6 +346,8 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
     size = (len(names), len(t))
     if t.ndim != 1 or y.ndim != 2 or y.shape[1] != len(t) or any(one.shape != size for one in at_outputs):
         raise ValueError("arrays do not match")
+    if value.shape != (len(names),) or arrays["jumps.value"].shape != (len(arrays["jumps.t"]), len(names)):
+        raise ValueError("invariants do not match")
     jumps = zip(arrays["jumps.row"].tolist(), arrays["jumps.t"].tolist(), arrays["jumps.value"], strict=True)
     g = _StoredInvariants(
         [], value, names, (), np.zeros(0), None, jumps=tuple(jumps), forward=about["forward"], at_outputs=at_outputs
@@ -353,9 +355,11 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
     dense = None
     if about["dense"]:
         parts = {name.removeprefix("dense."): part for name, part in arrays.items() if name.startswith("dense.")}
-        dense = Dense.from_parts(**parts, **about["dense"])
         if about["dense"]["m"] != len(names):
             raise ValueError("invariants do not match")
+        if parts["y"].shape[1:] != (reals(y),):
+            raise ValueError("components do not match")
+        dense = Dense.from_parts(**parts, **about["dense"])
     events = about["events"]
     solution = Solution(
         t=t,

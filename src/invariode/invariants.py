@@ -257,6 +257,8 @@ def bind(
         kind = one.jac
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
+        if kind == "complex-step" and fun is not one.fun:
+            raise ValueError(f'invariant {name}: jac="complex-step" is not for native functions, which take real y')
         if kind is None and fun is not one.fun:
             kind = "3-point"
         elif kind is None:

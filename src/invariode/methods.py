@@ -17,11 +17,13 @@ class Method:
     Attributes
     ----------
     name : str
-        The name in the MATLAB ODE Suite.
+        As in MATLAB; of dop853, which is not there, as its authors call it.
     family : str
         What kind of method it is.
-    min_order, order : int
-        Lowest and highest order of the formulas; equal where the order is fixed.
+    min_order : int
+        Lowest order of the formulas.
+    order : int
+        Highest order; the lowest too where the order is fixed.
     extension_order : int
         Order of the continuous extension, of the formula of highest order.
     stages : int or None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
@@ -340,8 +341,8 @@ class Problem:
             names=names,
             demanded=demanded,
             event_names=distinct([event.__name__ for event in self.events]),
-            rtol=rtol,
-            atol=atol,
+            rtol=copy(rtol),
+            atol=copy(atol),
         )
 
     def _consistent_start(
@@ -383,6 +384,8 @@ class Problem:
         )
         stats.ng += bound.evaluations
         stats.ngdiff += bound.evaluations - len(bound.specs)
+        y_end = y[:, -1].copy() if y_end is None else y_end.view(dtype)
+        own = {"t_eval": copy(options.get("t_eval")), "rtol": plan.rtol, "atol": plan.atol}  # not the user's arrays
         next_h = run.next_h if METHODS[plan.solver["method"]].fixed_order and stats.steps else None
         return Solution(
             t=t,
@@ -403,7 +406,7 @@ class Problem:
             _rtol=plan.rtol,
             _atol=plan.atol,
             _names=Names(self.name, self._title, self._labels, len(self.y0), plan.event_names),
-            _origin=Origin(self, method, options, t_end, y[:, -1] if y_end is None else y_end.view(dtype), next_h),
+            _origin=Origin(self, method, {**options, **own}, t_end, y_end, next_h),
         )
 
 

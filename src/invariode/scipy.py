@@ -20,6 +20,7 @@ True
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
@@ -121,7 +122,8 @@ class _Solver(OdeSolver):
         plan = problem.plan(
             self._method, max_step=max_step, rtol=rtol, atol=atol, first_step=first_step, save="end", **options
         )
-        self._plan = plan
+        # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
+        self._plan = replace(plan, solver={name: plan.solver[name] for name in ("rtol", "complex")})
         self._stepper = _core.Stepper(_core.Solver(**plan.solver), plan.y0.view(float))
         if self._stepper.state == "invariant_refused":
             raise self._plan.exception(self._stepper.result()) or AssertionError

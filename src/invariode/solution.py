@@ -237,6 +237,12 @@ class DenseSolution:
         self.t_min = float(min(self.ts[0], self.ts[-1]))
         self.t_max = float(max(self.ts[0], self.ts[-1]))
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_dense": self._dense.parts()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
+
     def __call__(self, t: ArrayLike) -> Array:
         times = np.asarray(t, dtype=float)
         if times.ndim > 1:
@@ -306,6 +312,11 @@ class Solution(Record):
         All counts.
     steps : Steps or None
         The accepted steps, with ``save="all"``: the default without `t_eval`.
+
+    Notes
+    -----
+    A solution can be copied and pickled. The functions of its invariants go with it, and pickle takes those of a module
+    only, no lambdas; `save` needs none. Its other functions stay behind: the copy from a pickle cannot be extended.
     """
 
     t: Array
@@ -398,7 +409,8 @@ class Solution(Record):
         go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
         order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
         event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the
-        extension at its next occurrence, and occurrences that an integer `terminal` counts are counted on.
+        extension at its next occurrence, and occurrences that an integer `terminal` counts are counted on. The action
+        of an event that ended the run was not taken, and is not taken now.
 
         Parameters
         ----------
@@ -407,6 +419,7 @@ class Solution(Record):
             an event or the callback ended it. May be infinite.
         t_eval : array_like, optional
             Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
+            Those beyond `t_end` are left for a further extension.
         max_step : float, optional
             Default: that of the run, or a tenth of the whole interval.
         first_step, callback, check, progress : optional

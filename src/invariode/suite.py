@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, Unpack
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ._types import AllOptions, EventsLike, Function, InvariantsLike, MethodName, RefinedOptions, Span
@@ -164,7 +165,7 @@ def one_column(fun: Any) -> Callable[..., Any]:
     """A function of columns y (n, k) as a function of one y."""
 
     def column(t: float, y: Any, *args: Any) -> Any:
-        return fun(t, y[:, None], *args).ravel()
+        return np.asarray(fun(t, y[:, None], *args)).ravel()
 
     return column
 

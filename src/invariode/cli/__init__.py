@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 __all__ = ["main"]
@@ -20,4 +21,7 @@ def main() -> None:
             raise
         print(f"The command line needs {package}: pip install invariode[cli]", file=sys.stderr)
         raise SystemExit(1) from None
+    for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show ∂ shows ? instead
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     app()

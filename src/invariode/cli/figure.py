@@ -13,20 +13,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from .._style import COLOURS as PALETTE
+from .._style import INK
 from ..methods import METHODS
 from ..paper.plots import STYLE
 from .precision import WAYS, Reference, Row
 
 __all__ = ["draw"]
 
-#: Okabe and Ito's colours, which the colour-blind tell apart too, without the yellow that paper does not show.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+COLOURS = (*PALETTE, "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 #: So many keys of the legend fit beside each other.
 IN_A_LINE = 7
-
-INK = "#20242c"
 
 
 def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..paper import Results, Row, report, run
+from .session import guarded, needs, numbers, write_to
 
 __all__ = ["paper"]
 
@@ -39,21 +39,22 @@ def paper(
 
     Example: [bold]invariode paper --output paper-report.html[/bold]
     """
-    console, errors = Console(), Console(stderr=True)
+    console = Console()
     if not no_report:
-        if find_spec("matplotlib") is None:
-            errors.print(escape("The report needs matplotlib: pip install invariode[plot] (or use --no-report)"))
-            raise typer.Exit(1)
+        needs("The report (--no-report leaves it out)", ("matplotlib",), "plot")
         if not output.parent.is_dir():
             raise typer.BadParameter(f"no such directory: {output.parent}", param_hint="--output")
-    results = run()
-    _print_table(console, results.paper, "paper")
-    _print_codes(console, results)
-    _print_kinetics(console, results)
-    _print_table(console, results.matlab, "MATLAB")
-    console.print(_outcome(results))
+    with guarded():
+        results = run()
+        _print_table(console, results.paper, "paper")
+        _print_codes(console, results)
+        _print_kinetics(console, results)
+        _print_table(console, results.matlab, "MATLAB")
+        console.print(_outcome(results))
+        if not no_report:
+            page = report(results)
     if not no_report:
-        output.write_text(report(results), encoding="utf-8")
+        write_to(output, lambda: output.write_text(page, encoding="utf-8"))
         console.print("Report:", Text(str(output), style="bold"), soft_wrap=True)
     if not results.agree:
         raise typer.Exit(1)
@@ -66,8 +67,8 @@ def _print_table(console: Console, rows: Iterable[Row], published: str) -> None:
     for experiment, group in groupby(rows, key=lambda row: row.experiment):
         table = _table(published, counts, heading=False)
         for row in group:
-            numbers = [str(count) for count in row.counts or ()][: len(counts)]
-            table.add_row(escape(row.quantity), row.printed or "–", row.here, _verdict(row), *numbers)
+            counted = [str(count) for count in row.counts or ()][: len(counts)]
+            table.add_row(escape(row.quantity), row.printed or "–", row.here, _verdict(row), *counted)
         console.print(Text(experiment, style="bold"), table, "", sep="\n")
 
 
@@ -75,7 +76,7 @@ def _print_codes(console: Console, results: Results) -> None:
     """All codes on all problems, plain → projected."""
     for problem, group in groupby(results.codes, key=lambda code: code.problem):
         codes = list(group)
-        table = _numbers("code", ("steps", "failed", "f", "residual", *(("gap",) if codes[0].gaps else ())))
+        table = numbers("code", ("steps", "failed", "f", "residual", *(("gap",) if codes[0].gaps else ())))
         for code in codes:
             s, t = code.plain.stats, code.projected.stats
             cells = [f"{a} → {b}" for a, b in ((s.steps, t.steps), (s.failed, t.failed), (s.nfev, t.nfev))]
@@ -86,7 +87,7 @@ def _print_codes(console: Console, results: Results) -> None:
 
 def _print_kinetics(console: Console, results: Results) -> None:
     """The drift of linear invariants, which nothing imposes."""
-    table = _numbers("problem", ("steps", "Jacobian given", "by differences"))
+    table = numbers("problem", ("steps", "Jacobian given", "by differences"))
     for one in results.kinetics:
         drifts = (f"{drift:.1e}" for drift in one.drifts)
         table.add_row(f"{one.problem.name}, {one.problem.invariant}", str(one.given.stats.steps), *drifts)
@@ -96,14 +97,6 @@ def _print_kinetics(console: Console, results: Results) -> None:
 
 def _change(sizes: tuple[float, float], digits: str) -> str:
     return " → ".join(format(size, digits) for size in sizes)
-
-
-def _numbers(first: str, others: Iterable[str]) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column(first)
-    for name in others:
-        table.add_column(name, justify="right")
-    return table
 
 
 def _table(published: str, counts: Iterable[str], heading: bool) -> Table:

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from .._arguments import PACKAGE
 from ..invariants import InvariantError
 from ..methods import METHODS, Method, find_method
 from ..problem import Problem
@@ -49,8 +50,6 @@ INTERRUPTED = 130
 
 #: Endings of figures, and the packages they need.
 PICTURES: Mapping[str, tuple[str, ...]] = {".png": ("matplotlib",), ".svg": ("matplotlib",), ".pdf": ("matplotlib",)}
-
-_PACKAGE = str(Path(__file__).parents[1])
 
 
 def examples(*lines: str) -> str:
@@ -91,7 +90,7 @@ def guarded() -> Iterator[None]:
     with plain_warnings():
         try:
             yield
-        except (typer.Exit, typer.BadParameter):
+        except (typer.Exit, typer.BadParameter, BrokenPipeError):
             raise
         except KeyboardInterrupt:
             raise stop("Interrupted.", INTERRUPTED) from None
@@ -115,7 +114,7 @@ def plain_warnings() -> Iterator[None]:
 
 
 def _ours(filename: str) -> bool:
-    return filename.startswith(_PACKAGE)
+    return filename.startswith(PACKAGE)
 
 
 class _Lines:
@@ -169,6 +168,15 @@ def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, ex
     if path.exists() and not force:
         raise typer.BadParameter(f"{path} exists; --force overwrites it", param_hint=option)
     needs(option, endings[path.suffix], extra)
+
+
+def write_to(path: Path, write: Callable[[], object]) -> None:
+    """Writes a file; where that fails, the command ends with a line about it, exit code 1."""
+    try:
+        with plain_warnings():
+            write()
+    except OSError as error:
+        raise stop(f"{path} cannot be written: {error.strerror or error}", code=1) from None
 
 
 def needs(what: str, packages: Iterable[str], extra: str) -> None:

@@ -27,10 +27,10 @@ from .session import (
     guarded,
     method_of,
     numbers,
-    plain_warnings,
     stop,
     unprojected,
     writable,
+    write_to,
 )
 
 __all__ = ["EXAMPLES", "solve"]
@@ -116,16 +116,19 @@ def solve(
             start = perf_counter()
             sol = run.solve(method, callback=callback, **options)
             seconds = perf_counter() - start
-        if not quiet:
+    if output is not None:  # first of all: what is printed may get lost
+        write_to(output, lambda: _save(sol, output))
+    if plot is not None:
+        write_to(plot, lambda: _draw(sol, problem.name, plot))
+    if not quiet:
+        with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
             console = Console(highlight=False)
             console.print(_summary(problem, sol, f"{named}, rtol {rtol:g}, atol {atol:g}", seconds))
             console.print()
             _print_drift(console, problem, sol, project, rtol, atol)
-    if output is not None:
-        _write(output, lambda: _save(sol, output), quiet)
-    if plot is not None:
-        _write(plot, lambda: _draw(sol, problem.name, plot), quiet)
+        for path in filter(None, (output, plot)):
+            console.print("Wrote", Text(str(path), style="bold"), soft_wrap=True)
     if not sol.success:
         raise stop(sol.message, code=1) if quiet else typer.Exit(1)
 
@@ -250,16 +253,6 @@ def _add_rows(table: Table, names: Iterable[str], values: Array, sizes: Iterable
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Files
-
-
-def _write(path: Path, write: Callable[[], object], quiet: bool) -> None:
-    try:
-        with plain_warnings():
-            write()
-    except OSError as error:
-        raise stop(f"{path} cannot be written: {error.strerror or error}", code=1) from None
-    if not quiet:
-        Console(highlight=False).print("Wrote", Text(str(path), style="bold"), soft_wrap=True)
 
 
 def _save(sol: Any, path: Path) -> None:
