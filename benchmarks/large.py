@@ -192,9 +192,9 @@ def passes(library: ctypes.CDLL, method: str) -> float:
     if method == "ode113":
         sol = solver(library, "heat", LARGEST, method, t_eval=[STEP * steps_for(LARGEST)], save="all")()
         k = sol.steps.order.astype(float)
-        predict = 2 + 1 + 1 + 5 * k + 3  # copy, two fills, the differences with the sum, the predictor
-        test = 1 + 2 + 2 + 1 + 3 + 2 + 3 * (k > 1) + 3 * (k > 2)  # f, its difference, norms
-        commit = 3 + 2 + 1 + 2 + 1 + 2 + 5 + 3 * k + 2  # candidate, its norm, f, copy, differences, norm
+        predict = 2 + 3 + 5 * (k - 1) + 3  # copy, the differences with the sum, the predictor
+        test = 1 + 2 + 1 + 3 + 2 + 3 * (k > 1) + 3 * (k > 2)  # f, its difference, norms
+        commit = 3 + 1 + 2 + 1 + 2 + 5 + 3 * k + 2  # candidate, f, copy, differences, norm
         return float(np.mean(3 + predict + test + commit)) + loop
     A, b, E = tableau(method)
     last_in_error = method != "dop853"

@@ -244,6 +244,40 @@ def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
     np.testing.assert_allclose(line.get_ydata(), np.abs(radius(0, sol.y) - 2), rtol=1e-12)
 
 
+def test_equal_steps_are_shown_as_equal():
+    sol = iv.solve_ivp(lambda t, y: [-y[0]], (0, 1), [1.0], atol=1e-3)
+    low, high = sol.plot_steps()[0].get_ylim()
+    assert low < 0.6 * np.abs(sol.steps.h).min()
+    assert high > 1.5 * np.abs(sol.steps.h).max()
+
+
+def test_a_second_run_on_the_same_axes_has_colours_of_its_own():
+    plain = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0])
+    held = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0], invariants=lambda t, y: y @ y)
+    panels = held.plot_steps(label="held")
+    plain.plot_steps(panels, label="plain")
+    colours = [line.get_color() for line in panels[2].lines if line.get_marker() == "."]
+    assert len(colours) == len(set(colours)) == 3
+    assert panels[2].get_ylabel() == "in units of rtol"
+    assert [bool(panel.get_xlabel()) for panel in panels] == [False, False, True]
+
+
+def test_the_ends_of_a_phase_curve_are_those_of_the_run():
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -y[0]], (0, 3), [1.0, 0], "ode78", t_eval=[1, 1.5], dense_output=True, rtol=1e-8
+    )
+    marks = {line.get_label(): line.get_xydata()[0] for line in sol.plot_phase(0, 1).lines}
+    np.testing.assert_allclose(marks["start"], [1, 0])
+    np.testing.assert_allclose(marks["end"], [np.cos(3), -np.sin(3)], atol=1e-5)
+    end = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 3), [1.0, 0], save="end").plot_phase(0, 1)
+    assert "start" not in [line.get_label() for line in end.lines]
+
+
+def test_labels_must_differ():
+    with pytest.raises(ValueError, match="differ"):
+        iv.Problem(lambda t, y: [y[1], -y[0]], (0, 1), [1, 0], labels=["a", "a"])
+
+
 def test_empty_output_has_no_drift():
     sol = turning().solve(t_eval=[])
     for invariants in (None, radius):

@@ -49,7 +49,7 @@ _ALIKE = 3
 #: The axis of errors and corrections goes no lower, in units of rtol: those of the first steps can be roundoff.
 _NEGLIGIBLE = 1e-6
 
-_MARKERS = "os^Dvp"
+_MARKERS = "o^Dvps"
 
 
 def plot(sol: Solution, ax: Axes | None = None, components: Any = None, **line: Any) -> Axes:
@@ -139,6 +139,8 @@ def plot_phase(sol: Solution, i: int | str, j: int | str | None = None, ax: Axes
             )
         labels = f"Re {names[a]}", f"Im {names[a]}"
     elif j is None:
+        if len(names) == 1:
+            raise ValueError(f"plot_phase needs two components, and this problem has one, {names[0]}")
         raise ValueError(f"plot_phase needs two components of {_listed(names)}, got only {i!r}")
     else:
         b = _component(names, j)
@@ -155,8 +157,10 @@ def plot_phase(sol: Solution, i: int | str, j: int | str | None = None, ax: Axes
     for label, marker, _, states in _occurrences(sol):
         _mark(ax, *plane(states.T), label, marker)
     paint: dict[str, Any] = {"color": curve.get_color(), "ls": "none", "zorder": 2.5}
-    ax.plot(*plane(sol.y[:, :1]), marker="o", ms=7, label=_once(ax, "start"), **paint)
-    ax.plot(*plane(sol.y[:, -1:]), marker="s", ms=4.5, mfc=ax.get_facecolor(), label=_once(ax, "end"), **paint)
+    ends = sol.y if sol.sol is None else sol.sol(sol.sol.ts[[0, -1]])
+    if ends.shape[1] > 1:
+        ax.plot(*plane(ends[:, :1]), marker="o", ms=7, label=_once(ax, "start"), **paint)
+    ax.plot(*plane(ends[:, -1:]), marker="s", ms=4.5, mfc=ax.get_facecolor(), label=_once(ax, "end"), **paint)
     ax.set(xlabel=labels[0], ylabel=labels[1])
     width, height = ax.dataLim.width, ax.dataLim.height
     if 0 < width < _ALIKE * height < _ALIKE**2 * width:
@@ -262,11 +266,16 @@ def plot_steps(sol: Solution, axes: Any = None, **line: Any) -> Array:
         raise ValueError(f"plot_steps draws on one to three axes, got {len(panels)}")
     steps = sol.steps
     line, given = _properties(line)
-    paint = {"color": _unused(panels[0])[0], "linewidth": 1.2, "drawstyle": "steps-pre", "label": given, **line}
+    taken = {one.get_color() for panel in panels for one in panel.lines}
+    colour = next((one for one in COLOURS if one not in taken), _unused(panels[0])[0])
+    paint = {"color": colour, "linewidth": 1.2, "drawstyle": "steps-pre", "label": given, **line}
     t = np.concatenate([steps.t[:1] - steps.h[:1], steps.t])
     for panel, values in zip(panels, (np.abs(steps.h), steps.order), strict=False):
         panel.plot(t, np.concatenate([values[:1], values]), **paint)
     panels[0].set(yscale="log", ylabel="step size $|h|$")
+    low, high = panels[0].dataLim.intervaly
+    if 0 < low <= high < 1.2 * low:  # equal but for roundoff: a logarithmic axis would show that and nothing else
+        panels[0].set_ylim(low / 2, 2 * high, auto=None)
     _legend(panels[0])
     if len(panels) > 1:
         panels[1].set_ylabel("order")
@@ -277,7 +286,9 @@ def plot_steps(sol: Solution, axes: Any = None, **line: Any) -> Array:
     if len(panels) > 2:
         _draw_errors(panels[2], steps, paint["color"], given)
     for panel in panels:
-        panel.set_xlabel("$t$")
+        place = panel.get_subplotspec()
+        if place is None or place.is_last_row():
+            panel.set_xlabel("$t$")
         if new:
             panel.label_outer()
     return panels
@@ -293,7 +304,7 @@ def _draw_errors(ax: Axes, steps: Steps, colour: Any, given: str | None) -> None
         other = next(one for one in COLOURS if one not in [line.get_color() for line in ax.lines])
         ax.plot(steps.t, _positive(steps.correction), color=other, label=_joined("correction", given), **dots)
         ax.set_ylabel("in units of rtol")
-    else:
+    elif not ax.get_ylabel():
         ax.set_ylabel("error / rtol")
     ax.set_yscale("log")
     top = max(steps.error.max(initial=0), steps.correction.max(initial=0))

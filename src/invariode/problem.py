@@ -195,6 +195,8 @@ class Problem:
         self._labels = None if labels is None else list(labels)
         if self._labels is not None and len(self._labels) != len(self.y0):
             raise ValueError(f"labels must name the {len(self.y0)} components of y0, got {labels!r}")
+        if self._labels is not None and len(set(self._labels)) < len(self._labels):
+            raise ValueError(f"labels must differ from each other, got {labels!r}")
 
     @property
     def labels(self) -> list[str]:
