@@ -8,7 +8,7 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/*) \
   $(shell find src -name '*.py' -o -name '*.cpp' -o -name '*.pyi')
 CXX_FILES := $(wildcard core/*.hpp core/*.cpp src/invariode/*.cpp tests/native/*.hpp tests/native/*.cpp benchmarks/*.cpp)
 # Warnings are errors where nobody but us is bothered by them.
-INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI),-C cmake.define.INVARIODE_WERROR=ON)
+INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON)
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
