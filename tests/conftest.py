@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -13,6 +14,8 @@ os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
 
 import invariode as iv
 from problems import PROBLEMS, TestProblem
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, so would the tests
 
 
 @pytest.fixture(params=list(iv.METHODS))
