@@ -263,7 +263,7 @@ void Adams::choose_order_and_step() {
       choose(k + 1, erkp1);
   }
   const double goal = 0.5 * weights_.rtol();
-  if (goal >= error * static_cast<double>(2 << order_))
+  if (goal >= std::ldexp(error, order_ + 1))
     h_ *= 2;
   else if (goal < error)
     h_ *= std::max(0.5, std::min(0.9, std::pow(goal / error, 1.0 / (order_ + 1))));

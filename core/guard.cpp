@@ -283,7 +283,8 @@ Finding Guard::suspect(const Projector& at, double t, const double* f, double h,
     const double rate = gt_[i] + dot(J + i * n, f, n);
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm(i) * speed);
     const bool drifts = std::abs(h * rate) > suspicious_drift * weights_.rtol() * at.row_norm(i);
-    if (!(angle > limit && drifts && angle > worst.distance)) continue;
+    const bool suspicious = angle > limit && drifts && angle > worst.distance;
+    if (!suspicious) continue;
     double noise = invariants_.roundoff_of_rate(i, y, J, f);
     if (formed)  // t has roundoff too
       noise +=
