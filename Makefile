@@ -4,9 +4,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 NATIVE := build/native
-SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/*) \
-  $(shell find src -name '*.py' -o -name '*.cpp' -o -name '*.pyi')
-CXX_FILES := $(wildcard core/*.hpp core/*.cpp src/invariode/*.cpp tests/native/*.hpp tests/native/*.cpp benchmarks/*.cpp)
+SOURCES := pyproject.toml CMakeLists.txt README.md $(shell find core binding -type f) \
+  $(shell find src -name '*.py' -o -name '*.pyi')
+CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o -name '*.cpp')
 # Warnings are errors where nobody but us is bothered by them.
 INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON)
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
@@ -35,7 +35,7 @@ lint: $(VENV)/.installed-lint native  ## style, types, static analysis, drift of
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
-	$(BIN)/clang-tidy -quiet -p $(NATIVE) core/*.cpp
+	$(BIN)/clang-tidy -quiet -p $(NATIVE) $(shell find core -name '*.cpp')
 	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi && diff _core.pyi ../src/invariode/_core.pyi
 
 format: $(VENV)/.installed-lint

@@ -6,12 +6,12 @@
 #include <optional>
 #include <vector>
 
-#include "events.hpp"
-#include "guard.hpp"
-#include "interpolant.hpp"
-#include "invariants.hpp"
-#include "output.hpp"
-#include "projection.hpp"
+#include "output/events.hpp"
+#include "manifold/guard.hpp"
+#include "output/interpolant.hpp"
+#include "manifold/invariants.hpp"
+#include "output/output.hpp"
+#include "manifold/projection.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 

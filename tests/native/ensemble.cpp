@@ -1,6 +1,6 @@
 // Every index is worked on once, whoever does it.
 
-#include "ensemble.hpp"
+#include "run/ensemble.hpp"
 
 #include <cmath>
 #include <stdexcept>

@@ -13,10 +13,10 @@
 #include <utility>
 #include <vector>
 
-#include "adams.hpp"
+#include "methods/adams.hpp"
 #include "integrate.hpp"
-#include "ndf.hpp"
-#include "runge_kutta.hpp"
+#include "methods/ndf.hpp"
+#include "methods/runge_kutta.hpp"
 
 namespace invariode::test {
 

@@ -1,6 +1,6 @@
 // A tableau is what it says, and no misprint passes.
 
-#include "tableaux.hpp"
+#include "methods/tableaux.hpp"
 
 #include <algorithm>
 #include <cmath>

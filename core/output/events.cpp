@@ -1,4 +1,4 @@
-#include "events.hpp"
+#include "output/events.hpp"
 
 #include <algorithm>
 #include <cmath>

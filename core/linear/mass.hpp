@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "jacobian.hpp"
-#include "matrix.hpp"
+#include "linear/jacobian.hpp"
+#include "linear/matrix.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 

@@ -1,4 +1,4 @@
-#include "guard.hpp"
+#include "manifold/guard.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -6,9 +6,9 @@
 #include <optional>
 #include <vector>
 
-#include "jacobian.hpp"
-#include "mass.hpp"
-#include "matrix.hpp"
+#include "linear/jacobian.hpp"
+#include "linear/mass.hpp"
+#include "linear/matrix.hpp"
 #include "step.hpp"
 
 namespace invariode {

@@ -4,7 +4,7 @@
 #include <memory>
 
 #include "step.hpp"
-#include "tableaux.hpp"
+#include "methods/tableaux.hpp"
 
 namespace invariode {
 

@@ -6,8 +6,8 @@
 #include <cstddef>
 #include <vector>
 
-#include "invariants.hpp"
-#include "projection.hpp"
+#include "manifold/invariants.hpp"
+#include "manifold/projection.hpp"
 #include "step.hpp"
 
 namespace invariode {

@@ -6,7 +6,7 @@
 #include <cstddef>
 #include <vector>
 
-#include "invariants.hpp"
+#include "manifold/invariants.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 

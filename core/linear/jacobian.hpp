@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "matrix.hpp"
+#include "linear/matrix.hpp"
 #include "weights.hpp"
 
 namespace invariode {

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "interpolant.hpp"
+#include "output/interpolant.hpp"
 
 namespace invariode {
 

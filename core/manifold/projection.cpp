@@ -1,4 +1,4 @@
-#include "projection.hpp"
+#include "manifold/projection.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "invariants.hpp"
+#include "manifold/invariants.hpp"
 
 #include <algorithm>
 #include <cmath>

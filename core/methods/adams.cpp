@@ -1,4 +1,4 @@
-#include "adams.hpp"
+#include "methods/adams.hpp"
 
 #include <algorithm>
 #include <cmath>

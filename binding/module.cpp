@@ -30,13 +30,13 @@
 #include <variant>
 #include <vector>
 
-#include "adams.hpp"
-#include "ensemble.hpp"
+#include "methods/adams.hpp"
+#include "run/ensemble.hpp"
 #include "integrate.hpp"
-#include "jacobian.hpp"
-#include "mass.hpp"
-#include "ndf.hpp"
-#include "runge_kutta.hpp"
+#include "linear/jacobian.hpp"
+#include "linear/mass.hpp"
+#include "methods/ndf.hpp"
+#include "methods/runge_kutta.hpp"
 
 namespace nb = nanobind;
 using namespace invariode;

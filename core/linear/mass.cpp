@@ -1,4 +1,4 @@
-#include "mass.hpp"
+#include "linear/mass.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "ndf.hpp"
+#include "methods/ndf.hpp"
 
 #include <algorithm>
 #include <array>

@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "invariants.hpp"
-#include "projection.hpp"
+#include "manifold/invariants.hpp"
+#include "manifold/projection.hpp"
 
 namespace invariode {
 

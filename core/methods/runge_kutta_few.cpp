@@ -1,6 +1,6 @@
 // The Runge-Kutta pairs for few equations; compiled without automatic vectorization.
 
-#include "runge_kutta_step.hpp"
+#include "methods/runge_kutta_step.hpp"
 
 namespace invariode::runge_kutta {
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "buffer.hpp"
-#include "interpolant.hpp"
+#include "output/interpolant.hpp"
 
 namespace invariode {
 

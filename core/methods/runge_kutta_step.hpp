@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "runge_kutta.hpp"
+#include "methods/runge_kutta.hpp"
 
 namespace invariode::runge_kutta {
 

@@ -1,4 +1,4 @@
-#include "matrix.hpp"
+#include "linear/matrix.hpp"
 
 #include <Eigen/LU>
 #include <Eigen/SparseCore>

@@ -1,4 +1,4 @@
-#include "jacobian.hpp"
+#include "linear/jacobian.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "interpolant.hpp"
+#include "output/interpolant.hpp"
 
 #include <algorithm>
 

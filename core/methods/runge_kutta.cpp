@@ -1,8 +1,8 @@
-#include "runge_kutta.hpp"
+#include "methods/runge_kutta.hpp"
 
 #include <algorithm>
 
-#include "runge_kutta_step.hpp"
+#include "methods/runge_kutta_step.hpp"
 
 namespace invariode {
 namespace {
