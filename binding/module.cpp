@@ -30,13 +30,9 @@
 #include <variant>
 #include <vector>
 
-#include "methods/adams.hpp"
-#include "run/ensemble.hpp"
 #include "integrate.hpp"
-#include "linear/jacobian.hpp"
-#include "linear/mass.hpp"
-#include "methods/ndf.hpp"
-#include "methods/runge_kutta.hpp"
+#include "methods/registry.hpp"
+#include "run/ensemble.hpp"
 
 namespace nb = nanobind;
 using namespace invariode;
@@ -655,9 +651,9 @@ class LinearProblem {
     mass_.emplace(std::move(mass), function, make_basis(spec.null_basis, spec.structure.n));
   }
 
-  [[nodiscard]] Jacobian& jacobian() { return jacobian_; }
-  [[nodiscard]] Mass* mass() { return mass_ ? &*mass_ : nullptr; }
-  [[nodiscard]] const Lapack* lapack() const { return lapack_ ? &*lapack_ : nullptr; }
+  [[nodiscard]] LinearAlgebra algebra() {
+    return {.jacobian = &jacobian_, .mass = mass_ ? &*mass_ : nullptr, .lapack = lapack_ ? &*lapack_ : nullptr};
+  }
 
  private:
   static Jacobian make_jacobian(const LinearSpec& spec, Functions& functions, const Weights& weights) {
@@ -700,50 +696,11 @@ class LinearProblem {
   std::optional<Lapack> lapack_;
 };
 
-struct MethodOptions {
-  Fsal fsal;
-  int max_order;
-  bool bdf;
-  bool projected;
-};
-
-using MakeStep = std::unique_ptr<Step> (*)(Callback&, const Weights&, const MethodOptions&, LinearProblem*);
-constexpr std::pair<const char*, MakeStep> steps[] = {
-    {"ode23",
-     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) { return ode23_step(f, w, o.fsal); }},
-    {"ode45",
-     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) { return ode45_step(f, w, o.fsal); }},
-    {"dop853", [](Callback& f, const Weights& w, const MethodOptions&, LinearProblem*) { return dop853_step(f, w); }},
-    {"ode78", [](Callback& f, const Weights& w, const MethodOptions&, LinearProblem*) { return ode78_step(f, w); }},
-    {"ode113",
-     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem*) -> std::unique_ptr<Step> {
-       return std::make_unique<Adams>(f, w, o.max_order);
-     }},
-    {"ode15s",
-     [](Callback& f, const Weights& w, const MethodOptions& o, LinearProblem* linear) -> std::unique_ptr<Step> {
-       const Ndf::Options options{
-           .max_order = o.max_order, .bdf = o.bdf, .renew_on_error = o.projected, .lapack = linear->lapack()};
-       return std::make_unique<Ndf>(f, w, linear->jacobian(), linear->mass(), options);
-     }}};
 constexpr std::pair<const char*, Structure::Kind> structures[] = {
     {"dense", Structure::Kind::dense}, {"banded", Structure::Kind::banded}, {"sparse", Structure::Kind::sparse}};
 constexpr std::pair<const char*, Fsal> fsals[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
 constexpr std::pair<const char*, Interpolation> interpolations[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
-
-/// A raw extension under its name in files, and the sizes that its data may have.
-struct Extension {
-  const char* name;
-  Interpolate evaluate;
-  bool (*fits)(std::size_t size, std::size_t n);
-};
-bool rows_of_n(std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
-bool rows_and_steps(std::size_t size, std::size_t n) {
-  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
-}
-constexpr Extension extensions[] = {{"Runge-Kutta", nested, rows_of_n},
-                                    {"Adams", integrate_polynomial, rows_and_steps},
-                                    {"NDF", newton_backward, rows_of_n}};
 
 template <class Value>
 const char* name_in(const std::pair<const char*, Value> (&names)[3], Value value) {
@@ -802,8 +759,7 @@ struct Dense {
     d["data"] = copied(all.data.copy());
     d["m"] = all.m;
     d["interpolation"] = name_in(interpolations, all.mode);
-    for (const Extension& one : extensions)
-      if (one.evaluate == all.raw) d["extension"] = one.name;
+    d["extension"] = find_extension(all.raw)->name;
     d["rtol"] = weights.rtol();
     d["threshold"] = copied(weights.threshold());
     d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));
@@ -818,9 +774,7 @@ struct Dense {
                           const Threshold& threshold, const std::optional<ConstVector>& scale, bool complex) {
     const std::size_t n = y.shape(1), segments = end.size();
     const Interpolation mode = find_name(interpolations, interpolation, "interpolation");
-    const Extension* raw = nullptr;
-    for (const Extension& one : extensions)
-      if (one.name == extension) raw = &one;
+    const Extension* raw = find_extension(std::string_view(extension));
     const auto require = [](bool right, const char* what) {
       if (!right) throw nb::value_error(what);
     };
@@ -922,7 +876,7 @@ class Solver {
         complex(complex),
         weights(to_weights(n, rtol, threshold, scale)),
         functions({n, complex}, args, to_vector(parameters)),
-        make_step(find_name(steps, method, "method")),
+        method(find_method(method)),
         f(functions.state_valued(fun, "fun(t, y)")),
         notify(callback.is_none() ? Callback() : functions.truth(callback, "callback(t, y)")),
         blocks(functions.invariants(invariants)),
@@ -973,7 +927,7 @@ class Solver {
   bool complex;
   Weights weights;
   Functions functions;
-  MakeStep make_step;
+  const Method* method;
   Callback f, notify;
   std::vector<EventFunction> event_functions;
   std::optional<LinearProblem> implicit;
@@ -1002,10 +956,9 @@ class Course {
   /// algebraic equations of a singular mass matrix ask for it.
   Consistency prepare(double t0, double* y0) {
     Consistency verdict = Consistency::consistent;
-    Mass* mass = implicit_ ? implicit_->mass() : nullptr;
+    const LinearAlgebra algebra = implicit_ ? implicit_->algebra() : LinearAlgebra{};
     Callback uncounted = f;  // nfev is what the method evaluates
-    if (mass && mass->singular())
-      verdict = make_consistent(uncounted, implicit_->jacobian(), *mass, weights_, implicit_->lapack(), t0, y0);
+    if (algebra.mass && algebra.mass->singular()) verdict = make_consistent(uncounted, algebra, weights_, t0, y0);
     if (g_ && g_->hold(t0, y0) == Status::stop) return Consistency::stop;
     if (between_ && between_->hold(t0, y0) == Status::stop) return Consistency::stop;
     return verdict;
@@ -1029,7 +982,7 @@ class Course {
   // With a singular mass matrix the invariants are imposed together with the algebraic equations.
   std::optional<Invariants> between_;
   std::optional<AlgebraicConstraints> algebraic_;
-  std::optional<MassSlope> slope_;
+  std::unique_ptr<Slope> slope_;
   Integration::Manifold manifold_;
   std::optional<Invariants> g_;
 
@@ -1046,16 +999,19 @@ class Course {
 };
 
 std::optional<Invariants> Course::make_invariants(const Solver& solver) {
-  manifold_.slope = f;
   if (solver.blocks.empty()) return {};
   std::vector<InvariantBlock> blocks = solver.blocks;
   std::vector<double> values = solver.value;
-  Mass* mass = implicit_ ? implicit_->mass() : nullptr;
+  const LinearAlgebra algebra = implicit_ ? implicit_->algebra() : LinearAlgebra{};
+  Mass* mass = algebra.mass;
   if (mass)
-    manifold_.slope = slope_.emplace(f, implicit_->jacobian(), *mass, solver.weights, implicit_->lapack()).callback();
+    slope_ = std::make_unique<MassSlope>(f, algebra, solver.weights);
+  else
+    slope_ = std::make_unique<ExplicitSlope>(f);
+  manifold_.slope = slope_.get();
   if (mass && mass->singular()) {
     manifold_.between = &between_.emplace(solver.n, blocks, values, solver.weights);
-    algebraic_.emplace(f, implicit_->jacobian(), *mass);
+    algebraic_.emplace(f, *algebra.jacobian, *mass);
     InvariantBlock block;
     block.g = algebraic_->residual();
     block.jacobian = algebraic_->jacobian();
@@ -1072,7 +1028,7 @@ std::unique_ptr<Step> Course::make_step(const Solver& solver) {
     manifold_.steps = &*g_;
     if (!between_) manifold_.between = &*g_;
   }
-  return solver.make_step(f, solver.weights, solver.options, implicit_ ? &*implicit_ : nullptr);
+  return solver.method->step(f, solver.weights, solver.options, implicit_ ? implicit_->algebra() : LinearAlgebra{});
 }
 
 Run Course::result() {
@@ -1088,9 +1044,7 @@ Run Course::result() {
           .counts = integration.counts(),
           .linear = integration.step().linear_work(),
           .nfev = f.calls(),
-          .nfev_check = slope_ ? slope_->evaluations()
-                        : g_   ? integration.guard()->calls()
-                               : 0,
+          .nfev_check = slope_ ? slope_->evaluations() : 0,
           .ng = g_ ? g_->calls() : 0,
           .ngjac = g_ ? g_->jacobian_calls() : 0,
           .ngdiff = g_ ? g_->derivative_calls() : 0,
@@ -1442,8 +1396,7 @@ std::pair<Vector, const char*> make_consistent_start(const nb::object& fun, cons
   Callback f = functions.state_valued(fun, "fun(t, y)");
   LinearProblem problem(linear, functions, weights);
   std::vector<double> y = to_vector(y0);
-  const Consistency verdict =
-      make_consistent(f, problem.jacobian(), *problem.mass(), weights, problem.lapack(), t0, y.data());
+  const Consistency verdict = make_consistent(f, problem.algebra(), weights, t0, y.data());
   if (verdict == Consistency::stop) throw nb::python_error();
   return {to_array<Vector>(std::move(y), n), name_of(verdict)};
 }
@@ -1461,7 +1414,7 @@ auto impose(const ConstVector& t, const ConstMatrix& y, bool complex, double rto
   std::vector<std::int64_t> iterations(count), converged(count);
   Unlocked unlocked(functions.native());
   for (std::size_t p = 0; p < count; ++p) {
-    const Projector::Imposed imposed = projector.impose(t.data()[p], &points[p * n]);
+    const Imposed imposed = projector.impose(t.data()[p], &points[p * n]);
     if (imposed.outcome == Outcome::stop || g.residual(t.data()[p], &points[p * n], &residual[p * m]) == Status::stop)
       throw nb::python_error();
     converged[p] = imposed.converged;
@@ -1484,7 +1437,8 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
   Functions functions({n, complex}, args, to_vector(parameters));
   const Callback f = functions.state_valued(fun, "fun(t, y)");
   Invariants g = bound(n, functions, invariants, value, weights);
-  Guard guard(g, weights, f);
+  ExplicitSlope slope(f);
+  Guard guard(g, weights, slope);
   std::vector<Guard::Examination> found;
   switch (guard.examine(t, y.data(), 1, found)) {
     case Outcome::stop: throw nb::python_error();
@@ -1542,8 +1496,7 @@ Table distance(const ConstVector& t, const ConstMatrix& y, bool complex, double 
   Unlocked unlocked(functions.native());
   for (std::size_t p = 0; p < count; ++p) {
     if (projector.linearize_at(t.data()[p], y.data() + p * n) == Outcome::stop) throw nb::python_error();
-    for (std::size_t i = 0; i < m; ++i)
-      d[p * m + i] = projector.row_norm(i) > 0 ? std::abs(projector.residual()[i]) / projector.row_norm(i) / rtol : 0;
+    for (std::size_t i = 0; i < m; ++i) d[p * m + i] = projector.linearization().distance(i) / rtol;
   }
   unlocked.end();
   return to_array<Table>(std::move(d), count, m);
