@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 import invariode as iv
-from problems import PROBLEMS
+from problems import PROBLEMS, blow_up
 from test_jumps import ball, bounce, energy, floor
 
 KEPLER = PROBLEMS["Kepler"]
@@ -66,7 +66,7 @@ RUNS = {
     ),
     "jumps": (bouncing, energy),
     "complex, backwards": (complex_wave, iv.Invariants(norm, norm_jacobian)),
-    "failed": (lambda method, **o: iv.solve_ivp(lambda t, y: y * y, (0, 2), [1.0], method, **o), None),
+    "failed": (lambda method, **o: iv.solve_ivp(blow_up, (0, 2), [1.0], method, **o), None),
     "nothing": (lambda method, **o: iv.solve_ivp(lambda t, y: [], (0, 1), [], method, **o), None),
     "no time": (lambda method, **o: iv.solve_ivp(lambda t, y: -y, (1, 1), [1.0], method, **o), None),
 }

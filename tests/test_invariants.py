@@ -211,8 +211,9 @@ class TestWhen:
         assert needed.stats.ngjac < always.stats.ngjac
         plain = iv.solve_ivp(p.fun, p.t_span, p.y0, **options)
         errors = [np.abs(sol.y[:, -1] - tight).max() for sol in (plain, always, needed)]
-        assert errors[2] <= max(4 * errors[1], 0.1 * errors[0])
-        assert needed.drift().distance_after.max() <= 0.05  # 0.01, judged by the gradients of another point
+        left = 0.05  # what is not corrected, in units of rtol: 0.01, judged by the gradients of another point
+        assert errors[2] <= max(4 * errors[1], 0.1 * errors[0], left * 1e-7 * np.abs(needed.y).max())
+        assert needed.drift().distance_after.max() <= left
 
     def test_always_if_one_of_them_says_so(self):
         energy = iv.Invariants(lambda t, y: kepler_invariants(t, y)[0], when="needed")

@@ -9,6 +9,7 @@
 #include "methods/ode23.hpp"
 #include "methods/ode45.hpp"
 #include "methods/ode78.hpp"
+#include "methods/ode89.hpp"
 #include "step.hpp"
 
 namespace invariode::runge_kutta {
@@ -26,7 +27,7 @@ struct Tableaux {
 };
 
 /// The pairs: a new one needs a file with its tableau and a place here.
-using Pairs = Tableaux<bogacki_shampine, dormand_prince, dormand_prince_853, verner_87>;
+using Pairs = Tableaux<bogacki_shampine, dormand_prince, dormand_prince_853, verner_87, verner_98>;
 
 using MakePair = std::unique_ptr<Step> (*)(Callback& f, const Weights& weights, Fsal fsal);
 

@@ -117,7 +117,7 @@ constexpr std::array<std::array<double, D>, S> to_nested(std::array<std::array<d
 template <std::size_t S>
 constexpr double order_defect(const std::array<std::array<double, S>, S>& A, const std::array<double, S>& w, int order,
                               double theta = 1, double enough = std::numeric_limits<double>::infinity()) {
-  constexpr std::size_t most = 9;
+  constexpr std::size_t most = 10;  // nodes: one above the highest order, where the conditions must fail
   double worst = 0;
   double power = 1;
   for (std::size_t r = 1; r <= static_cast<std::size_t>(order); ++r) {

@@ -284,7 +284,7 @@ TEST(a_pair_whose_last_stage_waits_for_y1_evaluates_it_once_per_step_and_its_ext
         CHECK(run->run() == State::reached_end);
         const Counts& counts = (*run)->counts();
         CHECK(counts.failed > 0);
-        const int in_extension = run == &looked_into ? 3 : 0;
+        const int in_extension = run == &looked_into ? method.extra : 0;
         CHECK(run->f.calls() ==
               1 + method.stages * (counts.steps + counts.failed) - counts.failed + in_extension * counts.steps);
       }
@@ -295,7 +295,7 @@ TEST(a_pair_whose_last_stage_waits_for_y1_evaluates_it_once_per_step_and_its_ext
 TEST(where_f_is_not_defined_at_a_stage_of_the_extension_the_cubic_takes_its_place) {
   for (const Method& method : waiting_pairs()) {
     const check::Case label(method.name);
-    // NaN at the times of the three further stages only
+    // NaN at the times of the further stages only
     Problem problem = harmonic();
     const Function f = problem.f;
     int calls = 0;
