@@ -29,7 +29,7 @@ def paper(
         typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="Where the report goes."),
     ] = Path("paper-report.html"),
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Only print the table; matplotlib is not needed.")
+        bool, typer.Option("--no-report", help="Only print the table; the extra plot is not needed.")
     ] = False,
 ) -> None:
     """Run the experiments of Shampine's paper and compare each published number.
@@ -41,7 +41,7 @@ def paper(
     """
     console = Console()
     if not no_report:
-        needs("The report (--no-report leaves it out)", ("matplotlib",), "plot")
+        needs("The report (--no-report leaves it out)", ("matplotlib", "jinja2"), "plot")
         if not output.parent.is_dir():
             raise typer.BadParameter(f"no such directory: {output.parent}", param_hint="--output")
     with guarded():
