@@ -90,7 +90,7 @@ def _print_kinetics(console: Console, results: Results) -> None:
     table = numbers("problem", ("steps", "Jacobian given", "by differences"))
     for one in results.kinetics:
         drifts = (f"{drift:.1e}" for drift in one.drifts)
-        table.add_row(f"{one.problem.name}, {one.problem.invariant}", str(one.given.stats.steps), *drifts)
+        table.add_row(f"{one.kinetic.problem.name}, {one.kinetic.invariant}", str(one.given.stats.steps), *drifts)
     title = "Drift of linear invariants, ode15s without projection (no gain of it)"
     console.print(Text(title, style="bold"), table, "", sep="\n")
 

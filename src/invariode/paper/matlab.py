@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from .._arguments import Array
 from ..events import Event
+from ..problems import hires
 from ..solution import Solution
 from ..suite import ode15s, ode45, solve_ivp
-from .problems import HIRES
 from .rows import DIGITS, LAST_DIGIT, SIZE, Row
 
 __all__ = ["matlab_rows"]
@@ -76,7 +76,8 @@ def _third_order(method: str) -> list[Row]:
 def _hires() -> list[Row]:
     """The counts of Stats for HIRES with ode15s, the Jacobian by differences."""
     title = "HIRES, ode15s, rtol = atol = 1e-6, Jacobian by differences"
-    sol = ode15s(HIRES.fun, HIRES.t_span, HIRES.y0, rtol=1e-6, atol=1e-6)
+    problem = hires()
+    sol = ode15s(problem.fun, problem.t_span, problem.y0, rtol=1e-6, atol=1e-6)
     return [
         Row(title, "successful steps", "200", sol.stats.steps, SOURCE, stats=sol.stats),
         Row(title, "failed attempts", "22", sol.stats.failed, SOURCE),

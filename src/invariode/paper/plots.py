@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 from .._arguments import EPS, Array
 from .._style import AXES, GRID, IMPOSED, INK, LOOK, PLAIN, PROJECTED, QUIET
+from ..problems import MU, MU_STAR
 from ..solution import Solution
-from .experiments import REFINE, Results, residual
-from .problems import MU, MU_STAR, ORBITS, PENDULUM
+from .experiments import ORBITS, PENDULUM, REFINE, Results, residual
 
 __all__ = ["FIGURES", "Plot", "svg"]
 
