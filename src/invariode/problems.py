@@ -5,9 +5,9 @@
 >>> sol.success
 True
 
-Each function returns an `invariode.Problem` with its invariants, names of the components and, where it is stiff, its Jacobian.
-With ``imposed=False`` it has no invariants. The equations are written for one state y of shape (n,), and all but those
-of chemical kinetics in words that numba knows; the invariants also take columns of states, (n, n_t).
+Each function returns an `invariode.Problem` with its invariants, names of the components and, where it is stiff, its
+Jacobian; with ``imposed=False`` it has no invariants. The equations are written for one state y of shape (n,), and all
+but those of chemical kinetics in words that numba knows; the invariants also take columns of states, (n, n_t).
 """
 
 from __future__ import annotations

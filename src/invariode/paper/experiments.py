@@ -17,7 +17,7 @@ from ..problems import hires, lotka_volterra, pendulum, robertson, three_body
 from ..solution import Solution
 from ..suite import ode15s
 from .matlab import matlab_rows
-from .rows import Row, Rule, within
+from .rows import Row, Rule, of_the_paper, within
 
 __all__ = ["Code", "Kinetics", "LotkaVolterra", "Pendulum", "Results", "ThreeBody", "gap", "residual", "run"]
 
@@ -98,8 +98,10 @@ class LotkaVolterra:
         one_ulp = within(ulp, f"to one unit in the last place of g, {ulp:.1e}")
         on_the_axis = Rule(lambda _, value: value < ON_THE_AXIS, "if under a hundredth of the scale of Fig. 2")
         return [
-            Row(title, "max residual, plain", "9.12", plain.max(), "p. 71", stats=self.plain.stats),
-            Row(title, "max residual, projected", "8.80e-5", projected.max(), "p. 71", stats=self.projected.stats),
+            of_the_paper("Lotka-Volterra, plain", title, "max residual, plain", plain.max(), self.plain.stats),
+            of_the_paper(
+                "Lotka-Volterra, projected", title, "max residual, projected", projected.max(), self.projected.stats
+            ),
             Row(
                 title,
                 'the same with fsal="evaluate"',
@@ -107,16 +109,27 @@ class LotkaVolterra:
                 residual(ORBITS, self.evaluated).max(),
                 stats=self.evaluated.stats,
             ),
-            Row(title, "residual inside the last step, raw", "7e-3", last.max(), "Fig. 2", stats=self.raw.stats),
-            Row(
+            of_the_paper(
+                "Lotka-Volterra, inside the last step",
+                title,
+                "residual inside the last step, raw",
+                last.max(),
+                self.raw.stats,
+            ),
+            of_the_paper(
+                "Lotka-Volterra, at the ends of the last step",
                 title,
                 "residual at the ends of that step",
-                "virtually zero",
                 max(last[0], last[-1]),
-                "p. 71",
-                on_the_axis,
+                rule=on_the_axis,
             ),
-            Row(title, "that step imposed a posteriori", "1.4e-14", imposed[inside].max(), "p. 71", one_ulp),
+            of_the_paper(
+                "Lotka-Volterra, imposed a posteriori",
+                title,
+                "that step imposed a posteriori",
+                imposed[inside].max(),
+                rule=one_ulp,
+            ),
             Row(title, "the whole run imposed a posteriori", None, imposed.max()),
         ]
 
@@ -150,8 +163,8 @@ class Pendulum:
         title = "Pendulum in Cartesian coordinates, ode45, default tolerances"
         plain, raw, projected = (residual(PENDULUM, sol)[0].max() for sol in (self.plain, self.raw, self.projected))
         return [
-            Row(title, "max |x² + y² − 1|, plain", "1.19", plain, "p. 70", stats=self.plain.stats),
-            Row(title, "both invariants imposed, raw output", "3.36e-4", raw, "p. 70", stats=self.raw.stats),
+            of_the_paper("pendulum, plain", title, "max |x² + y² − 1|, plain", plain, self.plain.stats),
+            of_the_paper("pendulum, projected", title, "both invariants imposed, raw output", raw, self.raw.stats),
             Row(title, "both imposed, output projected too", None, projected, stats=self.projected.stats),
         ]
 
@@ -198,9 +211,16 @@ class ThreeBody:
         open_ = Rule(lambda _, value: value > VISIBLE, "if over a hundredth of the width of the orbit")
         drawn = self.adams_projected
         return [
-            Row(figure, "plain", "dramatic", gap(self.adams), "p. 70", open_, self.adams.stats),
-            Row(figure, "projected", "proper", gap(drawn), "p. 70", closed, drawn.stats),
-            Row(title, "tolerances 1e-5, 1e-4, plain", "periodic", gap(self.demo), "p. 70", closed, self.demo.stats),
+            of_the_paper("three bodies, ode113, plain", figure, "plain", gap(self.adams), self.adams.stats, open_),
+            of_the_paper("three bodies, ode113, projected", figure, "projected", gap(drawn), drawn.stats, closed),
+            of_the_paper(
+                "three bodies, ode45 at tighter tolerances",
+                title,
+                "tolerances 1e-5, 1e-4, plain",
+                gap(self.demo),
+                self.demo.stats,
+                closed,
+            ),
             Row(
                 title,
                 "tolerances 1e-5, 1e-4, projected",
@@ -208,7 +228,9 @@ class ThreeBody:
                 gap(self.demo_projected),
                 stats=self.demo_projected.stats,
             ),
-            Row(title, "default tolerances, plain", "substantial", gap(self.plain), "p. 70", open_, self.plain.stats),
+            of_the_paper(
+                "three bodies, ode45", title, "default tolerances, plain", gap(self.plain), self.plain.stats, open_
+            ),
             Row(title, "default tolerances, projected", None, gap(self.projected), stats=self.projected.stats),
         ]
 
