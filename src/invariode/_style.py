@@ -13,6 +13,7 @@ __all__ = [
     "IMPOSED",
     "INK",
     "LOOK",
+    "MUTED",
     "PAGE",
     "PLAIN",
     "PROJECTED",
@@ -34,6 +35,9 @@ QUIET, INK = "#8a8f98", "#20242c"
 AXES, GRID, SHADE = "#555b66", "#e4e7ec", "#eef0f3"
 #: A colour for one thing more than the palette has.
 BLACK = "#000000"
+
+#: For what stands in the background, one for each kind of thing.
+MUTED = ("#8c8c8c", "#5f8f8f", "#b08f5f", "#9aa35a", "#9b8fc0", "#404040", "#c09090")
 
 #: Pages: background, behind code, text, secondary text, lines and heavier lines of tables, what agrees, what differs.
 PAGE = {
