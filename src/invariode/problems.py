@@ -193,7 +193,7 @@ def _energy_and_momentum_jacobian(t: float, state: Array) -> tuple[tuple[Any, ..
 def kepler(e: float = 0.6, *, imposed: bool = True) -> Problem:
     """Kepler's problem, x'' = -x/r^3, y'' = -y/r^3, from the perihelion, for ten periods of 2π.
 
-    Kept are the energy, -1/2, and the angular momentum, sqrt(1 - e^2).
+    Kept are the energy, -1/2, and the angular momentum, sqrt(1 - e^2). For a circle, e = 0, one of them is redundant.
 
     Parameters
     ----------
