@@ -30,10 +30,11 @@ sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
 
-lint: $(VENV)/.installed-lint native  ## style, types, static analysis, drift of the generated stub
+lint: $(VENV)/.installed-lint native  ## style, types, docstrings, static analysis, drift of the generated stub
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 	$(BIN)/clang-tidy -quiet -p $(NATIVE) $(shell find core -name '*.cpp')
 	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi && diff _core.pyi ../src/invariode/_core.pyi

@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 import os
-import pickle
-import signal
-import warnings
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing, suppress
-from multiprocessing.connection import Connection
-from multiprocessing.connection import wait as wait_for_any
-from multiprocessing.context import BaseContext
+from contextlib import closing
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -33,6 +26,7 @@ from ._arguments import (
     warn,
 )
 from ._outcome import inconsistent_start
+from ._processes import may_start, solve_rows
 from ._progress import bar
 from ._types import EnsembleOptions, EventsLike, Function, InvariantsLike, MethodName, Span
 from .compiled import native_parameters
@@ -211,8 +205,9 @@ def solve_ensemble(
     Where all functions are native (`invariode.compile` and the like), trajectories run on threads in the core, which
     take work from each other as they run out of it; memory is the result plus a few vectors per thread. Otherwise they
     run in processes, and each function must be importable there: on platforms without fork define it in a module, guard
-    the script by ``if __name__ == "__main__":``, or give ``workers=1``, which stays in this process. The result takes
-    8 (n n_t + 2 n + 3 m) + 120 bytes per trajectory, and 8 (n + 2) per event that occurred.
+    the script by ``if __name__ == "__main__":``, or give ``workers=1``, which stays in this process; so
+    does, with a warning, an ensemble in a daemonic process. Workers end with this process, however it ends. The result
+    takes 8 (n n_t + 2 n + 3 m) + 120 bytes per trajectory, and 8 (n + 2) per event that occurred.
 
     Examples
     --------
@@ -440,7 +435,9 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
         return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # sys.exit in a function too
         return _Outcome(i, -3, _as_text(error), None)
 
 
@@ -534,6 +531,9 @@ class _Rows:
 
 def _in_processes(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     rows, done = _Rows(task, plan), 0
+    if workers > 1 and not may_start():
+        warn("a daemonic process cannot start workers, and solves the ensemble alone: start it with daemon=False")
+        workers = 1
     with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
         for outcomes in chunks:
             for outcome in outcomes:
@@ -550,112 +550,8 @@ def _here(task: _Task) -> Generator[list[_Outcome]]:
 
 
 def _elsewhere(task: _Task, workers: int) -> Generator[list[_Outcome]]:
-    """Chunks of outcomes from worker processes, as they end. A trajectory that kills its process is a failure."""
-    context = multiprocessing.get_context()
-    if context.get_start_method() != "fork":
-        _require_picklable(task)
-    size = len(task.y0)
-    chunk = max(1, min(256, size // (8 * workers)))
-    left = deque(range(i, min(i + chunk, size)) for i in range(0, size, chunk))
-    crew: list[_Worker] = []
-    try:
-        for _ in range(workers):
-            crew.append(_Worker(context, task))
-        while True:
-            for worker in crew:
-                if left and worker.chunk is None:
-                    worker.give(left.popleft())
-            busy = {worker.connection: worker for worker in crew if worker.chunk is not None}
-            if not busy:
-                break
-            for connection in wait_for_any(list(busy)):
-                worker = busy[connection]  # type: ignore[index]  # they are among those that were waited for
-                chunk_of_it, outcomes = worker.take()
-                if outcomes is None:
-                    if all(one.row.value < 0 for one in crew):
-                        raise RuntimeError(_NOTHING_SOLVED)
-                    outcomes, again = _narrowed(chunk_of_it, worker.row.value)
-                    left.extendleft(again)
-                    worker.end(at_once=True)
-                    crew[crew.index(worker)] = _Worker(context, task)
-                if outcomes:
-                    yield outcomes
-    except BaseException:
-        for worker in crew:
-            worker.end(at_once=True)
-        raise
-    for worker in crew:
-        worker.end()
+    return solve_rows(partial(_solve_one, task), len(task.y0), workers, _died)
 
 
-def _narrowed(chunk: range, row: int) -> tuple[list[_Outcome], list[range]]:
-    """What becomes of a chunk whose process died at `row`, and what of it is left to be solved: `row` alone, in case
-    that it was not to blame, and those before and behind it."""
-    if len(chunk) == 1:
-        why = "the worker process died: fun ended the process, or memory ran out"
-        return [_Outcome(chunk.start, -3, why, None)], []
-    row = row if row in chunk else chunk.start
-    parts = range(chunk.start, row), range(row, row + 1), range(row + 1, chunk.stop)
-    return [], [part for part in parts if part]
-
-
-class _Worker:
-    """A process that solves one chunk after the other, and says at which row it is."""
-
-    def __init__(self, context: BaseContext, task: _Task) -> None:
-        self.connection, theirs = context.Pipe()
-        self.row = context.RawValue("q", -1)
-        self.chunk: range | None = None  # what it is solving
-        self._process = context.Process(target=_work, args=(task, theirs, self.row))  # type: ignore[attr-defined]  # all contexts have it
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
-            self._process.start()
-        theirs.close()  # theirs alone, it ends with them
-
-    def give(self, chunk: range) -> None:
-        self.chunk = chunk
-        with suppress(OSError):  # it has died: `take` will see it
-            self.connection.send(chunk)
-
-    def take(self) -> tuple[range, list[_Outcome] | None]:
-        """The chunk that was given, and its outcomes. None: the process has died."""
-        chunk, self.chunk = self.chunk, None
-        assert chunk is not None
-        try:
-            return chunk, self.connection.recv()
-        except (EOFError, OSError):
-            return chunk, None
-
-    def end(self, at_once: bool = False) -> None:
-        if at_once:
-            self._process.kill()
-        with suppress(OSError):  # closing alone ends no process whose siblings have inherited this end
-            self.connection.send(None)
-        self.connection.close()
-        self._process.join()
-
-
-def _work(task: _Task, connection: Connection, row: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
-    while (chunk := connection.recv()) is not None:
-        outcomes = []
-        for i in chunk:
-            row.value = i
-            outcomes.append(_solve_one(task, i))
-        connection.send(outcomes)
-
-
-_NOTHING_SOLVED = (
-    "the worker processes end before they solve anything: where processes are started afresh, define the functions in "
-    'a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
-)
-
-
-def _require_picklable(task: _Task) -> None:
-    try:
-        pickle.dumps(task)
-    except Exception as error:
-        raise TypeError(
-            f"the functions of this ensemble cannot be sent to other processes ({error}): define them in a module, "
-            "compile them (invariode.compile), or solve with workers=1"
-        ) from error
+def _died(i: int) -> _Outcome:
+    return _Outcome(i, -3, "the worker process died: fun ended the process, or memory ran out", None)

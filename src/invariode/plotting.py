@@ -1,7 +1,7 @@
 """Pictures of a Solution. Needs the extra `plot`.
 
-The functions here are also methods of `Solution`. They draw on the axes that they are given, or on those of a new
-figure, and return them. Nothing is shown or saved: that is for ``matplotlib.pyplot.show()`` and ``Figure.savefig``.
+The functions here are also methods of `invariode.Solution`. They draw on the axes that they are given, or on those of a
+new figure, and return them. Nothing is shown or saved: that is for ``matplotlib.pyplot.show()`` and ``Figure.savefig``.
 Components are called what the problem's `labels` say; its `name`, where it was given one, is the title of new figures.
 Fonts are those of matplotlib's settings, which are left as they are.
 """
@@ -172,7 +172,7 @@ def plot_phase(sol: Solution, i: int | str, j: int | str | None = None, ax: Axes
 def plot_drift(sol: Solution, ax: Axes | None = None, invariants: InvariantsLike | None = None, **line: Any) -> Axes:
     """Draws how far the invariants are from their values, on a logarithmic axis.
 
-    Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection (`Solution.drift`).
+    Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection (`drift`).
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -10,11 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
+from .._progress import in_passing
 from ..invariants import bind
 from ..problem import Problem
 from ..solution import Solution
@@ -51,9 +51,6 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 
 #: Points per step with --dense, as in the figures of the paper.
 DENSE = 10
-
-#: Seconds between updates of the progress bar, and before it appears at all.
-INTERVAL, PATIENCE = 0.1, 0.3
 
 
 def solve(
@@ -109,12 +106,11 @@ def solve(
             options["t_eval"] = _times(problem, t_eval)
         if dense:
             options["refine"] = DENSE
-        errors = Console(stderr=True)
-        shown = errors.is_terminal and not quiet if progress is None else progress
+        shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
-        with Bar(problem, errors) if shown else _Nothing() as callback:
+        with in_passing():
             start = perf_counter()
-            sol = run.solve(method, callback=callback, **options)
+            sol = run.solve(method, progress=shown, **options)
             seconds = perf_counter() - start
     if output is not None:  # first of all: what is printed may get lost
         write_to(output, lambda: _save(sol, output))
@@ -139,47 +135,6 @@ def _times(problem: Problem, size: int) -> Array:
             f"{problem.name} has no end to space them up to: {problem.t_span}", param_hint="--t-eval"
         )
     return np.linspace(*problem.t_span, size)
-
-
-# ----------------------------------------------------------------------------------------------------------------------
-# Progress
-
-
-class _Nothing:
-    """No progress bar, no callback."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-
-class Bar:
-    """A progress bar over t that a solve drives by its callback. It costs a look at the clock per step."""
-
-    def __init__(self, problem: Problem, console: Console) -> None:
-        self._t0, tf = problem.t_span
-        self._span = tf - self._t0
-        columns = (BarColumn(), TaskProgressColumn(), TextColumn("t = {task.fields[t]:.4g}"), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=console, transient=True, auto_refresh=False)
-        total = abs(self._span) if np.isfinite(self._span) else None
-        self._task: TaskID = self._bar.add_task("", total=total, t=self._t0)
-        self._next = 0.0
-
-    def __enter__(self) -> Callable[[float, Array], None]:
-        self._next = perf_counter() + PATIENCE
-        return self
-
-    def __call__(self, t: float, y: Array) -> None:
-        if perf_counter() < self._next:
-            return
-        self._bar.start()  # does nothing if it is running
-        self._bar.update(self._task, completed=abs(t - self._t0), t=t, refresh=True)
-        self._next = perf_counter() + INTERVAL
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
 
 
 # ----------------------------------------------------------------------------------------------------------------------
