@@ -154,7 +154,7 @@ def test_only_the_final_state(method, tmp_path):
     assert_same(sol, again)
     assert again.sol is None
     assert again.steps is None
-    with pytest.raises(ValueError, match="kept with save"):
+    with pytest.raises(ValueError, match="kept with keep"):
         again.correction  # noqa: B018  # the property raises
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from ._arguments import Array, call_name, flag, function
 from ._types import EventFunction, EventsLike, Function
@@ -112,8 +112,19 @@ def direction_sign(event: Event) -> int:
         raise TypeError(f"direction of {event.__name__} must be a number, got {direction!r}") from None
 
 
-def event_spec(event: Event, n: int, p: Array) -> tuple[Any, int, int, str, Any, bool]:
+class EventSpec(NamedTuple):
+    """An event in the form that the core takes."""
+
+    fun: Any
+    terminal: int  # the occurrence that ends the integration, 0 for none
+    direction: int
+    name: str
+    action: Any
+    rehold: bool
+
+
+def event_spec(event: Event, n: int, p: Array) -> EventSpec:
     """The event as the core takes it; n and p for native ones."""
     fun = to_native(f"event {event.__name__}", event.fun, n, 1, p, event=True)
     action = to_native(f"the action of event {event.__name__}", event.action, n, n, p)
-    return fun, terminal_count(event), direction_sign(event), event.__name__, action, event.rehold
+    return EventSpec(fun, terminal_count(event), direction_sign(event), event.__name__, action, event.rehold)

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from ..check import CheckReport, check_invariants
+from ..invariant_check import CheckReport, check_invariants
 from ..problem import Problem
 from .load import File, load
 from .session import complete_method, examples, guarded, method_of, numbers, stop, unprojected

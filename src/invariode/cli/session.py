@@ -9,7 +9,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import copy
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -151,9 +150,7 @@ def method_of(name: str) -> Method:
 
 def unprojected(problem: Problem) -> Problem:
     """The same problem without its invariants."""
-    plain = copy(problem)
-    plain.invariants = []
-    return plain
+    return problem.replace(invariants=None)
 
 
 def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, extra: str, force: bool) -> None:

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
+from .._options import TABLE
 from ..invariants import bind
 from ..problem import Problem
 from ..solution import Solution
@@ -62,8 +63,12 @@ def solve(
         str,
         typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = 1e-3,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = 1e-6,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = TABLE[
+        "rtol"
+    ].default,
+    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = TABLE[
+        "atol"
+    ].default,
     project: Annotated[
         bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
     ] = True,
@@ -196,9 +201,7 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("problem", Text(problem.name, style="bold"))
     table.add_row("method", method)
     table.add_row("status", Text.assemble(mark, f" {sol.message}"))
-    table.add_row(
-        "interval", f"from {problem.t_span[0]:g} to {problem.t_span[1]:g}, reached {_reached(problem, sol):.10g}"
-    )
+    table.add_row("interval", f"from {problem.t_span[0]:g} to {problem.t_span[1]:g}, reached {sol.t_end:.10g}")
     table.add_row("steps", f"{stats.steps}, {stats.failed} failed")
     table.add_row("f", f"{stats.nfev} evaluations{checks}{linear}")
     if stats.projections or stats.skipped:
@@ -212,11 +215,6 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("output", f"{len(sol.t)} times")
     table.add_row("time", clock(seconds))
     return table
-
-
-def _reached(problem: Problem, sol: Solution) -> float:
-    """Where the run ended; the output may end before."""
-    return problem.t_span[0] if sol._origin is None else sol._origin.t
 
 
 def _print_drift(console: Console, problem: Problem, sol: Solution, projected: bool, rtol: float, atol: float) -> None:
@@ -275,6 +273,6 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")
         axes = figure.add_subplot()
-        sol.plot(axes)
+        sol.plot(ax=axes)
         axes.set_title(name)
         figure.savefig(path, dpi=200)

@@ -12,8 +12,8 @@ import numpy as np
 from .._arguments import Array
 from ..invariants import Invariants
 from ..methods import METHODS
+from ..ode_functions import ode15s
 from ..solution import Solution
-from ..suite import ode15s
 from .matlab import matlab_rows
 from .problems import (
     DEMO_ATOL,
