@@ -13,9 +13,9 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, choice, flag, function, positive, positive_integer, unknown_option, warn
-from ._types import EventsLike, Fsal, Function, Interpolation, Keep, Numbers, Span
+from ._types import EventsLike, Fsal, Function, Interpolation, Keep, MethodName, Numbers, Span
 from .invariants import InvariantsLike
-from .methods import Method
+from .methods import Method, find_method
 
 __all__ = [
     "TABLE",
@@ -388,15 +388,15 @@ def warn_unused(method: Method, name: str, given: object) -> None:
         warn(f"option {name!r} has no effect on {method.name}")
 
 
-def unused(method: Method, describing: DescribingOptions) -> None:
+def unused(method: MethodName, describing: DescribingOptions) -> None:
     """The same for what describes the problem. A mass matrix that the method cannot use is an error of the plan."""
     for name, given in describing.items():
         if name in _OF_SOME_METHODS and name != "mass":
-            warn_unused(method, name, given)
+            warn_unused(find_method(method)[0], name, given)
 
 
 def parted(options: Mapping[str, Any], kind: type[_Part]) -> tuple[_Part, Any]:
     """Options in two: those of the class, and the others."""
-    own = kind.__annotations__
-    mine = {name: value for name, value in options.items() if name in own}
-    return cast("_Part", mine), {name: value for name, value in options.items() if name not in own}
+    own, others = kind.__annotations__, dict(options)
+    mine = {name: others.pop(name) for name in options if name in own}
+    return cast("_Part", mine), others

@@ -20,7 +20,6 @@ from ._options import (
 )
 from ._types import EventsLike, Function, MethodName, Span
 from .compiled import is_native
-from .methods import find_method
 from .problem import Problem
 from .solution import Solution
 
@@ -104,7 +103,7 @@ def solve_ivp(
     True
     """
     describing, running = parted(options, DescribingOptions)
-    unused(find_method(method)[0], describing)
+    unused(method, describing)
     alone = one_column(fun) if vectorized and not is_native(fun) else fun
     problem = Problem(alone, t_span, y0, args=args, events=events, **describing)
     return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **running)

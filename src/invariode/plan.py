@@ -5,12 +5,11 @@ It is made in four stages: options, functions, linear algebra, invariants.
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from . import _core
-from ._arguments import Array, distinct, output_times, reals, tolerances, warn
+from ._arguments import Array, distinct, kept, output_times, reals, tolerances, warn
 from ._messages import inconsistent_start, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers
@@ -23,8 +22,7 @@ from .methods import Method, find_method
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
 
-@dataclass(frozen=True)
-class Tolerances:
+class Tolerances(NamedTuple):
     """The weights of the error test, max(s_i |y_i|, thr_i), for the reals that make up y."""
 
     rtol: float  # the smallest
@@ -32,8 +30,7 @@ class Tolerances:
     scale: Array | None
 
 
-@dataclass(frozen=True)
-class Settings:
+class Settings(NamedTuple):
     """How the core goes from t0 to tf, and what it keeps."""
 
     t0: float
@@ -59,8 +56,7 @@ class Settings:
         return 1.0 if self.tf >= self.t0 else -1.0
 
 
-@dataclass(frozen=True)
-class Functions:
+class Functions(NamedTuple):
     """What the core evaluates."""
 
     n: int  # reals that make up y
@@ -75,8 +71,7 @@ class Functions:
     value: Array  # at which they are held
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """What a run does, and what its messages call things."""
 
     method: Method
@@ -95,7 +90,8 @@ class Plan:
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
-        return replace(self, functions=replace(self.functions, value=value), bound=replace(self.bound, value=value))
+        functions = self.functions._replace(value=value)
+        return self._replace(functions=functions, bound=replace(self.bound, value=value))
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
@@ -115,7 +111,9 @@ class Plan:
 
 def solver(plan: Plan) -> _core.Solver:
     """The plan handed to the core."""
-    return _core.Solver(method=plan.method.name, **vars(plan.tolerances), **vars(plan.settings), **vars(plan.functions))
+    return _core.Solver(
+        method=plan.method.name, **plan.tolerances._asdict(), **plan.settings._asdict(), **plan.functions._asdict()
+    )
 
 
 def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
@@ -136,7 +134,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
         iterations = bound.iterations or settings.iterations
-        settings = replace(settings, iterations=iterations, negligible=bound.negligible)
+        settings = settings._replace(iterations=iterations, negligible=bound.negligible)
     return Plan(
         method=chosen,
         tolerances=weights,
@@ -148,8 +146,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         names=_names(bound, linear),
         demanded=bound.demanded,
         event_names=distinct([event.__name__ for event in problem.events]),
-        rtol=copy(rtol),  # not the user's arrays
-        atol=copy(atol),
+        rtol=kept(rtol),
+        atol=kept(atol),
         progress=options["progress"],
     )
 
@@ -163,10 +161,10 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     span = abs(tf - t0)
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    kept = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
-    if kept == "end" and (times is not None or options["dense_output"]):
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
+    if keep == "end" and (times is not None or options["dense_output"]):
         raise ValueError('keep="end" keeps the final state only: t_eval and dense_output need keep="outputs" or "all"')
-    if options["refine"] > 1 and (times is not None or kept == "end"):
+    if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
     first, largest = options["first_step"], options["max_step"]
@@ -181,8 +179,8 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         times=times,
         interpolation=options["interpolation"],
         dense=options["dense_output"],
-        save_all=kept != "end",
-        record=kept == "all",
+        save_all=keep != "end",
+        record=keep == "all",
         check=options["check"],
         fsal=options["fsal"],
         max_order=_highest_order(method, options["max_order"]),
@@ -261,7 +259,7 @@ def _linear_algebra(
         t0=t0,
         y0=y0.view(float),
         complex=y0.dtype.kind == "c",
-        **vars(weights),
+        **weights._asdict(),
         linear=linear,
         parameters=parameters,
     )

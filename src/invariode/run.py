@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from . import _core
-from ._arguments import Array, number, output_times, warn
+from ._arguments import Array, kept, number, output_times, warn
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -72,7 +71,7 @@ def solve(problem: Description, method: MethodName, options: Options) -> Solutio
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
     for name in ("t_eval", "rtol", "atol"):
         if name in given:
-            given[name] = copy.copy(given[name])  # not the user's arrays
+            given[name] = kept(given[name])
     return _carried_out(plan, Source(problem, method, given))
 
 
@@ -186,8 +185,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
 
     plan = make_plan(rest, method, now).holding(old._invariants.last_value)
     new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
-    kept = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
-    return _joined(old, new.impose() if origin.imposed else new, kept, forward)
+    points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
+    return _joined(old, new.impose() if origin.imposed else new, points, forward)
 
 
 def _resumed(old: Solution, origin: RunOrigin, rest: Description) -> Resumed:
@@ -218,10 +217,10 @@ def _uncounted(seen: int, terminal: int) -> int:
     return seen % terminal if terminal else 0
 
 
-def _joined(old: Solution, new: Solution, kept: int, forward: float) -> Solution:
-    """One solution of two parts, of which the second starts where the first ended. `kept`: outputs of the first."""
-    known = int(kept > 0 and len(new.t) > 0 and new.t[0] == old.t[-1])  # the start of the second is there already
-    jumps = tuple(Jump(row + kept - known, t, value) for row, t, value in new._invariants.jumps)
+def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:
+    """One solution of two parts, of which the second starts where the first ended. `points`: outputs of the first."""
+    known = int(points > 0 and len(new.t) > 0 and new.t[0] == old.t[-1])  # the start of the second is there already
+    jumps = tuple(Jump(row + points - known, t, value) for row, t, value in new._invariants.jumps)
     bound = dataclasses.replace(old._invariants, jumps=old._invariants.jumps + jumps, forward=forward, evaluations=0)
     sol = None
     if old.sol is not None and new.sol is not None:
@@ -236,8 +235,8 @@ def _joined(old: Solution, new: Solution, kept: int, forward: float) -> Solution
     first, then = old._drift, new._drift
     return dataclasses.replace(
         new,
-        t=np.concatenate([old.t[:kept], new.t[known:]]),
-        y=np.concatenate([old.y[:, :kept], new.y[:, known:]], axis=1),
+        t=np.concatenate([old.t[:points], new.t[known:]]),
+        y=np.concatenate([old.y[:, :points], new.y[:, known:]], axis=1),
         sol=sol,
         t_events=t_events,
         y_events=y_events,

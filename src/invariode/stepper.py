@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, ClassVar, Unpack
 
 from numpy.typing import ArrayLike
@@ -17,7 +16,6 @@ from ._types import Numbers
 from .compiled import is_native
 from .description import Description
 from .ivp import one_column
-from .methods import find_method
 from .plan import make_plan, solver
 from .result import DenseSolution
 
@@ -96,7 +94,7 @@ class Stepper(OdeSolver):
         if wrong := next((name for name in options if name not in _OPTIONS), None):
             raise self._refused(wrong)
         describing, stepping = parted(options, DescribingOptions)
-        unused(find_method(self._method)[0], describing)
+        unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
         alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
         problem = Description(alone, (t0, t_bound), y0, **describing)
@@ -105,7 +103,7 @@ class Stepper(OdeSolver):
         given |= {"max_step": max_step, "rtol": rtol, "atol": atol, "first_step": first_step, "keep": "end"}
         plan = make_plan(problem, self._method, given)
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
-        self._plan = replace(plan, functions=replace(plan.functions, linear=None))
+        self._plan = plan._replace(functions=plan.functions._replace(linear=None))
         self._stepper = _core.Stepper(solver(plan), plan.y0.view(float))
         if self._stepper.state == "invariant_refused":
             raise self._plan.exception(self._stepper.result()) or AssertionError
