@@ -70,7 +70,7 @@ def function(name: str, value: object, signature: str) -> Any:
 
 
 def number(name: str, value: object) -> float:
-    """A real number; NaN is none."""
+    """A real number, and not NaN."""
     try:
         result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
     except (TypeError, ValueError):

@@ -82,7 +82,7 @@ class Description:
         Raises
         ------
         TypeError, ValueError
-            What `Problem` raises for such arguments. A name that is none of its arguments.
+            What `Problem` raises for such arguments; a name that `Problem` does not know.
 
         Examples
         --------

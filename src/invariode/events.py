@@ -21,7 +21,7 @@ class Event:
     ----------
     fun : callable
         ``fun(t, y, *args) -> float``, with y of shape (n,). Its sign changes are events; a touch
-        without a sign change is none. An event that is zero at the start is reported only after it has left zero.
+        without a sign change is not. An event that is zero at the start is reported only after it has left zero.
         NaN is an error.
     terminal : bool or int, default False
         True ends the integration at the first occurrence, a positive integer at that occurrence.

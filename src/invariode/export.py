@@ -26,7 +26,7 @@ __all__ = ["FORMAT", "PLAIN", "VERSION", "Exports", "save", "to_dataframe", "to_
 FORMAT, VERSION = "invariode solution", 2
 
 #: The fields of a Solution that JSON takes as they are.
-PLAIN = ("nfev", "njev", "nlu", "status", "message", "success", "t_end")
+PLAIN = ("nfev", "njev", "nlu", "status", "message", "success")
 
 
 class Exports(Result):
@@ -238,6 +238,7 @@ def _to_arrays(solution: Result) -> dict[str, Any]:
         "invariants": g.names,
         "forward": g.forward,
         **{name: solution[name] for name in PLAIN},
+        "t_end": solution.t_end,
         "stats": dict(solution.stats),
         "dense": {name: part for name, part in parts.items() if not isinstance(part, np.ndarray)},
         "imposed": dense is not None and dense._imposed is not None,

@@ -39,7 +39,7 @@ _NEGLIGIBLE = 0.01
 
 
 class InvariantError(ValueError):
-    """An invariant contradicts the problem: its value at the start, its Jacobian, or that it is none."""
+    """An invariant contradicts the problem: its value at the start, or its Jacobian, or f does not keep it."""
 
 
 class Invariants:

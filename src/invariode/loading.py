@@ -195,6 +195,7 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         t_events=None if events is None else [arrays[f"t_events.{i}"] for i in range(events)],
         y_events=None if events is None else [arrays[f"y_events.{i}"] for i in range(events)],
         **{name: about[name] for name in PLAIN},
+        t_end=about["t_end"] if about["version"] > 1 else _last_time(arrays, dense),
         stats=Stats(**about["stats"]),
         steps=Steps(arrays["steps"]) if "steps" in arrays else None,
         _invariants=g,
@@ -204,6 +205,16 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         _names=Names(about["name"], about["title"], about["labels"], len(y), about["event_names"]),
     )
     return solution, dense
+
+
+def _last_time(arrays: dict[str, Any], dense: Dense | None) -> float:
+    """Where the run of a file of version 1 ended, which does not say it: the last step where steps were kept, else the
+    last output, NaN without any."""
+    if dense is not None:
+        return float(dense.knots()[-1])
+    if len(arrays.get("steps", ())):
+        return float(arrays["steps"][-1, 0])
+    return float(arrays["t"][-1]) if len(arrays["t"]) else float("nan")
 
 
 #: At so many outputs the invariants given to `load` are compared with those of the run.

@@ -20,13 +20,16 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import PACKAGE
+from .._options import TABLE
 from ..invariants import InvariantError
 from ..methods import METHODS, Method, find_method
 from ..problem import Problem
 
 __all__ = [
+    "ATOL",
     "INTERRUPTED",
     "PICTURES",
+    "RTOL",
     "clock",
     "complete_method",
     "count",
@@ -43,6 +46,9 @@ __all__ = [
     "unprojected",
     "writable",
 ]
+
+#: The tolerances where none are given.
+RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 
 #: Exit code of a command ended by Ctrl-C: 128 + SIGINT.
 INTERRUPTED = 130

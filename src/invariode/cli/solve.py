@@ -15,13 +15,14 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
-from .._options import TABLE
 from ..invariants import bind
 from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
 from .session import (
+    ATOL,
     PICTURES,
+    RTOL,
     clock,
     complete_method,
     examples,
@@ -63,12 +64,8 @@ def solve(
         str,
         typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = TABLE[
-        "rtol"
-    ].default,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = TABLE[
-        "atol"
-    ].default,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
+    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
     project: Annotated[
         bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
     ] = True,
