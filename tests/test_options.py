@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 from typing import Annotated, get_args, get_origin, get_type_hints
@@ -11,7 +12,7 @@ import pytest
 
 import invariode as iv
 import invariode.scipy as plugin
-from invariode import _options
+from invariode import _options, plan
 from invariode._options import TABLE
 from invariode.methods import METHODS
 
@@ -105,6 +106,19 @@ def test_a_wrong_value_of_each_checked_option_is_refused():
         if row.check is not _options.as_given:
             with pytest.raises((TypeError, ValueError), match=f"^{name} must be"):
                 iv.Problem(decay, (0, 1), [1.0]).solve("ode15s", **{name: wrong})
+
+
+def test_no_option_is_accepted_and_ignored():
+    """The plan reads each option of a run, but for `save` (another name of `keep`) and `min_step` (a warning)."""
+    tree = ast.parse(inspect.getsource(plan))
+    read = {
+        node.slice.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "options"
+    }
+    assert read == set(_options.table_of(_options.Options)) - {"save", "min_step"}, "unused rows of _options.py"
+    with pytest.warns(UserWarning, match="option 'min_step' has no effect"):
+        iv.ode45(decay, (0, 1), [1.0], min_step=0.1)
 
 
 def test_methods_name_options_that_the_table_knows():

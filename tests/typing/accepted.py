@@ -9,6 +9,7 @@ from scipy import LowLevelCallable
 from scipy.integrate import solve_ivp
 
 import invariode as iv
+from invariode.scipy import ODE15S, ODE45
 
 Vector = NDArray[np.float64]
 
@@ -69,6 +70,11 @@ hit = iv.Event(bottom, terminal=3, direction=-1, action=kick, rehold=False)
 sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], events=[hit, bottom, lambda t, y: y[1]], dense_output=True)
 sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], events=iv.Event(lambda t, y: y[0], terminal=True))
 
+# One step at a time
+stepper = ODE45(pendulum, 0, [1.0, 0.0], 10, rtol=1e-6, invariants=energy, interpolation="raw")
+stepper.step()
+stiff = ODE15S(pendulum, 0, [1.0, 0.0], 10, bdf=True, jac=np.eye(2)).dense_output
+
 # Native functions
 native = iv.compile(pendulum)
 sol = iv.solve_ivp(native, (0, 10), [1, 0], invariants=iv.compile(energy))
@@ -93,6 +99,7 @@ again: iv.Solution = iv.load("orbit.npz", invariants=[energy, both], args=(1, 2)
 # Problem
 problem = iv.Problem(pendulum, (0, 10), [1, 0], invariants=energy, name="pendulum", labels=["angle", "speed"])
 sol = problem.solve("ode113", rtol=1e-6, dense_output=True)
+more = sol.extend(20, t_eval=None, max_step=0.1, progress=False).t_end + 1
 sol = problem.replace(y0=[2, 0], labels=None).solve(save="end")
 sol = problem.solve(method="ode15s", t_eval=np.linspace(0, 10), max_order=2)
 

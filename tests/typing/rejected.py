@@ -1,6 +1,7 @@
 """Wrong calls. mypy must reject each: an `ignore` that it does not need is an error."""
 
 import invariode as iv
+from invariode.scipy import ODE45
 
 
 def f(t: float, y: list[float]) -> list[float]:
@@ -47,6 +48,8 @@ iv.Problem(f, (0, 1), [1], rtol=1e-6)  # type: ignore[call-arg]
 iv.Problem(f, (0, 1), [1]).replace(y=[2])  # type: ignore[call-arg]
 iv.solve_ivp(f, (0, 1), [1]).extend(2, rtol=1e-6)  # type: ignore[call-arg]
 iv.solve_ivp(f, (0, 1), [1]).plot(3)  # type: ignore[arg-type,call-arg]
+ODE45(f, 0, [1], 1, t_eval=[0])  # type: ignore[call-arg]
+ODE45(f, 0, [1], 1, check="no")  # type: ignore[arg-type]
 iv.solve_ensemble(f, (0, 1), [[1]], dense_output=True)  # type: ignore[call-arg]
 iv.solve_ensemble(f, (0, 1), [[1]], workers="all")  # type: ignore[arg-type]
 
