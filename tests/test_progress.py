@@ -241,6 +241,6 @@ def test_what_is_kept(method):
         sol = iv.solve_ivp(*about, **options)
         assert sol.steps is None
         assert sol.stats.steps > 0
-        with pytest.raises(ValueError, match='save="all"'):
+        with pytest.raises(ValueError, match='keep="all"'):
             sol.correction  # noqa: B018  # the access is the test
     np.testing.assert_array_equal(iv.solve_ivp(*about, save="outputs").y, iv.solve_ivp(*about).y)

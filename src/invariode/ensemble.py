@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from . import _core
 from ._arguments import (
     Array,
-    choice,
     extra_arguments,
     flag,
     interval,
@@ -25,18 +24,22 @@ from ._arguments import (
     state,
     warn,
 )
-from ._outcome import inconsistent_start
+from ._docstrings import documented
+from ._messages import inconsistent_start
+from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
 from ._processes import may_start, solve_rows
 from ._progress import bar
-from ._types import EnsembleOptions, EventsLike, Function, InvariantsLike, MethodName, Span
+from ._types import EventsLike, Function, MethodName, Span
 from .compiled import native_parameters
+from .description import Description
 from .invariants import as_columns
-from .problem import Plan, Problem
-from .solution import Record
+from .plan import Plan, make_plan, solver
+from .result import Record
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
 _STATUS = {"reached_end": 0, "terminal_event": 1, "stopped_by_callback": 2, "invariant_convicted": -2}
+_OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
 _EXCEPTIONS = ("invariant_refused", "event_undefined", "action_undefined", "interrupted")
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 # States that only trajectories of an ensemble have.
@@ -100,9 +103,9 @@ class EnsembleSolution(Record):
     y_end : ndarray, (N, n)
         The state there.
     status : ndarray of int, (N,)
-        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 an invariant is none,
-        -3 what ends a single solve with an exception: the initial value is off a demanded manifold, not consistent or
-        not finite, an invariant or an event is refused, a function raised.
+        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
+        invariant is not conserved, -3 what ends a single solve with an exception: the initial value is off a demanded
+        manifold, not consistent or not finite, an invariant or an event is refused, a function raised.
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str
@@ -148,6 +151,7 @@ class EnsembleSolution(Record):
         return text
 
 
+@documented(options=table_of(EnsembleOptions))
 def solve_ensemble(
     fun: Function,
     t_span: Span,
@@ -155,13 +159,8 @@ def solve_ensemble(
     method: MethodName = "ode45",
     *,
     args: Iterable[Any] | ArrayLike | None = None,
-    invariants: InvariantsLike | None = None,
     events: EventsLike = None,
-    jac: Any = None,
-    jac_sparsity: Any = None,
-    lband: int | None = None,
-    uband: int | None = None,
-    mass: Any = None,
+    t_eval: ArrayLike | None = None,
     workers: int | None = None,
     progress: bool = False,
     **options: Unpack[EnsembleOptions],
@@ -173,20 +172,23 @@ def solve_ensemble(
 
     Parameters
     ----------
-    fun, t_span, method, invariants, events, jac, jac_sparsity, lband, uband, mass
-        As in `solve_ivp`. An invariant without `value` is held at its initial value of each trajectory.
+    fun, t_span, method, events
+        As in `solve_ivp`.
     y0 : array_like of shape (N, n) or (n,)
         Initial states, one row per trajectory, or one for all.
     args : tuple, or array or list of shape (N, k), optional
         A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i;
         those of a list may be of any types.
+    t_eval : array_like, optional
+        Times of the output, sorted in the direction of integration. Default: the final states are kept, and no others.
     workers : int, optional
         Threads or processes. Default: the processors that this process may use.
-    progress : bool
+    progress : bool, default False
         Whether a progress bar is shown (needs rich).
-    **options
-        Those of `solve_ivp` but for `dense_output` and `refine`. With `t_eval` the states at these times are kept,
-        without it the final ones.
+
+    Other Parameters
+    ----------------
+    {options}
 
     Returns
     -------
@@ -202,6 +204,9 @@ def solve_ensemble(
 
     Notes
     -----
+    An invariant without `value` is held at its initial value of each trajectory. The options are those of `solve_ivp`
+    but for `dense_output` and `refine`.
+
     Where all functions are native (`invariode.compile` and the like), trajectories run on threads in the core, which
     take work from each other as they run out of it; memory is the result plus a few vectors per thread. Otherwise they
     run in processes, and each function must be importable there: on platforms without fork define it in a module, guard
@@ -219,33 +224,35 @@ def solve_ensemble(
     >>> np.allclose(out.y_end[:, 0], np.exp([-1, -2]), rtol=1e-7)
     True
     """
-    describing = {
-        "invariants": invariants,
-        "events": events,
-        "jac": jac,
-        "jac_sparsity": jac_sparsity,
-        "lband": lband,
-        "uband": uband,
-        "mass": mass,
-    }
-    for name, harmless in (("dense_output", False), ("refine", 1)):
-        if options.get(name, harmless) != harmless:
-            raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
-    if (save := options.get("save")) is not None:
-        choice("save", save, ("all", "outputs", "end"))
-    if options.get("t_eval") is None:
-        if save in ("all", "outputs"):
-            raise ValueError(f"save={save!r} of an ensemble needs t_eval: trajectories have steps of their own")
-        options["save"] = "end"
+    describing, running = parted(options, DescribingOptions)
+    described = _Described(fun, interval(t_span), events, describing)
+    run_options = _options_of_each(running, t_eval)
     workers = positive_integer("workers", _processors() if workers is None else workers)
     rows, extra = _rows(y0, args)
-    task = _Task(fun, interval(t_span), describing, method, options, rows, extra)
+    task = _Task(described, method, run_options, rows, extra)
     if len(rows) == 0:
         raise ValueError("an ensemble needs at least one row of y0 or args")
     plan = task.first_plan()
     with bar(flag("progress", progress), "trajectories", len(rows)) as report:
-        native = _core.Solver(**plan.solver).native
+        native = solver(plan).native
         return (_on_threads if native else _in_processes)(task, plan, min(workers, len(rows)), report)
+
+
+def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
+    """The options of each trajectory."""
+    for name, value in given.items():
+        if name in _OF_SINGLE_RUNS and value != TABLE[name].default:
+            raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
+    options = given.copy()
+    if t_eval is not None:
+        options["t_eval"] = t_eval
+        return options
+    for name, kept in (("keep", given.get("keep")), ("save", given.get("save"))):
+        if kept in ("all", "outputs"):
+            raise ValueError(f"{name}={kept!r} of an ensemble needs t_eval: trajectories have steps of their own")
+    if options.get("save") is None:
+        options["keep"] = "end"
+    return options
 
 
 def _processors() -> int:
@@ -284,25 +291,32 @@ def _no_rows(got: str) -> ValueError:
 
 
 @dataclasses.dataclass
+class _Described:
+    """What describes all trajectories."""
+
+    fun: Any
+    t_span: tuple[float, float]
+    events: EventsLike
+    others: DescribingOptions
+
+
+@dataclasses.dataclass
 class _Task:
     """What is to be solved; picklable if the functions are."""
 
-    fun: Any
-    t_span: tuple[float, ...]
-    describing: dict[str, Any]
+    described: _Described
     method: MethodName
-    options: Any
+    options: Options
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
 
-    def problem(self, i: int) -> Problem:
+    def plan(self, i: int) -> Plan:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
         if isinstance(args, np.ndarray):
             args = tuple(args.tolist())
-        return Problem(self.fun, self.t_span, self.y0[i], args=args, **self.describing)
-
-    def plan(self, i: int) -> Plan:
-        return self.problem(i).plan(self.method, **self.options)
+        about = self.described
+        problem = Description(about.fun, about.t_span, self.y0[i], args=args, events=about.events, **about.others)
+        return make_plan(problem, self.method, self.options)
 
     def first_plan(self) -> Plan:
         """The plan of the first trajectory that has one. What fails for many is wrong for all, and raised."""
@@ -318,13 +332,13 @@ class _Task:
 
 
 def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) -> EnsembleSolution:
-    times = plan.solver["times"]
+    times = plan.settings.times
     if dropped := int((counts[:, -1] > 0).sum()):
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
     stats = dict(zip(_core.COUNTS, counts.T, strict=True))
     del stats["dropped"]
     return EnsembleSolution(
-        t=np.array([plan.solver["tf"]]) if times is None else times,
+        t=np.array([plan.settings.tf]) if times is None else times,
         y=y_end[:, :, None].copy() if times is None else y,
         y_end=y_end,
         success=fields["status"] >= 0,
@@ -339,7 +353,7 @@ def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) 
 
 def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     y0 = np.ascontiguousarray(task.y0)
-    solvers = [_core.Solver(**plan.solver) for _ in range(workers)]
+    solvers = [solver(plan) for _ in range(workers)]
     run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
     dtype = y0.dtype
     states = run.take_states()
@@ -363,13 +377,13 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
 
 def _parameters(task: _Task, plan: Plan) -> Array:
     """The parameters of the native functions, one row for each trajectory."""
-    size, p = len(task.y0), plan.solver["parameters"]
+    size, p = len(task.y0), plan.functions.parameters
     if isinstance(task.args, tuple):
         return np.ascontiguousarray(np.broadcast_to(p, (size, len(p))))
     try:
         return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except ValueError:  # arguments of different shapes
-        return np.stack([native_parameters(row, [task.fun]) for row in task.args])
+        return np.stack([native_parameters(row, [task.described.fun]) for row in task.args])
 
 
 def _messages(task: _Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
@@ -384,7 +398,7 @@ def _messages(task: _Task, plan: Plan, run: _core.EnsembleRun, states: Array) ->
         except ValueError as error:
             messages[i] = _as_text(error)
     for code, verdict in _INCONSISTENT.items():
-        text = f"ValueError: {inconsistent_start(verdict, plan.solver['t0'])}"
+        text = f"ValueError: {inconsistent_start(verdict, plan.settings.t0)}"
         messages.update(dict.fromkeys(np.flatnonzero(states == code).tolist(), text))
     return dict(sorted(messages.items()))
 
@@ -431,7 +445,7 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
     try:
         with quietly():  # the first plan has said it
             plan = task.plan(i)
-        run = _core.Solver(**plan.solver).integrate(plan.y0.view(float))
+        run = solver(plan).integrate(plan.y0.view(float))
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
         return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
@@ -444,14 +458,12 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     bound = plan.bound
     if jumps := run.take_jumps():
-        bound = dataclasses.replace(
-            bound, jumps=tuple(jumps), forward=1 if plan.solver["tf"] >= plan.solver["t0"] else -1
-        )
+        bound = bound.jumped(jumps, forward=plan.settings.forward)
     t, rows, t_end, end = run.take_points()
     y = as_columns(rows, dtype)
     y_end = y[:, -1] if end is None else end.view(dtype)
     counts = np.array(run.counts)
-    counts[_NG] += bound.evaluations  # before the run, as in `Problem._solution`
+    counts[_NG] += bound.evaluations  # before the run, as in a single run
     counts[_NGDIFF] += bound.evaluations - len(bound.specs)
     before, _, correction = run.take_drift()
     after = np.zeros(len(bound))
@@ -462,7 +474,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     return _Row(
         t_end=t_end,
         y_end=y_end,
-        y=y if plan.solver["times"] is not None else y[:, :0],
+        y=y if plan.settings.times is not None else y[:, :0],
         counts=counts,
         value=bound.value,
         before=before[: len(bound)],
@@ -477,10 +489,10 @@ class _Rows:
 
     def __init__(self, task: _Task, plan: Plan) -> None:
         size, n = task.y0.shape
-        times, m = plan.solver["times"], len(plan.bound)
+        times, m = plan.settings.times, len(plan.bound)
         self.plan = plan
         self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
-        self.t_end, self.y_end = np.full(size, plan.solver["t0"], dtype=float), task.y0.copy()
+        self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), task.y0.copy()
         self.status = np.full(size, -3, dtype=np.int8)
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)

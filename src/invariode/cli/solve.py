@@ -20,7 +20,9 @@ from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
 from .session import (
+    ATOL,
     PICTURES,
+    RTOL,
     clock,
     complete_method,
     examples,
@@ -59,8 +61,8 @@ def solve(
         str,
         typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = 1e-3,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = 1e-6,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
+    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
     project: Annotated[
         bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
     ] = True,
@@ -151,9 +153,7 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("problem", Text(problem.name, style="bold"))
     table.add_row("method", method)
     table.add_row("status", Text.assemble(mark, f" {sol.message}"))
-    table.add_row(
-        "interval", f"from {problem.t_span[0]:g} to {problem.t_span[1]:g}, reached {_reached(problem, sol):.10g}"
-    )
+    table.add_row("interval", f"from {problem.t_span[0]:g} to {problem.t_span[1]:g}, reached {sol.t_end:.10g}")
     table.add_row("steps", f"{stats.steps}, {stats.failed} failed")
     table.add_row("f", f"{stats.nfev} evaluations{checks}{linear}")
     if stats.projections or stats.skipped:
@@ -167,11 +167,6 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("output", f"{len(sol.t)} times")
     table.add_row("time", clock(seconds))
     return table
-
-
-def _reached(problem: Problem, sol: Solution) -> float:
-    """Where the run ended; the output may end before."""
-    return problem.t_span[0] if sol._origin is None else sol._origin.t
 
 
 def _print_drift(console: Console, problem: Problem, sol: Solution, projected: bool, rtol: float, atol: float) -> None:
@@ -230,6 +225,6 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")
         axes = figure.add_subplot()
-        sol.plot(axes)
+        sol.plot(ax=axes)
         axes.set_title(name)
         figure.savefig(path, dpi=200)

@@ -12,10 +12,10 @@ import numpy as np
 from .._arguments import Array
 from ..invariants import Invariants
 from ..methods import METHODS
+from ..ode_functions import ode15s
 from ..problem import Problem
 from ..problems import hires, lotka_volterra, pendulum, robertson, three_body
 from ..solution import Solution
-from ..suite import ode15s
 from .matlab import matlab_rows
 from .rows import Row, Rule, of_the_paper, within
 

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 
 from .._arguments import Array
 from ..events import Event
+from ..ivp import solve_ivp
+from ..ode_functions import ode15s, ode45
 from ..problems import hires
 from ..solution import Solution
-from ..suite import ode15s, ode45, solve_ivp
 from .published import matlab
 from .rows import DIGITS, LAST_DIGIT, SIZE, Row
 

@@ -176,7 +176,7 @@ def _rod_length(axes: Axes, results: Results) -> None:
 def _orbit(name: str, label: str, colour: str) -> Callable[[Axes, Results], None]:
     def draw(axes: Axes, results: Results) -> None:
         sol: Solution = getattr(results.three_body, name)
-        sol.plot_phase("x", "y", axes, color=colour, label=label)
+        sol.plot_phase("x", "y", ax=axes, color=colour, label=label)
         axes.plot([-MU, MU_STAR], [0, 0], ".", color=INK, ms=5)
         _name(axes, "Earth", (-MU, 0), (0, -26))
         _name(axes, "Moon", (MU_STAR, 0), (-4, 9))
