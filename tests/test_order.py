@@ -111,8 +111,9 @@ def kepler_rhs_jacobian(t, y):
 
 @pytest.mark.parametrize("project", [False, True])
 def test_error_follows_the_tolerance(method, project):
-    """The largest error over the interval falls by at least 1.5 per half decade of rtol, over 1e-2 to 1e-10."""
-    rtols = np.logspace(-2, -10, 17)
+    """The largest error over the interval falls by at least 1.5 per half decade of rtol, from 1e-2 down to 1e-10, or
+    to 1e-8 where the order is so low that the steps are very many."""
+    rtols = np.logspace(-2, -10, 17) if iv.METHODS[method].order > 3 else np.logspace(-2, -8, 13)
     options = {"jac": kepler_rhs_jacobian} if method == "ode15s" else {}
     errors = []
     for rtol in rtols:
