@@ -1,4 +1,4 @@
-"""Prints the requirements of pyproject.toml at their lowest versions: those to run and test, or with --build to build."""
+"""Prints the requirements of pyproject.toml at their lowest versions: to run and test, or with --build to build."""
 
 from __future__ import annotations
 
