@@ -25,10 +25,13 @@ native: $(VENV)/.installed-test
 	$(BIN)/cmake --build $(NATIVE)
 	$(BIN)/ctest --test-dir $(NATIVE) --output-on-failure
 
-sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan
+sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
 	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
+	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=thread
+	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble
+	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble)$$'
 
 lint: $(VENV)/.installed-lint native  ## style, types, static analysis, drift of the generated stub
 	$(BIN)/ruff check .

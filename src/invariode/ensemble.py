@@ -249,7 +249,7 @@ def solve_ensemble(
         raise ValueError("an ensemble needs at least one row of y0 or args")
     plan = task.first_plan()
     with bar(flag("progress", progress), "trajectories", len(rows)) as report:
-        native = _core.Solver(**plan.solver).native
+        native = plan.solver_object().native
         return (_on_threads if native else _in_processes)(task, plan, min(workers, len(rows)), report)
 
 
@@ -344,7 +344,7 @@ def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) 
 
 def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     y0 = np.ascontiguousarray(task.y0)
-    solvers = [_core.Solver(**plan.solver) for _ in range(workers)]
+    solvers = [plan.solver_object() for _ in range(workers)]
     run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
     dtype = y0.dtype
     states = run.take_states()
@@ -436,7 +436,7 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
     try:
         with quietly():  # the first plan has said it
             plan = task.plan(i)
-        run = _core.Solver(**plan.solver).integrate(plan.y0.view(float))
+        run = plan.solver_object().integrate(plan.y0.view(float))
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
         return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))

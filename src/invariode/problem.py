@@ -67,6 +67,13 @@ OPTIONS = (
 )
 
 
+#: Of a plan's solver, what goes into the core's settings.
+_SETTINGS = (
+    *("t0", "tf", "max_step", "first_step", "iterations", "refine", "times", "interpolation", "dense", "save_all"),
+    *("record", "check", "negligible", "fsal", "max_order", "bdf"),
+)
+
+
 @dataclass(frozen=True)
 class Matrices:
     """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure."""
@@ -91,6 +98,23 @@ class Plan:
     event_names: list[str]
     rtol: Numbers
     atol: Numbers
+
+    def solver_object(self) -> _core.Solver:
+        """The core's solver, with functions of its own."""
+        given = self.solver
+        problem = _core.Problem(
+            **{
+                name: given[name]
+                for name in ("n", "complex", "fun", "args", "parameters", "linear", "callback", "value")
+            },
+            events=[_core.Event(*spec) for spec in given["events"]],
+            invariants=[_core.Invariant(*spec) for spec in given["invariants"]],
+        )
+        settings = _core.Settings()
+        for name in _SETTINGS:
+            setattr(settings, name, given[name])
+        tolerances = _core.Tolerances(given["rtol"], given["threshold"], given["scale"])
+        return _core.Solver(given["method"], problem, tolerances, settings)
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
@@ -226,7 +250,7 @@ class Problem:
         resumed: tuple[list[int], list[bool]] | None = None,
     ) -> Solution:
         """`resumed`: the run goes on from another; of each event its occurrences so far, and whether at the start."""
-        solver = _core.Solver(**plan.solver)
+        solver = plan.solver_object()
         if resumed is not None:
             solver.resume(*resumed)
         y0 = plan.y0.view(float)
@@ -353,18 +377,18 @@ class Problem:
         """y0, moved where the algebraic equations of a singular mass matrix ask for it."""
         if not linear.algebraic:
             return self.y0
-        y, verdict = _core.consistent_start(
+        problem = _core.Problem(
+            n=reals(self.y0),
+            complex=self.y0.dtype.kind == "c",
             fun=fun,
             args=self.args,
-            t0=self.t_span[0],
-            y0=self.y0.view(float),
-            complex=self.y0.dtype.kind == "c",
-            rtol=rtol,
-            threshold=threshold,
-            scale=scale,
-            linear=linear,
             parameters=p,
+            linear=linear,
+            invariants=[],
+            value=np.zeros(0),
         )
+        weights = _core.Tolerances(rtol, threshold, scale)
+        y, verdict = _core.consistent_start(self.t_span[0], self.y0.view(float), problem, weights)
         if verdict in ("index_too_high", "not_found"):
             raise ValueError(inconsistent_start(verdict, self.t_span[0]))
         return y.view(self.y0.dtype) if verdict == "corrected" else self.y0

@@ -124,7 +124,7 @@ class _Solver(OdeSolver):
         )
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
         self._plan = replace(plan, solver={name: plan.solver[name] for name in ("rtol", "complex")})
-        self._stepper = _core.Stepper(_core.Solver(**plan.solver), plan.y0.view(float))
+        self._stepper = _core.Stepper(plan.solver_object(), plan.y0.view(float))
         if self._stepper.state == "invariant_refused":
             raise self._plan.exception(self._stepper.result()) or AssertionError
         self.y = self._state()

@@ -248,8 +248,8 @@ class DenseSolution:
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         g = self._invariants
-        about: dict[str, Any] = {"invariants": g.specs, "value": g.value, "args": g.args, "parameters": g.parameters}
-        rows = self._dense.evaluate(np.atleast_1d(times), **about)
+        problem = g.problem(self._dense.n, self._dtype.kind == "c", g.value)
+        rows = self._dense.evaluate(np.atleast_1d(times), problem)
         y = as_columns(rows, self._dtype)
         if self._imposed is not None and y.shape[1]:
             y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
