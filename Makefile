@@ -5,8 +5,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 NATIVE := build/native
 SOURCES := pyproject.toml CMakeLists.txt README.md $(shell find core binding -type f) \
-  $(shell find src -name '*.py' -o -name '*.pyi')
+  $(shell find src -name '*.py' -o -name '*.pyi' -o -name '*.jinja' -o -name '*.json')
 CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o -name '*.cpp')
+# What `make stubs` makes, and `make lint` compares.
+STUBS := _core.pyi ode_functions.pyi scipy.pyi
 # Warnings are errors where nobody but us is bothered by them.
 INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON)
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
@@ -33,21 +35,25 @@ sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; wha
 	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble
 	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble)$$'
 
-lint: $(VENV)/.installed-lint native  ## style, types, static analysis, drift of the generated stub
+lint: $(VENV)/.installed-lint native  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 	$(BIN)/clang-tidy -quiet -p $(NATIVE) $(shell find core -name '*.cpp')
-	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi && diff _core.pyi ../src/invariode/_core.pyi
+	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
+	$(BIN)/python .ci/stubs.py build
+	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
 
 format: $(VENV)/.installed-lint
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 	$(BIN)/clang-format -i $(CXX_FILES)
 
-stubs: $(VENV)/.installed-lint  ## regenerate src/invariode/_core.pyi
+stubs: $(VENV)/.installed-lint  ## regenerate the stubs, of the binding and of what the registry of methods defines
 	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o ../src/invariode/_core.pyi
+	$(BIN)/python .ci/stubs.py src/invariode
 
 bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/overhead.py --write

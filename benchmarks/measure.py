@@ -14,6 +14,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
 
+from tabulate import tabulate
+
 DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 #: Seconds, one per repetition, of everything that ran in turn.
@@ -99,14 +101,8 @@ def _cpu() -> str:
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table that is also aligned as plain text: the first column to the left, the others to the right."""
-    lines = [list(header), *(list(row) for row in rows)]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
-    text = [
-        " | ".join(cell.rjust(width) if column else cell.ljust(width) for column, (cell, width) in enumerate(cells))
-        for cells in (list(zip(line, widths, strict=True)) for line in lines)
-    ]
-    rule = "|".join("-" * (width + 1) + (":" if column else "-") for column, width in enumerate(widths))
-    return "\n".join([f"| {text[0]} |", f"|{rule}|", *(f"| {line} |" for line in text[1:])])
+    alignment = ["left", *["right"] * (len(header) - 1)]
+    return tabulate(list(rows), header, tablefmt="pipe", disable_numparse=True, colalign=alignment)
 
 
 def run(name: str, document: str | None, report: Callable[[int], str], repetitions: int) -> None:

@@ -21,15 +21,15 @@ from measure import interleaved, machine, ratio, run, table
 from numpy.typing import NDArray
 
 import invariode as iv
+from invariode import problems
 
 Array = NDArray[np.float64]
 FLAGS = ("-O3", "-DNDEBUG", "-std=c++20", "-ffp-contract=off", "-shared", "-fPIC")
 RTOL = 1e-8
 NS = 1e-9
-PERIOD = 6.19216933131963970674
 PROBLEMS: dict[str, tuple[str, list[float], float]] = {
     "Lotka–Volterra": ("lotka_volterra", [1.0, 3.0], 1000.0),
-    "three-body": ("three_body", [1.2, 0.0, 0.0, -1.04935750983031990726], 20 * PERIOD),
+    "three-body": ("three_body", list(problems.START), 20 * problems.PERIOD),
 }
 DOUBLE, POINTER = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
 USER = ctypes.CFUNCTYPE(None, DOUBLE, POINTER, POINTER, POINTER)

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numba
+from numba.core.dispatcher import Dispatcher
+
+import invariode as iv
+from invariode import problems
 
 Function = Callable[[float, Any], tuple[Any, ...]]
 Power = Callable[[Any], Any]
@@ -41,124 +48,66 @@ class Problem:
 
 
 # ----------------------------------------------------------------------------------------------------------------------
-# Lotka-Volterra
+# Those of invariode.problems, in the form that each package takes
 
 
-def lotka_volterra(power: Power) -> Function:
-    def f(t, y):
-        return 2.0 * y[0] * (1.0 - y[1]), -y[1] * (1.0 - y[0])
+class Inverse:
+    """A number to divide by, of which a package has the inverse."""
 
-    return f
+    def __init__(self, inverse: Any) -> None:
+        self._inverse = inverse
 
-
-def lotka_volterra_g(t, y):
-    return (y[0] - math.log(y[0]) + 2.0 * (y[1] - math.log(y[1])),)
-
-
-def lotka_volterra_jac(t, y):
-    return 1.0 - 1.0 / y[0], 2.0 - 2.0 / y[1]
+    def __rtruediv__(self, x: Any) -> Any:
+        return x * self._inverse
 
 
-# ----------------------------------------------------------------------------------------------------------------------
-# Restricted three-body problem, as distributed with MATLAB (orbitode)
-
-MU = 1 / 82.45
-MU1 = 1 - MU
-
-
-def three_body(power: Power) -> Function:
-    def f(t, y):
-        a, b = y[0] + MU, y[0] - MU1
-        p = MU1 * power(a * a + y[1] * y[1])
-        q = MU * power(b * b + y[1] * y[1])
-        return y[2], y[3], 2.0 * y[3] + y[0] - p * a - q * b, -2.0 * y[2] + y[1] - (p + q) * y[1]
-
-    return f
+@numba.njit(error_model="numpy")
+def cube(a: float, b: float) -> float:
+    s = a * a + b * b
+    return s * math.sqrt(s)
 
 
-def jacobi_integral(t, y):
-    a, b = y[0] + MU, y[0] - MU1
-    r, s = math.sqrt(a * a + y[1] * y[1]), math.sqrt(b * b + y[1] * y[1])
-    return ((y[2] * y[2] + y[3] * y[3] - y[0] * y[0] - y[1] * y[1]) / 2.0 - MU1 / r - MU / s,)
+def with_power(formula: Callable[..., Any]) -> Callable[[Power], Function]:
+    """Of a formula that may take cubes of distances, f(t, y) by the power that a package has; compiled if that is."""
+    takes_cubes = "cube" in inspect.signature(formula).parameters
+
+    def rhs(power: Power) -> Function:
+        if isinstance(power, Dispatcher):
+            inner, cubed = numba.njit(formula, error_model="numpy"), cube
+        else:
+            inner, cubed = formula, lambda a, b: Inverse(power(a * a + b * b))
+        if takes_cubes:
+            return lambda t, y: inner(t, y, cubed)
+        return lambda t, y: inner(t, y)
+
+    return rhs
 
 
-def jacobi_gradient(t, y):
-    a, b = y[0] + MU, y[0] - MU1
-    r2, s2 = a * a + y[1] * y[1], b * b + y[1] * y[1]
-    p, q = MU1 / (r2 * math.sqrt(r2)), MU / (s2 * math.sqrt(s2))
-    return p * a + q * b - y[0], (p + q) * y[1] - y[1], y[2], y[3]
+def flat(function: Callable[..., Any], parts: int) -> Function:
+    """Rows one after the other, or one number alone, as a tuple for the compiler."""
+    inner = numba.njit(function, error_model="numpy")
+    if parts == 0:
+        return lambda t, y: (inner(t, y),)
+    if parts == 1:
+        return lambda t, y: inner(t, y)[0]
+    return lambda t, y: inner(t, y)[0] + inner(t, y)[1]
 
 
-# ----------------------------------------------------------------------------------------------------------------------
-# Kepler
-
-
-def kepler(power: Power) -> Function:
-    def f(t, y):
-        p = power(y[0] * y[0] + y[1] * y[1])
-        return y[2], y[3], -p * y[0], -p * y[1]
-
-    return f
-
-
-def kepler_g(t, y):
-    r = math.sqrt(y[0] * y[0] + y[1] * y[1])
-    return (y[2] * y[2] + y[3] * y[3]) / 2.0 - 1.0 / r, y[0] * y[3] - y[1] * y[2]
-
-
-def kepler_jac(t, y):
-    r2 = y[0] * y[0] + y[1] * y[1]
-    p = 1.0 / (r2 * math.sqrt(r2))
-    return p * y[0], p * y[1], y[2], y[3], y[3], -y[2], -y[1], y[0]
-
-
-def kepler_start(e: float) -> list[float]:
-    """Perihelion of an orbit of eccentricity e and period 2 pi."""
-    return [1 - e, 0.0, 0.0, math.sqrt((1 + e) / (1 - e))]
-
-
-# ----------------------------------------------------------------------------------------------------------------------
-# Hénon-Heiles
-
-
-def henon_heiles(power: Power) -> Function:
-    def f(t, y):
-        return y[2], y[3], -y[0] - 2.0 * y[0] * y[1], -y[1] - y[0] * y[0] + y[1] * y[1]
-
-    return f
-
-
-def henon_heiles_g(t, y):
-    potential = (y[0] * y[0] + y[1] * y[1]) / 2.0 + y[0] * y[0] * y[1] - y[1] * y[1] * y[1] / 3.0
-    return ((y[2] * y[2] + y[3] * y[3]) / 2.0 + potential,)
-
-
-def henon_heiles_jac(t, y):
-    return y[0] + 2.0 * y[0] * y[1], y[1] + y[0] * y[0] - y[1] * y[1], y[2], y[3]
-
-
-def henon_heiles_start(energy: float, y: float) -> list[float]:
-    """On the section x = 0 with p_y = 0."""
-    return [0.0, y, math.sqrt(2 * energy - y * y + 2 * y**3 / 3), 0.0]
-
-
-# ----------------------------------------------------------------------------------------------------------------------
-# Free rigid body, as distributed with MATLAB (rigidode)
-
-
-def rigid_body(power: Power) -> Function:
-    def f(t, y):
-        return y[1] * y[2], -y[0] * y[2], -0.51 * y[0] * y[1]
-
-    return f
-
-
-def rigid_body_g(t, y):
-    return y[0] * y[0] + y[1] * y[1], 0.51 * y[0] * y[0] + y[2] * y[2]
-
-
-def rigid_body_jac(t, y):
-    return 2.0 * y[0], 2.0 * y[1], 0.0, 1.02 * y[0], 0.0, 2.0 * y[2]
+def classic(name: str, title: str, problem: iv.Problem, tf: float, exact: Sequence[float] | None = None) -> Problem:
+    """A problem of one or two invariants, up to another time."""
+    (held,) = problem.invariants
+    m = len(held.names)
+    return Problem(
+        name,
+        title,
+        (0.0, tf),
+        problem.y0.tolist(),
+        with_power(problem.fun),
+        flat(held.fun, 0) if m == 1 else held.fun,
+        flat(held.jac, m),
+        held.names,
+        exact,
+    )
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -264,47 +213,16 @@ _SOLAR_G, _SOLAR_JAC = energy_and_momentum()
 PROBLEMS = {
     problem.name: problem
     for problem in (
-        Problem(
-            "lotka-volterra",
-            "Lotka–Volterra, t ≤ 50",
-            (0.0, 50.0),
-            [1.0, 3.0],
-            lotka_volterra,
-            lotka_volterra_g,
-            lotka_volterra_jac,
-            ["u - ln u + 2 (v - ln v)"],
-        ),
-        Problem(
-            "three-body",
-            "Restricted three-body problem, one period",
-            (0.0, 6.19216933131963970674),
-            [1.2, 0.0, 0.0, -1.04935750983031990726],
-            three_body,
-            jacobi_integral,
-            jacobi_gradient,
-            ["Jacobi integral"],
-        ),
-        Problem(
+        classic("lotka-volterra", "Lotka–Volterra, t ≤ 50", problems.lotka_volterra(), 50.0),
+        classic("three-body", "Restricted three-body problem, one period", problems.three_body(), problems.PERIOD),
+        classic(
             "kepler",
             "Kepler, e = 0.6, twenty periods",
-            (0.0, 40 * math.pi),
-            kepler_start(0.6),
-            kepler,
-            kepler_g,
-            kepler_jac,
-            ["energy", "angular momentum"],
-            exact=kepler_start(0.6),
+            problems.kepler(0.6),
+            40 * math.pi,
+            exact=problems.kepler(0.6).y0.tolist(),
         ),
-        Problem(
-            "henon-heiles",
-            "Hénon–Heiles, energy 1/12, t ≤ 100",
-            (0.0, 100.0),
-            henon_heiles_start(1 / 12, 0.1),
-            henon_heiles,
-            henon_heiles_g,
-            henon_heiles_jac,
-            ["energy"],
-        ),
+        classic("henon-heiles", "Hénon–Heiles, energy 1/12, t ≤ 100", problems.henon_heiles(1 / 12, 0.1), 100.0),
         Problem(
             "solar-system",
             "Outer solar system, 50 000 days, n = 36",
@@ -315,15 +233,6 @@ PROBLEMS = {
             _SOLAR_JAC,
             ["energy", "angular momentum, x", "angular momentum, y", "angular momentum, z"],
         ),
-        Problem(
-            "rigid-body",
-            "Free rigid body, t ≤ 100",
-            (0.0, 100.0),
-            [0.0, 1.0, 1.0],
-            rigid_body,
-            rigid_body_g,
-            rigid_body_jac,
-            ["y1² + y2²", "0.51 y1² + y3²"],
-        ),
+        classic("rigid-body", "Free rigid body, t ≤ 100", problems.rigid_body(), 100.0),
     )
 }

@@ -21,6 +21,7 @@ from measure import Times, installed, interleaved, machine, ratio, spread, table
 from numpy.typing import NDArray
 
 import invariode as iv
+from invariode.problems import MU, MU_STAR, PERIOD, START
 
 try:
     from CyRK import pysolve_ivp  # type: ignore[import-untyped]  # CyRK ships no types
@@ -37,7 +38,8 @@ EQUAL_ERROR = 1e-6
 US, MS = 1e-6, 1e-3
 
 # ----------------------------------------------------------------------------------------------------------------------
-# Problems. Those of CyRK write into dy, which its documentation recommends for speed (`pass_dy_as_arg`).
+# Problems, written out in each of the forms that are compared. Those of CyRK write into dy, which its documentation
+# recommends for speed (`pass_dy_as_arg`).
 
 
 def lotka_volterra(t: float, y: Array) -> list[float]:
@@ -77,44 +79,40 @@ def lotka_volterra_gradient(t: float, y: Array) -> list[float]:
     return [1.0 - 1.0 / x, 2.0 - 2.0 / y_]
 
 
-MU = 1 / 82.45  # restricted three-body problem, as distributed with MATLAB (orbitode)
-MU1 = 1 - MU
-
-
 def three_body(t: float, y: Array) -> list[float]:
     x, z, u, v = y
     r1 = ((x + MU) ** 2 + z * z) ** 1.5
-    r2 = ((x - MU1) ** 2 + z * z) ** 1.5
+    r2 = ((x - MU_STAR) ** 2 + z * z) ** 1.5
     return [
         u,
         v,
-        2.0 * v + x - MU1 * (x + MU) / r1 - MU * (x - MU1) / r2,
-        -2.0 * u + z - MU1 * z / r1 - MU * z / r2,
+        2.0 * v + x - MU_STAR * (x + MU) / r1 - MU * (x - MU_STAR) / r2,
+        -2.0 * u + z - MU_STAR * z / r1 - MU * z / r2,
     ]
 
 
 def three_body_into(dy: Array, t: float, y: Array) -> None:
     x, z, u, v = y
     r1 = ((x + MU) ** 2 + z * z) ** 1.5
-    r2 = ((x - MU1) ** 2 + z * z) ** 1.5
+    r2 = ((x - MU_STAR) ** 2 + z * z) ** 1.5
     dy[0] = u
     dy[1] = v
-    dy[2] = 2.0 * v + x - MU1 * (x + MU) / r1 - MU * (x - MU1) / r2
-    dy[3] = -2.0 * u + z - MU1 * z / r1 - MU * z / r2
+    dy[2] = 2.0 * v + x - MU_STAR * (x + MU) / r1 - MU * (x - MU_STAR) / r2
+    dy[3] = -2.0 * u + z - MU_STAR * z / r1 - MU * z / r2
 
 
 def jacobi_integral(t: float, y: Array) -> float:
     x, z, u, v = y
     r1 = ((x + MU) ** 2 + z * z) ** 0.5
-    r2 = ((x - MU1) ** 2 + z * z) ** 0.5
-    return float((u * u + v * v - x * x - z * z) / 2.0 - MU1 / r1 - MU / r2)
+    r2 = ((x - MU_STAR) ** 2 + z * z) ** 0.5
+    return float((u * u + v * v - x * x - z * z) / 2.0 - MU_STAR / r1 - MU / r2)
 
 
 def jacobi_gradient(t: float, y: Array) -> list[float]:
     x, z, u, v = y
     r1 = ((x + MU) ** 2 + z * z) ** 1.5
-    r2 = ((x - MU1) ** 2 + z * z) ** 1.5
-    return [-x + MU1 * (x + MU) / r1 + MU * (x - MU1) / r2, -z + MU1 * z / r1 + MU * z / r2, u, v]
+    r2 = ((x - MU_STAR) ** 2 + z * z) ** 1.5
+    return [-x + MU_STAR * (x + MU) / r1 + MU * (x - MU_STAR) / r2, -z + MU_STAR * z / r1 + MU * z / r2, u, v]
 
 
 def volterra_lattice(n: int) -> tuple[Function, Function]:
@@ -443,8 +441,8 @@ EXTRAS_HEADER += ["ours, µs (of a plain step)", "÷ user's functions alone"]
 def report() -> str:
     y0 = np.array([1.0, 3.0])
     plain = Case("Lotka–Volterra", lotka_volterra, lotka_volterra_into, (0.0, 200.0), y0)
-    orbit0 = np.array([1.2, 0.0, 0.0, -1.04935750983031990726])
-    orbit = Case("three-body problem", three_body, three_body_into, (0.0, 6.19216933131963970674), orbit0)
+    orbit0 = np.array(START)
+    orbit = Case("three-body problem", three_body, three_body_into, (0.0, PERIOD), orbit0)
     cases = [
         Case(
             "Lotka–Volterra, floats of y.tolist()",

@@ -40,6 +40,7 @@ from nonstiff import PROBLEMS, Function, Problem
 from numpy.typing import NDArray
 
 import invariode as iv
+from invariode._style import COLOURS, MUTED
 
 Array = NDArray[np.float64]
 Run = Callable[[], Any]  # solves, and returns the final state
@@ -526,16 +527,7 @@ def remarks(lines: Sequence[Line]) -> list[str]:
 # ----------------------------------------------------------------------------------------------------------------------
 # Plots
 
-STRONG = ("#d95f02", "#1f5fbf", "#c2185b", "#1b8a3a", "#6a3d9a", "#00838f")
-MUTED = {
-    "SciPy": "#8c8c8c",
-    "CyRK": "#5f8f8f",
-    "CVODE": "#b08f5f",
-    "extensisq": "#9aa35a",
-    "diffrax": "#9b8fc0",
-    "heyoka": "#404040",
-    "homproj": "#c09090",
-}
+PEERS = ("SciPy", "CyRK", "CVODE", "extensisq", "diffrax", "heyoka", "homproj")
 MARKERS = "osD^v<>phXP*d8"
 
 
@@ -555,10 +547,10 @@ def plot(p: Problem, lines: Sequence[Line]) -> None:
         name, kind = line.solver.name, line.solver.kind
         style: dict[str, Any]
         if kind in (PLAIN, PROJECTED):
-            color = STRONG[methods.index(name.removesuffix(", projected")) % len(STRONG)]
+            color = COLOURS[methods.index(name.removesuffix(", projected")) % len(COLOURS)]
             style = {"linestyle": "-" if kind == PLAIN else "--", "linewidth": 2.0, "zorder": 3}
         else:
-            color = MUTED.get(name.split()[0], "#8c8c8c")
+            color = MUTED[PEERS.index(name.split()[0])]
             marker = MARKERS[peers.index(line) % len(MARKERS)]
             style = {"linestyle": "--" if kind == PROJECTED_PEER else "-", "linewidth": 0.8, "zorder": 2}
             style |= {"marker": marker, "markersize": 3.5}

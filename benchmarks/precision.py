@@ -15,6 +15,7 @@ import numpy as np
 from measure import interleaved, machine, run, table
 
 import invariode as iv
+from invariode import problems
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from problems import PROBLEMS, TestProblem
@@ -43,14 +44,9 @@ def compare(p: TestProblem, y0: list[float], tf: float, method: str, repetitions
 
 
 def report(repetitions: int) -> str:
-    e = 0.6
     orbits = {
-        "Kepler, ten periods": (PROBLEMS["Kepler"], [1 - e, 0, 0, ((1 + e) / (1 - e)) ** 0.5], 20 * np.pi),
-        "Three bodies, one period": (
-            PROBLEMS["three-body"],
-            [1.2, 0, 0, -1.04935750983031990726],
-            6.19216933131963970674,
-        ),
+        "Kepler, ten periods": (PROBLEMS["Kepler"], problems.kepler(0.6).y0.tolist(), 20 * np.pi),
+        "Three bodies, one period": (PROBLEMS["three-body"], list(problems.START), problems.PERIOD),
     }
     parts = [f"{machine('invariode', 'numpy')}. Invariants and Jacobians in Python, given; atol = rtol / 1000."]
     for title, (p, y0, tf) in orbits.items():

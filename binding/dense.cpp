@@ -7,39 +7,18 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include "manifold/projection.hpp"
-#include "methods/adams.hpp"
-#include "methods/ndf.hpp"
-#include "methods/runge_kutta.hpp"
+#include "methods/registry.hpp"
 #include "run/names.hpp"
 
 namespace invariode::binding {
 namespace {
 
-/// A raw extension under its name in files, and the sizes that its data may have.
-struct Extension {
-  const char* name;
-  Interpolate evaluate;
-  bool (*fits)(std::size_t size, std::size_t n);
-};
-bool rows_of_n(std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
-bool rows_and_steps(std::size_t size, std::size_t n) {
-  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
-}
-constexpr Extension extensions[] = {{"Runge-Kutta", nested, rows_of_n},
-                                    {"Adams", integrate_polynomial, rows_and_steps},
-                                    {"NDF", newton_backward, rows_of_n}};
-
 void require(bool right, const char* what) {
   if (!right) throw std::invalid_argument(what);
-}
-
-const Extension& find_extension(const std::string& name) {
-  for (const Extension& one : extensions)
-    if (one.name == name) return one;
-  throw std::invalid_argument("unknown extension '" + name + "'");
 }
 
 Vector copied(const std::vector<double>& values) {
@@ -75,18 +54,19 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
                  const std::optional<ConstVector>& scale, bool complex) {
   const std::size_t n = y.shape(1), segments = end.size();
   const std::optional<Interpolation> mode = find_in(interpolation_names, interpolation);
-  const Extension& raw = find_extension(extension);
+  const Extension* raw = find_extension(std::string_view(extension));
+  require(raw != nullptr, "unknown extension");
   require(mode.has_value(), "unknown interpolation");
   require(n > 0 || segments == 0, "there is nothing to interpolate");
   require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
   const auto* each = std::get_if<ConstVector>(&threshold);
   require((!each || each->size() == n) && (!scale || scale->size() == n), "weights do not match");
-  Dense dense{DenseOutput(n, m, *mode, raw.evaluate),
+  Dense dense{DenseOutput(n, m, *mode, raw->evaluate),
               Weights(rtol, each ? to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
                       scale ? to_vector(*scale) : std::vector<double>{}),
               complex};
-  const std::size_t overhead = Interpolant(n, m, *mode, raw.evaluate, nullptr).overhead();
-  add_segments(dense, t, y, end, offset, data, overhead, raw);
+  const std::size_t overhead = Interpolant(n, m, *mode, raw->evaluate, nullptr).overhead();
+  add_segments(dense, t, y, end, offset, data, overhead, *raw);
   return dense;
 }
 
@@ -134,8 +114,7 @@ nb::dict Dense::parts() const {
   d["data"] = copied(all.data.copy());
   d["m"] = all.m;
   d["interpolation"] = name_of(all.mode);
-  for (const Extension& one : extensions)
-    if (one.evaluate == all.raw) d["extension"] = one.name;
+  d["extension"] = find_extension(all.raw)->name;
   d["rtol"] = weights.rtol();
   d["threshold"] = copied(weights.threshold());
   d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));
@@ -155,6 +134,7 @@ void define_dense(nb::module_& module) {
       .def("joined", &Dense::joined, nb::arg("next"), "This and then `next`, which starts where this ends.")
       .def_prop_ro(
           "n", [](const Dense& d) { return d.output.n(); }, "Reals in a state.")
+      .def_ro("complex", &Dense::complex)
       .def("knots", [](const Dense& d) { return copied(d.output.knots().copy()); });
 }
 

@@ -159,8 +159,15 @@ void define_methods(nb::module_& module) {
       .def_ro("iterations", &Method::iterations)
       .def_ro("refine", &Method::refine)
       .def_ro("source", &Method::source)
+      .def_prop_ro(
+          "scipy_name", [](const Method& m) { return m.scipy_name ? std::optional(m.scipy_name) : std::nullopt; },
+          "Of the corresponding method of `scipy.integrate.solve_ivp`, or None.")
+      .def_ro("scipy_bdf", &Method::scipy_bdf, "That name implies the option bdf.")
       .def_prop_ro("options", [](const Method& m) {
-        return nb::tuple(nb::cast(std::vector<const char*>(m.options.begin(), m.options.end())));
+        std::vector<const char*> names;
+        for (const char* one : m.options)
+          if (one != nullptr) names.push_back(one);
+        return nb::tuple(nb::cast(names));
       });
   module.def(
       "methods",

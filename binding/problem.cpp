@@ -212,7 +212,7 @@ void define_description(nb::module_& module) {
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             nb::object callback, std::vector<InvariantSpec> invariants, const ConstVector& value) {
+             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -222,11 +222,11 @@ void define_description(nb::module_& module) {
                                    std::move(events),
                                    std::move(callback),
                                    std::move(invariants),
-                                   to_vector(value)};
+                                   value ? to_vector(*value) : std::vector<double>{}};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-          nb::arg("callback") = nb::none(), nb::arg("invariants"), nb::arg("value"));
+          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none());
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",

@@ -22,6 +22,12 @@ extensions = [
 exclude_patterns = ["**.ipynb", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
 templates_path = ["_templates"]
 default_role = "py:obj"
+nitpicky = True
+nitpick_ignore_regex = [
+    ("py:class", r"(?!invariode\.).*"),  # types of parameters are words: 'array_like of shape (n,)', 'optional'
+    ("py:obj", r"[a-z]\w*(, [a-z]\w*)*"),  # parameters and fields, which stand in the same docstring
+    ("py:obj", r"scipy\..*"),  # a build needs no network
+]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3

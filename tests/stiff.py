@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from invariode import problems as classic
+
 DATA = Path(__file__).with_name("data") / "stiff.npz"
 
 
@@ -61,45 +63,13 @@ def references() -> dict[str, np.ndarray]:
 # Chemical kinetics
 
 
-def robertson(t, y):
-    a, b, c = y
-    slow, fast = 0.04 * a - 1e4 * b * c, 3e7 * b * b
-    return np.array([-slow, slow - fast, fast])
+def as_array(function):
+    """What it returns, as an array: these tests take slices of it, and its parts along complex steps."""
+    return lambda t, y: np.array(function(t, y))
 
 
-def robertson_jacobian(t, y):
-    _, b, c = y
-    return np.array([[-0.04, 1e4 * c, 1e4 * b], [0.04, -1e4 * c - 6e7 * b, -1e4 * b], [0, 6e7 * b, 0]])
-
-
-def hires(t, y):
-    """High irradiance response (Schäfer, 1975)."""
-    a, b, c, d, e, f, g, h = y
-    bound = 280 * f * h - 1.81 * g
-    return np.array([
-        -1.71 * a + 0.43 * b + 8.32 * c + 0.0007,
-        1.71 * a - 8.75 * b,
-        -10.03 * c + 0.43 * d + 0.035 * e,
-        8.32 * b + 1.71 * c - 1.12 * d,
-        -1.745 * e + 0.43 * f + 0.43 * g,
-        -280 * f * h + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g,
-        bound,
-        -bound,
-    ])  # fmt: skip
-
-
-def hires_jacobian(t, y):
-    p, q = 280 * y[7], 280 * y[5]
-    return np.array([
-        [-1.71, 0.43, 8.32, 0, 0, 0, 0, 0],
-        [1.71, -8.75, 0, 0, 0, 0, 0, 0],
-        [0, 0, -10.03, 0.43, 0.035, 0, 0, 0],
-        [0, 8.32, 1.71, -1.12, 0, 0, 0, 0],
-        [0, 0, 0, 0, -1.745, 0.43, 0.43, 0],
-        [0, 0, 0, 0.69, 1.71, -p - 0.43, 0.69, -q],
-        [0, 0, 0, 0, 0, p, -1.81, q],
-        [0, 0, 0, 0, 0, -p, 1.81, -q],
-    ])  # fmt: skip
+robertson, hires = as_array(classic.robertson().fun), as_array(classic.hires().fun)
+robertson_jacobian, hires_jacobian = (as_array(p.matrices.jac) for p in (classic.robertson(), classic.hires()))
 
 
 def oregonator(t, y, s=77.27, q=8.375e-6, w=0.161):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import signal
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from rich.console import Console
 from typer.testing import CliRunner
 
 import invariode as iv
@@ -22,7 +20,7 @@ from invariode.cli.app import app
 from invariode.cli.compare import answer
 from invariode.cli.precision import Judgement, Row, Run, best, judge, judgements
 from invariode.cli.session import clock, count, guarded, power
-from invariode.cli.solve import INTERVAL, OUTPUTS, Bar
+from invariode.cli.solve import OUTPUTS
 
 FILES = {
     "pendulum.py": """
@@ -387,35 +385,6 @@ def test_solve_draws(ending, magic):
     path = Path(f"plot{ending}")
     assert invariode("solve", "pendulum.py", "--plot", path).exit_code == 0
     assert path.read_bytes().startswith(magic)
-
-
-def test_progress_is_shown_at_most_ten_times_a_second(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr("invariode.cli.solve.perf_counter", lambda: now[0])
-    screen = io.StringIO()
-    bar = Bar(problem(), Console(file=screen, force_terminal=True, width=80))
-    updates = []
-    monkeypatch.setattr(bar._bar, "update", lambda task, **fields: updates.append((now[0], fields["t"])))
-    with bar as callback:
-        for i in range(2000):
-            now[0] = i / 1000
-            callback(i / 200, np.zeros(4))
-    times = [at for at, _ in updates]
-    assert min(np.diff(times)) >= INTERVAL - 1e-9
-    assert len(times) > 10
-    assert updates[-1][1] > 9
-
-
-def test_progress_bar_leaves_the_screen_as_it_was():
-    screen = io.StringIO()
-    bar = Bar(problem(), Console(file=screen, force_terminal=True, width=80))
-    bar._next = 0.0
-    with bar as callback:
-        bar._next = 0.0
-        callback(5.0, np.zeros(4))
-    assert "50%" in screen.getvalue()
-    assert "t = 5" in screen.getvalue()
-    assert screen.getvalue().endswith("\x1b[2K")
 
 
 def test_a_short_run_shows_no_progress_bar():

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import invariode as iv
+from invariode.paper.published import PUBLISHED, matlab
 from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
 
-PUBLISHED = json.loads((Path(__file__).parent / "data" / "published.json").read_text())
 HIRES = STIFF["HIRES"]
 LINEAR = PUBLISHED["problems"]["third-order linear"]
 
@@ -22,7 +19,7 @@ def third_order(t, u):
 
 
 def rows(problem: str, method: str = "ode45") -> list[dict]:
-    found = [row for row in PUBLISHED["rows"] if row["problem"] == problem and row.get("method", method) == method]
+    found = matlab(problem, method)
     assert found
     return found
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode import ensemble
 
 numba = pytest.importorskip("numba")
 
@@ -228,30 +227,6 @@ def test_a_process_that_dies_takes_only_its_trajectory_with_it():
     assert "worker process died" in out.messages[int(np.flatnonzero(mu[:, 0] > 1.9)[0])]
 
 
-def test_a_process_that_dies_costs_two_more(monkeypatch):
-    started = []
-
-    class Counted(ensemble._Worker):
-        def __init__(self, *about):
-            started.append(self)
-            super().__init__(*about)
-
-    monkeypatch.setattr(ensemble, "_Worker", Counted)
-    y0, mu = rows(400)
-    mu[:] = 1
-    mu[[3, 4, 399]] = 2
-    out = iv.solve_ensemble(dying, (0, 0.1), y0, args=mu, workers=2)
-    np.testing.assert_array_equal(np.flatnonzero(out.status), [3, 4, 399])
-    assert len(started) <= 2 + 2 * 3
-
-
-def test_processes_that_cannot_start_are_said_to_be(monkeypatch):
-    monkeypatch.setattr(ensemble, "_work", lambda *about: os._exit(1))
-    y0, mu = rows(4)
-    with pytest.raises(RuntimeError, match="end before they solve anything"):
-        iv.solve_ensemble(kepler, SPAN, y0, args=mu, workers=2)
-
-
 @pytest.mark.parametrize("kind", FUNCTIONS)
 def test_terminal_events_end_trajectories_where_they_occur(kind):
     _, _, event = FUNCTIONS[kind]
@@ -420,7 +395,7 @@ def test_redundant_invariants_are_said_once():
         ({"save": "outputs"}, ValueError, "save='outputs' of an ensemble needs t_eval"),
         ({"save": "ends"}, ValueError, "did you mean 'end'"),
         ({"save": 7}, ValueError, "save must be one of"),
-        ({"save": "end", "t_eval": [1.0]}, ValueError, 'save="end" keeps the final state only'),
+        ({"save": "end", "t_eval": [1.0]}, ValueError, 'keep="end" keeps the final state only'),
         ({"t_span": 1}, ValueError, r"t_span must be a pair \(t0, tf\), got 1"),
         ({"args": [[1.0], [1.0, 2.0]]}, ValueError, r"one length, got lengths \[1, 2\]"),
         ({"args": ["a", "b"]}, ValueError, "got 'a' as a row"),
@@ -435,21 +410,6 @@ def test_what_is_wrong_for_all_is_an_exception(wrong, error, text):
         iv.solve_ensemble(
             kepler_code, given.pop("t_span", SPAN), given.pop("y0"), given.pop("method", "ode45"), **given
         )
-
-
-def test_where_processes_start_afresh_functions_must_be_picklable(monkeypatch):
-    import multiprocessing
-
-    monkeypatch.setattr(multiprocessing, "get_context", lambda: real("spawn"))
-    y0, mu = rows(4)
-    with pytest.raises(TypeError, match=r"define them in a module, compile them .*workers=1"):
-        iv.solve_ensemble(lambda t, y, m: kepler(t, y, m), SPAN, y0, args=mu, workers=2)
-
-
-def real(name: str):
-    from multiprocessing import context
-
-    return context._concrete_contexts[name]
 
 
 def test_the_bar_counts_trajectories(capsys):

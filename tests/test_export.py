@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 import invariode as iv
-from problems import PROBLEMS
+from problems import PROBLEMS, blow_up
 from test_jumps import ball, bounce, energy, floor
 
 KEPLER = PROBLEMS["Kepler"]
@@ -66,7 +66,7 @@ RUNS = {
     ),
     "jumps": (bouncing, energy),
     "complex, backwards": (complex_wave, iv.Invariants(norm, norm_jacobian)),
-    "failed": (lambda method, **o: iv.solve_ivp(lambda t, y: y * y, (0, 2), [1.0], method, **o), None),
+    "failed": (lambda method, **o: iv.solve_ivp(blow_up, (0, 2), [1.0], method, **o), None),
     "nothing": (lambda method, **o: iv.solve_ivp(lambda t, y: [], (0, 1), [], method, **o), None),
     "no time": (lambda method, **o: iv.solve_ivp(lambda t, y: -y, (1, 1), [1.0], method, **o), None),
 }
@@ -154,7 +154,7 @@ def test_only_the_final_state(method, tmp_path):
     assert_same(sol, again)
     assert again.sol is None
     assert again.steps is None
-    with pytest.raises(ValueError, match="kept with save"):
+    with pytest.raises(ValueError, match="kept with keep"):
         again.correction  # noqa: B018  # the property raises
 
 
@@ -302,6 +302,19 @@ def test_a_newer_format_is_refused_with_the_version_that_wrote_it(tmp_path):
     changed(tmp_path / "a.npz", tmp_path / "b.npz", about={"version": 7, "invariode": "9.1"})
     with pytest.raises(ValueError, match=r"b\.npz has version 7 of the format, written by invariode 9\.1; .* upgrade"):
         iv.load(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("options", [{}, {"dense_output": True}, {"t_eval": [0, 5.0, 10.0]}], ids=str)
+def test_a_file_of_version_1_is_read(tmp_path, options):
+    """It does not say where the run ended; its steps do, or the last output."""
+    sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], **options)
+    sol.save(tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as archive:
+        arrays = dict(archive)
+    about = json.loads(str(arrays["about"])) | {"version": 1}
+    del about["t_end"]
+    np.savez(tmp_path / "b.npz", **arrays | {"about": np.array(json.dumps(about))})
+    assert_same(iv.load(tmp_path / "b.npz"), sol)
 
 
 def test_continuous_output_that_could_not_be_evaluated_is_refused(method, tmp_path):

@@ -117,7 +117,7 @@ class TestCheck:
         assert report.ok
         assert report.findings == []
         assert (report.angle < 1e-9).all()
-        assert "kepler_invariants[0]" in str(report)
+        assert f"{kepler_invariants.__name__}[0]" in str(report)
 
     def test_all_that_can_be_found(self):
         def five(t, y):
@@ -148,7 +148,8 @@ class TestCheck:
             0,
             [0.5, 0.1, 0.2, 1],
         )
-        assert any("Jacobian of invariant kepler_invariants" in finding for finding in report.findings)
+        named = f"Jacobian of invariant {kepler_invariants.__name__}"
+        assert any(named in finding for finding in report.findings)
         assert not report.ok
 
     def test_wrong_jacobian_of_a_complex_problem(self):
@@ -211,8 +212,9 @@ class TestWhen:
         assert needed.stats.ngjac < always.stats.ngjac
         plain = iv.solve_ivp(p.fun, p.t_span, p.y0, **options)
         errors = [np.abs(sol.y[:, -1] - tight).max() for sol in (plain, always, needed)]
-        assert errors[2] <= max(4 * errors[1], 0.1 * errors[0])
-        assert needed.drift().distance_after.max() <= 0.05  # 0.01, judged by the gradients of another point
+        left = 0.05  # what is not corrected, in units of rtol: 0.01, judged by the gradients of another point
+        assert errors[2] <= max(4 * errors[1], 0.1 * errors[0], left * 1e-7 * np.abs(needed.y).max())
+        assert needed.drift().distance_after.max() <= left
 
     def test_always_if_one_of_them_says_so(self):
         energy = iv.Invariants(lambda t, y: kepler_invariants(t, y)[0], when="needed")

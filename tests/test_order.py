@@ -16,9 +16,11 @@ STEPS = {
     "ode45": (160, 240, 360, 540),
     "dop853": (27, 36, 48, 64),
     "ode78": (20, 27, 36, 48),
+    "ode89": (20, 27, 36, 48),
 }
-#: The leading error coefficients of ode78 are below 1e-6: terms of higher order show until roundoff does.
-TOLERANCE = {"ode78": 0.5}
+#: How far the slope may be below and above the order. The leading error coefficients of ode78 and ode89 are about 1e-6:
+#: terms of higher order show until roundoff does.
+TOLERANCE = {"ode78": (0.5, 0.5), "ode89": (0.15, 1.1)}
 
 
 def fixed_steps(problem: TestProblem, method: str, n: int, tf: float, **options) -> iv.Solution:
@@ -53,7 +55,8 @@ def test_order_of_the_solution(pair, project, fsal, reference):
         sol = fixed_steps(STARS, pair, n, 10.0, fsal=fsal, invariants=invariants)
         errors.append(np.abs(sol.y - reference(sol.t)).max())
         assert sol.stats.projections == (sol.stats.steps if project else 0)
-    assert slope(STEPS[pair], errors) == pytest.approx(iv.METHODS[pair].order, abs=TOLERANCE.get(pair, 0.15))
+    below, above = TOLERANCE.get(pair, (0.15, 0.15))
+    assert -below <= slope(STEPS[pair], errors) - iv.METHODS[pair].order <= above
 
 
 @pytest.mark.parametrize("interpolation", ["projected", "corrected", "raw"])

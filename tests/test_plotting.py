@@ -17,10 +17,10 @@ from invariode import plotting
 from problems import PROBLEMS
 
 DRAWINGS = {
-    "plot": lambda sol, ax=None: sol.plot(ax),
-    "phase": lambda sol, ax=None: sol.plot_phase(0, 1, ax),
-    "drift": lambda sol, ax=None: sol.plot_drift(ax),
-    "steps": lambda sol, ax=None: sol.plot_steps(ax),
+    "plot": lambda sol, ax=None: sol.plot(ax=ax),
+    "phase": lambda sol, ax=None: sol.plot_phase(0, 1, ax=ax),
+    "drift": lambda sol, ax=None: sol.plot_drift(ax=ax),
+    "steps": lambda sol, ax=None: sol.plot_steps(axes=ax),
 }
 
 
@@ -111,32 +111,32 @@ def test_every_picture_of_every_problem(problem, draw, method):
 
 def test_names_are_those_of_the_problem():
     sol = turning().solve()
-    assert legend(sol.plot(axes())) == ["east", "north"]
-    assert sol.plot(axes(), "north").get_ylabel() == "north"
-    ax = sol.plot_phase("north", "east", axes())
+    assert legend(sol.plot(ax=axes())) == ["east", "north"]
+    assert sol.plot(ax=axes(), components="north").get_ylabel() == "north"
+    ax = sol.plot_phase("north", "east", ax=axes())
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("north", "east")
-    assert sol.plot_drift(axes()).get_ylabel() == "residual of radius"
-    assert sol.impose().plot(axes(), "north").get_ylabel() == "north"
-    assert legend(iv.solve_ivp(circle, (0, 1), [1, 0]).plot(axes())) == ["y0", "y1"]
+    assert sol.plot_drift(ax=axes()).get_ylabel() == "residual of radius"
+    assert sol.impose().plot(ax=axes(), components="north").get_ylabel() == "north"
+    assert legend(iv.solve_ivp(circle, (0, 1), [1, 0]).plot(ax=axes())) == ["y0", "y1"]
     assert iv.solve_ivp(circle, (0, 1), [1, 0]).plot().get_title() == ""  # no name was given
-    ax = sol.plot(axes(), label="first")
-    assert legend(sol.plot(ax, [0], label="second")) == ["east, first", "north, first", "east, second"]
+    ax = sol.plot(ax=axes(), label="first")
+    assert legend(sol.plot(ax=ax, components=[0], label="second")) == ["east, first", "north, first", "east, second"]
 
 
 def test_lines_are_the_points_of_the_output_marked_where_they_are_few():
     few, many = turning().solve(t_eval=np.linspace(0, 20, 9)), turning().solve(t_eval=np.linspace(0, 20, 99))
     for sol, marker in ((few, "."), (many, "none")):
-        for line, values in zip(shown(sol.plot(axes())), sol.y, strict=True):
+        for line, values in zip(shown(sol.plot(ax=axes())), sol.y, strict=True):
             np.testing.assert_array_equal(line.get_xdata(), sol.t)
             np.testing.assert_array_equal(line.get_ydata(), values)
             assert str(line.get_marker()).lower() == marker
-    (line,) = shown(few.plot_phase(0, 1, axes()))
+    (line,) = shown(few.plot_phase(0, 1, ax=axes()))
     np.testing.assert_array_equal(line.get_xydata().T, few.y)
 
 
 def test_lines_are_the_dense_output_where_there_is_one():
     sol = turning().solve(dense_output=True, t_eval=[0, 20])
-    for k, line in enumerate(shown(sol.plot(axes()))):
+    for k, line in enumerate(shown(sol.plot(ax=axes()))):
         t, y = line.get_data()
         assert len(t) > 30 * sol.stats.steps
         assert set(sol.sol.ts) <= set(t)
@@ -146,7 +146,7 @@ def test_lines_are_the_dense_output_where_there_is_one():
 @pytest.mark.parametrize("options", [{}, {"refine": 3}, {"dense_output": True}, {"t_eval": np.linspace(0, 3, 100)}])
 def test_jumps_interrupt_the_line(options):
     sol = ball(**options)
-    _, speed = shown(sol.plot(axes()))
+    _, speed = shown(sol.plot(ax=axes()))
     t, v = speed.get_data()
     gaps = np.flatnonzero(np.isnan(v))
     assert len(gaps) == len(sol.t_events[0]) == 2
@@ -162,7 +162,7 @@ def test_jumps_interrupt_the_line(options):
 
 def test_events_are_marked_where_they_were_found():
     sol = ball()
-    over_t, phase = sol.plot(axes(), [1]), sol.plot_phase(0, 1, axes())
+    over_t, phase = sol.plot(ax=axes(), components=[1]), sol.plot_phase(0, 1, ax=axes())
     for ax, x in ((over_t, sol.t_events[0]), (phase, sol.y_events[0][:, 0])):
         (mark,) = [line for line in ax.lines if line.get_label() == "impact"]
         np.testing.assert_array_equal(mark.get_xdata(), x)
@@ -172,7 +172,7 @@ def test_events_are_marked_where_they_were_found():
 
 def test_complex_components_are_real_parts_solid_and_imaginary_parts_dashed():
     sol = iv.solve_ivp(lambda t, y: 1j * y, (0, 5), [1 + 0j])
-    ax = sol.plot(axes())
+    ax = sol.plot(ax=axes())
     assert legend(ax) == ["Re y0", "Im y0"]
     real, imaginary = shown(ax)
     assert (real.get_linestyle(), imaginary.get_linestyle()) == ("-", "--")
@@ -188,12 +188,12 @@ def test_complex_components_are_real_parts_solid_and_imaginary_parts_dashed():
 
 def test_a_dozen_components_at_the_most_which_the_legend_says():
     sol = iv.solve_ivp(lambda t, y: -y, (0, 1), np.ones(30))
-    ax = sol.plot(axes())
+    ax = sol.plot(ax=axes())
     assert len(shown(ax)) == 12
     assert ax.get_legend().get_title().get_text() == "12 of 30 components"
     assert len({(line.get_color(), line.get_linestyle()) for line in shown(ax)}) == 12
-    assert legend(sol.plot(axes(), [3, "y20", -1])) == ["y3", "y20", "y29"]
-    assert len(shown(sol.plot(axes(), range(30)))) == 30
+    assert legend(sol.plot(ax=axes(), components=[3, "y20", -1])) == ["y3", "y20", "y29"]
+    assert len(shown(sol.plot(ax=axes(), components=range(30)))) == 30
 
 
 @pytest.mark.parametrize("wrong", ["west", 2, -3, 0.5, None])
@@ -210,26 +210,26 @@ def test_components_that_do_not_exist_are_refused_with_those_that_do(wrong):
 
 def test_orbits_are_not_distorted_and_their_ends_are_marked():
     sol = turning().solve()
-    ax = sol.plot_phase(0, 1, axes())
+    ax = sol.plot_phase(0, 1, ax=axes())
     assert ax.get_aspect() == 1
     start, end = ax.lines[1:]
     np.testing.assert_array_equal(start.get_xydata(), [sol.y[:, 0]])
     np.testing.assert_array_equal(end.get_xydata(), [sol.y[:, -1]])
-    assert legend(sol.plot_phase(0, 1, ax, label="again")) == ["again", "start", "end"]
+    assert legend(sol.plot_phase(0, 1, ax=ax, label="again")) == ["again", "start", "end"]
     stretched = iv.solve_ivp(lambda t, y: [-y[1] / 100, 100 * y[0]], (0, 7), [1, 0])
-    assert stretched.plot_phase(0, 1, axes()).get_aspect() == "auto"
+    assert stretched.plot_phase(0, 1, ax=axes()).get_aspect() == "auto"
 
 
 def test_drift_is_the_residual_and_the_largest_before_projection():
     sol = turning().solve("ode23")
-    after, before, _ = sol.plot_drift(axes()).lines
+    after, before, _ = sol.plot_drift(ax=axes()).lines
     r = np.abs(sol.residual[0])
     np.testing.assert_array_equal(after.get_ydata()[r > 0], r[r > 0])
     assert np.isnan(after.get_ydata()[0])  # zero by definition
     assert set(before.get_ydata()) == {sol.drift().residual_before[0]}
     assert before.get_linestyle() == ":"
     imposed = sol.impose()
-    drawn = imposed.plot_drift(axes()).lines[0].get_ydata()[1:]
+    drawn = imposed.plot_drift(ax=axes()).lines[0].get_ydata()[1:]
     assert (imposed.residual == 0).any()
     assert np.nanmin(drawn) >= np.finfo(float).eps / 2  # of the value 1
 
@@ -238,9 +238,9 @@ def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
     sol = turning(invariants=None).solve("ode23")
     with pytest.raises(ValueError, match=r"the run had no invariants.*plot_drift\(invariants=g\)"):
         sol.plot_drift()
-    (line,) = sol.plot_drift(axes(), radius).lines
+    (line,) = sol.plot_drift(ax=axes(), invariants=radius).lines
     np.testing.assert_allclose(line.get_ydata()[1:], np.abs(radius(0, sol.y) - 1)[1:], rtol=1e-12)
-    (line,) = sol.plot_drift(axes(), iv.Invariants(radius, value=2)).lines
+    (line,) = sol.plot_drift(ax=axes(), invariants=iv.Invariants(radius, value=2)).lines
     np.testing.assert_allclose(line.get_ydata(), np.abs(radius(0, sol.y) - 2), rtol=1e-12)
 
 
@@ -255,7 +255,7 @@ def test_a_second_run_on_the_same_axes_has_colours_of_its_own():
     plain = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0])
     held = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0], invariants=lambda t, y: y @ y)
     panels = held.plot_steps(label="held")
-    plain.plot_steps(panels, label="plain")
+    plain.plot_steps(axes=panels, label="plain")
     colours = [line.get_color() for line in panels[2].lines if line.get_marker() == "."]
     assert len(colours) == len(set(colours)) == 3
     assert panels[2].get_ylabel() == "in units of rtol"
@@ -269,7 +269,7 @@ def test_the_ends_of_a_phase_curve_are_those_of_the_run():
     marks = {line.get_label(): line.get_xydata()[0] for line in sol.plot_phase(0, 1).lines}
     np.testing.assert_allclose(marks["start"], [1, 0])
     np.testing.assert_allclose(marks["end"], [np.cos(3), -np.sin(3)], atol=1e-5)
-    end = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 3), [1.0, 0], save="end").plot_phase(0, 1)
+    end = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 3), [1.0, 0], keep="end").plot_phase(0, 1)
     assert "start" not in [line.get_label() for line in end.lines]
 
 
@@ -283,7 +283,7 @@ def test_empty_output_has_no_drift():
     for invariants in (None, radius):
         with pytest.raises(ValueError, match="t_eval was empty"):
             sol.plot_drift(invariants=invariants)
-    assert legend(sol.plot(axes())) == ["east", "north"]
+    assert legend(sol.plot(ax=axes())) == ["east", "north"]
 
 
 def test_drift_after_a_jump_is_from_the_value_held_since():
@@ -291,13 +291,13 @@ def test_drift_after_a_jump_is_from_the_value_held_since():
         return y[1] ** 2 / 2 + y[0]
 
     imposed, plain = ball(invariants=energy), ball()
-    assert plain.plot_drift(axes(), energy).get_ylim()[1] < 1e-6
-    np.testing.assert_allclose(np.nanmax(imposed.plot_drift(axes()).lines[0].get_ydata()), 0, atol=1e-12)
+    assert plain.plot_drift(ax=axes(), invariants=energy).get_ylim()[1] < 1e-6
+    np.testing.assert_allclose(np.nanmax(imposed.plot_drift(ax=axes()).lines[0].get_ydata()), 0, atol=1e-12)
 
 
 def test_drift_passes_the_arguments_of_the_run():
     sol = iv.solve_ivp(lambda t, y, c: -c * y, (0, 1), [1.0], args=(3.0,))
-    (line,) = sol.plot_drift(axes(), lambda t, y, c: y[0] * np.exp(c * t)).lines
+    (line,) = sol.plot_drift(ax=axes(), invariants=lambda t, y, c: y[0] * np.exp(c * t)).lines
     assert 0 < np.nanmax(line.get_ydata()) < 1e-2
 
 
@@ -319,11 +319,11 @@ def test_steps_on_fewer_axes_and_on_too_many():
     sol = turning().solve()
     for count in (1, 2, 3):
         given = Figure().subplots(count, squeeze=False)[:, 0]
-        np.testing.assert_array_equal(sol.plot_steps(given), given)
+        np.testing.assert_array_equal(sol.plot_steps(axes=given), given)
     with pytest.raises(ValueError, match="one to three axes, got 4"):
-        sol.plot_steps(Figure().subplots(2, 2))
-    with pytest.raises(ValueError, match='save="all"'):
-        turning().solve(save="end").plot_steps()
+        sol.plot_steps(axes=Figure().subplots(2, 2))
+    with pytest.raises(ValueError, match='keep="all"'):
+        turning().solve(keep="end").plot_steps()
 
 
 @pytest.mark.parametrize("over_t", ["plot", "drift", "steps"])
@@ -344,9 +344,9 @@ def test_a_logarithmic_axis_of_time_shows_all_but_time_zero(over_t):
 def test_runs_on_the_same_axes_have_different_colours():
     ax = axes()
     for _ in range(3):
-        turning().solve().plot(ax)
+        turning().solve().plot(ax=ax)
     assert len({line.get_color() for line in shown(ax)}) == 6
-    assert shown(turning().solve().plot(axes(), 0, c="black", ls="--"))[0].get_color() == "black"
+    assert shown(turning().solve().plot(ax=axes(), components=0, c="black", ls="--"))[0].get_color() == "black"
 
 
 def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch):
@@ -362,7 +362,24 @@ def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch)
 
 @pytest.mark.parametrize("name", plotting.__all__)
 def test_every_function_is_a_method(name):
-    assert f"invariode.plotting.{name}" in getattr(iv.Solution, name).__doc__
+    assert getattr(plotting, name) is getattr(iv.Solution, name)
+
+
+def test_axes_by_position_are_warned_of():
+    """They were positional in 0.1: the picture is the same, and the warning points here."""
+    sol, old, new = turning().solve(), axes(), axes()
+    with pytest.warns(
+        DeprecationWarning, match=r"axes by keyword since invariode 0.2: write ax=\.\.\., components="
+    ) as told:
+        assert sol.plot(old, [1]) is old
+    assert told[0].filename == __file__
+    assert old.get_ylabel() == sol.plot(ax=new, components=[1]).get_ylabel() == "north"
+    with pytest.warns(DeprecationWarning, match="write ax="):
+        assert plotting.plot_phase(sol, 0, 1, old) is old
+    with pytest.raises(TypeError, match="plot_drift takes ax, invariants by keyword, got 3 by position"):
+        sol.plot_drift(old, None, 3)
+    with pytest.raises(TypeError, match="several values for ax"), pytest.warns(DeprecationWarning):
+        sol.plot(old, ax=new)
 
 
 def test_a_first_figure_leaves_a_notebook_interactive(tmp_path):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 
 import invariode as iv
+from invariode import _progress
 from problems import PROBLEMS
 
 pytest.importorskip("rich")
@@ -71,6 +74,64 @@ def test_updates_come_at_most_ten_times_a_second(monkeypatch, native):
     assert updates[-1, 1] == end
     assert (np.diff(updates[:, 1]) >= 0).all()
     assert (np.diff(updates[:-1, 0]) >= 0.099).all()  # the last one comes with the end
+
+
+class Clock:
+    """Of the bar, in place of the machine's."""
+
+    def __init__(self, monkeypatch) -> None:
+        self.now = 0.0
+        monkeypatch.setattr(_progress, "perf_counter", lambda: self.now)
+
+
+def on_a_terminal(monkeypatch) -> io.StringIO:
+    from rich import console
+
+    screen, real = io.StringIO(), console.Console
+    monkeypatch.setattr(console, "Console", lambda **_: real(file=screen, force_terminal=True, width=80))
+    return screen
+
+
+def pictures(monkeypatch, clock: Clock) -> list[float]:
+    """When the bar is drawn."""
+    from rich.progress import Progress
+
+    drawn: list[float] = []
+    real = Progress.update
+
+    def update(self, task, *, refresh=False, **fields):
+        if refresh:
+            drawn.append(clock.now)
+        real(self, task, refresh=refresh, **fields)
+
+    monkeypatch.setattr(Progress, "update", update)
+    return drawn
+
+
+@pytest.mark.parametrize("passing", [False, True])
+def test_bars_are_drawn_at_most_ten_times_a_second_and_in_passing_not_at_first(monkeypatch, passing):
+    on_a_terminal(monkeypatch)
+    clock = Clock(monkeypatch)
+    drawn = pictures(monkeypatch, clock)
+    with _progress.in_passing() if passing else nullcontext(), _progress.bar(True, "trajectories", 2000) as told:
+        for done in range(2000):
+            clock.now = done / 1000
+            told(done)
+    assert min(np.diff(drawn)) >= _progress.INTERVAL - 1e-9
+    assert len(drawn) > 10
+    assert drawn[0] == (_progress.PATIENCE if passing else 0)
+
+
+def test_a_bar_in_passing_leaves_the_screen_as_it_was(monkeypatch):
+    screen, clock = on_a_terminal(monkeypatch), Clock(monkeypatch)
+    with _progress.in_passing(), _progress.run_bar("pendulum", 0, 10) as told:
+        told(1.0, 0.1)
+        assert screen.getvalue() == ""
+        clock.now = 1.0
+        told(5.0, 0.1)
+    assert "50%" in screen.getvalue()
+    assert "t = 5" in screen.getvalue()
+    assert screen.getvalue().endswith("\x1b[2K")
 
 
 def test_an_error_while_telling_comes_out(monkeypatch):
@@ -180,6 +241,6 @@ def test_what_is_kept(method):
         sol = iv.solve_ivp(*about, **options)
         assert sol.steps is None
         assert sol.stats.steps > 0
-        with pytest.raises(ValueError, match='save="all"'):
+        with pytest.raises(ValueError, match='keep="all"'):
             sol.correction  # noqa: B018  # the access is the test
     np.testing.assert_array_equal(iv.solve_ivp(*about, save="outputs").y, iv.solve_ivp(*about).y)

@@ -5,6 +5,8 @@
 #include <limits>
 #include <utility>
 
+#include "linear/time_derivative.hpp"
+
 namespace invariode {
 namespace {
 
@@ -122,9 +124,10 @@ void MassSolver::correction(const Mass& mass, double* f) {
   solve(f);
 }
 
-Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const Weights& weights, const Lapack* lapack,
-                            double t, double* y) {
+Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weights& weights, double t, double* y) {
   const std::size_t n = weights.size();
+  Mass& mass = *linear.mass;
+  Jacobian jacobian = *linear.jacobian;
   std::vector<double> slope(n), w(n), delta(n), trial(n), beyond(n);
   MassSolver solver;
   if (mass.evaluate(t) == Status::stop) return Consistency::stop;
@@ -138,7 +141,7 @@ Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const W
   for (int iteration = 0; iteration < consistency_iterations; ++iteration) {
     weights.fill(y, w.data());
     if (jacobian.evaluate(f, t, y, slope.data()) == Status::stop) return Consistency::stop;
-    if (!solver.factor(mass, jacobian.matrix(), w.data(), lapack)) return Consistency::index_too_high;
+    if (!solver.factor(mass, jacobian.matrix(), w.data(), linear.lapack)) return Consistency::index_too_high;
     delta = slope;
     solver.correction(mass, delta.data());
     const double distance = size(delta);
@@ -176,28 +179,22 @@ Status AlgebraicConstraints::jacobian_entry(void* self, double t, const double* 
   return Status::ok;
 }
 
-MassSlope::MassSlope(const Callback& f, Jacobian jacobian, Mass mass, const Weights& weights, const Lapack* lapack)
+MassSlope::MassSlope(const Callback& f, const LinearAlgebra& linear, const Weights& weights)
     : f_(f),
-      jacobian_(std::move(jacobian)),
-      mass_(std::move(mass)),
+      jacobian_(*linear.jacobian),
+      mass_(*linear.mass),
       weights_(weights),
-      lapack_(lapack),
+      lapack_(linear.lapack),
       w_(weights.size()),
-      later_(weights.size()) {}
+      rate_(weights.size()) {}
 
-Status MassSlope::entry(void* self, double t, const double* y, double* out) noexcept {
-  return static_cast<MassSlope*>(self)->evaluate(t, y, out);
-}
-
-Status MassSlope::evaluate(double t, const double* y, double* out) {
+Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   if (f_(t, y, out) == Status::stop) return Status::stop;
   const double* ft = nullptr;
   if (mass_.singular()) {
     if (jacobian_.evaluate(f_, t, y, out) == Status::stop) return Status::stop;
-    const double step = std::sqrt(eps) * std::max(std::abs(t), 1.0);
-    if (f_(t + step, y, later_.data()) == Status::stop) return Status::stop;
-    for (std::size_t i = 0; i < later_.size(); ++i) later_[i] = (later_[i] - out[i]) / step;
-    ft = later_.data();
+    if (time_derivative(f_, t, y, out, h, rate_.size(), rate_.data()) == Status::stop) return Status::stop;
+    ft = rate_.data();
   }
   if (!factored_ || mass_.singular() || !mass_.constant()) {
     if (mass_.evaluate(t) == Status::stop) return Status::stop;
@@ -207,7 +204,7 @@ Status MassSlope::evaluate(double t, const double* y, double* out) {
   if (factored_)
     solver_.slope(mass_, ft, out);
   else
-    std::fill(out, out + later_.size(), std::numeric_limits<double>::quiet_NaN());
+    std::fill(out, out + rate_.size(), std::numeric_limits<double>::quiet_NaN());
   return Status::ok;
 }
 

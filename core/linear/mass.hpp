@@ -11,7 +11,7 @@
 #include "callback.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/matrix.hpp"
-#include "step.hpp"
+#include "slope.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -49,6 +49,14 @@ class Mass {
   Basis Z_;
 };
 
+/// ∂f/∂y, M and the linear algebra of an implicit method, which belong to the caller. Those who evaluate the Jacobian
+/// take a copy, with increments of its own. Null: M is the identity; LAPACK is not at hand.
+struct LinearAlgebra {
+  const Jacobian* jacobian = nullptr;
+  Mass* mass = nullptr;
+  const Lapack* lapack = nullptr;
+};
+
 /// Solves M y' = f for y', with Zᵀ f = 0 kept along it: (M + Z Zᵀ J) y' = (I − Z Zᵀ) f − Z Zᵀ f_t.
 class MassSolver {
  public:
@@ -71,8 +79,7 @@ class MassSolver {
 enum class Consistency { consistent, corrected, not_found, index_too_high, undefined, stop };
 
 /// Moves y, in its components that M leaves undetermined, until the algebraic equations hold to roundoff.
-Consistency make_consistent(Callback& f, Jacobian& jacobian, Mass& mass, const Weights& weights, const Lapack* lapack,
-                            double t, double* y);
+Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weights& weights, double t, double* y);
 
 /// The algebraic equations as constraints that projection imposes together with the invariants.
 class AlgebraicConstraints {
@@ -93,25 +100,22 @@ class AlgebraicConstraints {
   std::vector<double> slope_;
 };
 
-/// y'(t, y) of M y' = f as a function of its own, for tests that ask whether invariants are conserved.
-class MassSlope {
+/// y'(t, y) of M y' = f.
+class MassSlope final : public Slope {
  public:
-  MassSlope(const Callback& f, Jacobian jacobian, Mass mass, const Weights& weights, const Lapack* lapack);
+  MassSlope(const Callback& f, const LinearAlgebra& linear, const Weights& weights);
 
-  Callback callback() { return {&MassSlope::entry, this}; }
-  [[nodiscard]] std::int64_t evaluations() const { return f_.calls(); }
+  Status evaluate(double t, const double* y, double h, double* out) override;
+  [[nodiscard]] std::int64_t evaluations() const override { return f_.calls(); }
 
  private:
-  static Status entry(void* self, double t, const double* y, double* out) noexcept;
-  Status evaluate(double t, const double* y, double* out);
-
   Callback f_;
   Jacobian jacobian_;
   Mass mass_;
   MassSolver solver_;
   const Weights& weights_;
   const Lapack* lapack_;
-  std::vector<double> w_, later_;
+  std::vector<double> w_, rate_;
   bool factored_ = false;
 };
 

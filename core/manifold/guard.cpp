@@ -43,13 +43,13 @@ Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
 
-Guard::Guard(Invariants& invariants, const Weights& weights, const Callback& f)
+Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope)
     : invariants_(invariants),
       weights_(weights),
-      f_(f),
+      slope_(slope),
       projector_(invariants, weights, 1),
       point_(invariants.n()),
-      slope_(invariants.n()),
+      f_value_(invariants.n()),
       gt_(invariants.m()),
       plus_(invariants.m()),
       minus_(invariants.m()),
@@ -57,6 +57,7 @@ Guard::Guard(Invariants& invariants, const Weights& weights, const Callback& f)
       halved_(invariants.m() * invariants.n()) {}
 
 Finding Guard::start_value(double t, double* y) {
+  const Linearization at = projector_.linearization();
   projected_start_ = false;
   const Outcome outcome = projector_.linearize_at(t, y);
   if (outcome == Outcome::stop) return stopped();
@@ -64,16 +65,16 @@ Finding Guard::start_value(double t, double* y) {
   bool off = false;
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
-    const double r = projector_.residual()[i];
-    if (std::abs(r) <= invariants_.roundoff(i, y, projector_.jacobian())) continue;
+    const double r = at.residual[i];
+    if (std::abs(r) <= invariants_.roundoff(i, y, at.jacobian.data())) continue;
     off = true;
-    const double distance = std::abs(r) / projector_.row_norm(i) / weights_.rtol();
+    const double distance = std::abs(r) / at.row_norm[i] / weights_.rtol();
     if (!(distance <= 1) && !(distance <= worst.distance))
       worst = {
           .kind = Finding::Kind::off_value, .invariant = static_cast<int>(i), .t = t, .size = r, .distance = distance};
   }
   if (worst.kind != Finding::Kind::none || !off) return worst;
-  const Projector::Imposed imposed = projector_.impose(t, y);
+  const Imposed imposed = projector_.impose(t, y);
   if (imposed.outcome == Outcome::stop) return stopped();
   projected_start_ = imposed.converged;
   switch (projector_.linearize_at(t, y)) {
@@ -85,18 +86,18 @@ Finding Guard::start_value(double t, double* y) {
 }
 
 Finding Guard::undefined(double t) const {
+  const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n();
   std::size_t i = 0;
-  while (i + 1 < invariants_.m() && std::isfinite(projector_.residual()[i]) &&
-         all_finite(projector_.jacobian() + i * n, n))
-    ++i;
+  while (i + 1 < invariants_.m() && std::isfinite(at.residual[i]) && all_finite(at.gradient(i), n)) ++i;
   return {.kind = Finding::Kind::undefined, .invariant = static_cast<int>(i), .t = t};
 }
 
 Finding Guard::start_jacobian(double t, const double* y) {
+  const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   if (invariants_.all_by_differences()) return {};
-  const double* J = projector_.jacobian();
+  const double* J = at.jacobian.data();
   const double* size = invariants_.sizes(y);
   for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] + cbrt_eps * size[j] * direction(j);
   if (invariants_.residual(t, point_.data(), plus_.data()) == Status::stop) return stopped();
@@ -120,10 +121,11 @@ Finding Guard::start_jacobian(double t, const double* y) {
 
 /// The directional test failed somewhere: which entry is farthest off, in units of its row's terms?
 Finding Guard::worst_entry(double t, const double* y) {
+  const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   if (invariants_.difference_jacobian(t, y, differences_.data(), true) == Status::stop) return stopped();
   if (invariants_.difference_jacobian(t, y, halved_.data(), true, 0.5) == Status::stop) return stopped();
-  const double* J = projector_.jacobian();
+  const double* J = at.jacobian.data();
   const double* size = invariants_.sizes(y);
   Finding worst;
   double largest = 0;
@@ -173,21 +175,20 @@ Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
 
 Finding Guard::start_rate(double t, const double* y, const double* f, double h) {
   if (detect_time_dependence(t, y, h) == Outcome::stop) return stopped();
-  return rate(projector_, t, f, h, 0);
+  return rate(projector_.linearization(), t, f, h, 0);
 }
 
-Finding Guard::rate(const Projector& projector, double t, const double* f, double h, std::int64_t steps) {
+Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
   if (steps < quiet_until_) return {};
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
-  const double* y = projector.point();
+  const double* y = at.y.data();
   const bool look = steps >= next_look_;
   if (look) next_look_ = steps + std::max<std::int64_t>(steps / 2, 1);
   const bool formed = time_dependent_ || look;
-  if (formed && invariants_.time_derivative(t, h, y, projector.jacobian(), gt_.data()) == Status::stop)
-    return stopped();
+  if (formed && invariants_.time_derivative(t, h, y, at.jacobian.data(), gt_.data()) == Status::stop) return stopped();
   time_dependent_ = time_dependent_ || changes_with_time();
-  if (suspect(projector, t, f, h, formed).kind == Finding::Kind::none) return {};
+  if (suspect(at, t, f, h, formed).kind == Finding::Kind::none) return {};
   std::copy(y, y + n, point_.begin());
   const Finding confirmed = confirm(t, point_.data(), h);
   if (confirmed.kind == Finding::Kind::none) quiet_until_ = std::max<std::int64_t>(2 * steps, 1);
@@ -205,47 +206,47 @@ bool Guard::changes_with_time() const {
 }
 
 Finding Guard::confirm(double t, const double* y, double h) {
+  const Linearization at = projector_.linearization();
   if (y != point_.data()) std::copy(y, y + point_.size(), point_.begin());
-  const Projector::Imposed imposed = projector_.impose(t, point_.data());
+  const Imposed imposed = projector_.impose(t, point_.data());
   if (imposed.outcome == Outcome::stop) return stopped();
   if (!imposed.converged) return {};
   const Outcome outcome = projector_.linearize_at(t, point_.data());
   if (outcome == Outcome::stop) return stopped();
   if (outcome == Outcome::not_finite) return {};
-  if (f_(t, point_.data(), slope_.data()) == Status::stop) return stopped();
-  if (!all_finite(slope_.data(), slope_.size())) return {};
-  if (invariants_.time_derivative(t, h, point_.data(), projector_.jacobian(), gt_.data()) == Status::stop)
+  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return stopped();
+  if (!all_finite(f_value_.data(), f_value_.size())) return {};
+  if (invariants_.time_derivative(t, h, point_.data(), at.jacobian.data(), gt_.data()) == Status::stop)
     return stopped();
   time_dependent_ = time_dependent_ || changes_with_time();
-  const Finding finding = suspect(projector_, t, slope_.data(), h, true);
+  const Finding finding = suspect(at, t, f_value_.data(), h, true);
   return finding.kind == Finding::Kind::none ? finding : unless_uncertain(finding, t, h);
 }
 
 Outcome Guard::examine(double t, const double* y, double h, std::vector<Examination>& result) {
+  const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   result.assign(m, {});
   if (const Outcome outcome = projector_.linearize_at(t, y); outcome != Outcome::ok) return outcome;
   for (std::size_t i = 0; i < m; ++i) {
-    const double norm = projector_.row_norm(i);
-    result[i].residual = projector_.residual()[i];
-    result[i].gradient = norm;
-    result[i].distance = norm > 0 ? std::abs(result[i].residual) / norm / weights_.rtol() : 0;
+    result[i].residual = at.residual[i];
+    result[i].gradient = at.row_norm[i];
+    result[i].distance = at.distance(i) / weights_.rtol();
   }
   std::copy(y, y + n, point_.begin());
   if (projector_.impose(t, point_.data()).outcome == Outcome::stop) return Outcome::stop;
-  differences_.assign(point_.begin(), point_.end());  // projecting once more shows what is dropped
-  if (projector_.project(t, point_.data(), differences_.data()) == Outcome::stop) return Outcome::stop;
-  differences_.assign(m * n, 0);
+  std::vector<double> again = point_;  // projecting once more shows what is dropped
+  if (projector_.project(t, point_.data(), again.data()).outcome == Outcome::stop) return Outcome::stop;
   if (const Outcome outcome = projector_.linearize_at(t, point_.data()); outcome != Outcome::ok) return outcome;
-  if (f_(t, point_.data(), slope_.data()) == Status::stop) return Outcome::stop;
-  if (!all_finite(slope_.data(), n)) return Outcome::not_finite;
-  if (invariants_.time_derivative(t, h, point_.data(), projector_.jacobian(), gt_.data()) == Status::stop)
+  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return Outcome::stop;
+  if (!all_finite(f_value_.data(), n)) return Outcome::not_finite;
+  if (invariants_.time_derivative(t, h, point_.data(), at.jacobian.data(), gt_.data()) == Status::stop)
     return Outcome::stop;
-  const double speed = weighted_norm(slope_.data(), projector_.weights(), n);
+  const double speed = weighted_norm(f_value_.data(), at.weights.data(), n);
   for (std::size_t i = 0; i < m; ++i) {
     const bool differences = gt_[i] != 0 || invariants_.by_differences(i);
-    const double rate = gt_[i] + dot(projector_.jacobian() + i * n, slope_.data(), n);
-    const double terms = std::abs(gt_[i]) + projector_.row_norm(i) * speed;
+    const double rate = gt_[i] + dot(at.gradient(i), f_value_.data(), n);
+    const double terms = std::abs(gt_[i]) + at.row_norm[i] * speed;
     result[i].rate = rate;
     result[i].angle = terms > 0 ? std::abs(rate) / terms : 0;
     result[i].redundant = projector_.dropped()[i] != 0;
@@ -258,12 +259,13 @@ Outcome Guard::examine(double t, const double* y, double h, std::vector<Examinat
 /// none; where they contradict a Jacobian that is none of differences, that is wrong: a complex step of a function that
 /// is not analytic here is given up, a user's is the finding.
 Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
+  const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n();
   const auto i = static_cast<std::size_t>(finding.invariant);
-  const double* J = projector_.jacobian();
+  const double* J = at.jacobian.data();
   if (invariants_.difference_jacobian(t, point_.data(), halved_.data(), true, 0.5) == Status::stop) return stopped();
   if (invariants_.time_derivative(t, h, point_.data(), J, gt_.data(), 0.5) == Status::stop) return stopped();
-  const double rate = gt_[i] + dot(halved_.data() + i * n, slope_.data(), n);
+  const double rate = gt_[i] + dot(halved_.data() + i * n, f_value_.data(), n);
   if (std::abs(rate) > uncertainty * std::abs(rate - finding.size)) return finding;
   if (invariants_.by_differences(i) || invariants_.leave_complex_steps(i)) return {};
   return worst_entry(t, point_.data());
@@ -271,18 +273,18 @@ Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
 
 /// The invariant with the largest angle ρ_i = |g_t + J_i f| / (|g_t| + ‖J_i W‖ ‖W⁻¹ f‖) among those whose drift
 /// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too, and is not what roundoff makes of differences. `formed`: g_t is one.
-Finding Guard::suspect(const Projector& at, double t, const double* f, double h, bool formed) {
+Finding Guard::suspect(const Linearization& at, double t, const double* f, double h, bool formed) {
   const std::size_t n = invariants_.n();
-  const double speed = weighted_norm(f, at.weights(), n);
-  const double *y = at.point(), *J = at.jacobian();
+  const double speed = weighted_norm(f, at.weights.data(), n);
+  const double *y = at.y.data(), *J = at.jacobian.data();
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
     const bool differences = gt_[i] != 0 || invariants_.by_differences(i);
     const double limit = differences ? suspicious_angle_differences : suspicious_angle;
     const double rate = gt_[i] + dot(J + i * n, f, n);
-    const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm(i) * speed);
-    const bool drifts = std::abs(h * rate) > suspicious_drift * weights_.rtol() * at.row_norm(i);
+    const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
+    const bool drifts = std::abs(h * rate) > suspicious_drift * weights_.rtol() * at.row_norm[i];
     const bool suspicious = angle > limit && drifts && angle > worst.distance;
     if (!suspicious) continue;
     double noise = invariants_.roundoff_of_rate(i, y, J, f);

@@ -7,6 +7,7 @@
 
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
+#include "slope.hpp"
 
 namespace invariode {
 
@@ -26,8 +27,7 @@ struct Finding {
 /// suspicion is confirmed on the manifold before it convicts.
 class Guard {
  public:
-  /// `f`: y' as a function, copied, so that the evaluations that the tests cost are counted apart from the method's.
-  Guard(Invariants& invariants, const Weights& weights, const Callback& f);
+  Guard(Invariants& invariants, const Weights& weights, Slope& slope);
 
   /// The residual at (t0, y0): not finite is `undefined`, farther off a demanded value than rtol is `off_value`;
   /// closer, y0 is projected in place. Takes the linearization that the other two tests of the start use.
@@ -37,9 +37,9 @@ class Guard {
   /// The rate of change of the invariants at (t0, y0), where the slope is f and the first step h.
   Finding start_rate(double t, const double* y, const double* f, double h);
 
-  /// The same after accepted step number `steps`, with the linearization that `projector` has at hand and the method's
-  /// slope f. (Where that is no more than what Newton's iteration left, suspicions are frequent, and rarely looked at.)
-  Finding rate(const Projector& projector, double t, const double* f, double h, std::int64_t steps);
+  /// The same after accepted step number `steps`, with the linearization of its projection and the method's slope f.
+  /// (Where that is no more than what Newton's iteration left, suspicions are frequent, and rarely looked at.)
+  Finding rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps);
   /// What the size of the correction of that step, (t, y) being its end, says.
   Finding corrected(double correction, double t, const double* y, double h, std::int64_t steps);
   /// Projects (t, y) to roundoff, evaluates f there and tests again. `none` also where that cannot be done.
@@ -59,22 +59,20 @@ class Guard {
   Outcome examine(double t, const double* y, double h, std::vector<Examination>& result);
 
   [[nodiscard]] bool projected_start() const { return projected_start_; }
-  /// Evaluations of f so far.
-  [[nodiscard]] std::int64_t calls() const { return f_.calls(); }
 
  private:
   Outcome detect_time_dependence(double t, const double* y, double h);
   [[nodiscard]] bool changes_with_time() const;
-  Finding suspect(const Projector& at, double t, const double* f, double h, bool formed);
+  Finding suspect(const Linearization& at, double t, const double* f, double h, bool formed);
   Finding worst_entry(double t, const double* y);
   Finding unless_uncertain(const Finding& finding, double t, double h);
   [[nodiscard]] Finding undefined(double t) const;
 
   Invariants& invariants_;
   const Weights& weights_;
-  Callback f_;
-  Projector projector_;  // of its own: the run's linearization stays as it is
-  std::vector<double> point_, slope_, gt_, plus_, minus_, differences_, halved_;
+  Slope& slope_;
+  Projector projector_;  // of its own: that of the steps keeps its linearization
+  std::vector<double> point_, f_value_, gt_, plus_, minus_, differences_, halved_;
   bool time_dependent_ = false;
   bool projected_start_ = false;
   std::int64_t quiet_until_ = 0;      // step before which `rate` does not ask again

@@ -12,8 +12,8 @@ namespace {
 constexpr double least_pivot = 1e-10;  // below max(rtol, this) of the largest, a pivot's row depends on the others,
 constexpr double largest_pivot = 0.1;  // and never above this, however crude rtol is
 constexpr int impose_iterations = 50;
-constexpr int impose_patience = 2;    // iterations without a smaller residual: roundoff is reached
-constexpr double negligible = 1e-10;  // a correction of this weighted size leaves a residual of its square: roundoff
+constexpr int impose_patience = 2;         // iterations without a smaller residual: roundoff is reached
+constexpr double last_correction = 1e-10;  // in units of the weights: it leaves a residual of its square, roundoff
 
 double norm2(const double* v, std::size_t n) {
   double sum = 0;
@@ -53,22 +53,27 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       order_(invariants.m()),
       dropped_(invariants.m()) {}
 
-Outcome Projector::project(double t, const double* from, double* y) {
+Projected Projector::project(double t, const double* from, double* y) {
   tolerances_.fill(from, y, w_.data());
   std::copy(y, y + original_.size(), original_.begin());
-  if (const Outcome outcome = measure(t, y); outcome != Outcome::ok || skipped_) return outcome;
+  Projected did{.residual = residual_before_, .distance = distance_before_};
+  did.outcome = measure(t, y);
+  if (did.outcome != Outcome::ok) return did;
+  did.skipped = close_enough();
+  if (did.skipped) return did;
   for (int iteration = 0; iteration < iterations_; ++iteration) {
-    const Outcome outcome = iteration == 0 ? linearize_known(t, y) : linearize(t, y);
-    if (outcome != Outcome::ok) return outcome;
+    did.outcome = iteration == 0 ? linearize_known(t, y) : linearize(t, y);
+    if (did.outcome != Outcome::ok) return did;
     if (iteration == 0)
-      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = norm_[i] > 0 ? std::abs(r_[i]) / norm_[i] : 0;
-    solve(t);
+      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = linearization().distance(i);
+    did.rank = solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
   }
   MaxNorm moved;
   for (std::size_t i = 0; i < w_.size(); ++i) moved.add((original_[i] - y[i]) / w_[i]);
-  correction_ = moved.value();
-  return std::isfinite(correction_) ? Outcome::ok : Outcome::not_finite;
+  did.correction = moved.value();
+  if (!std::isfinite(did.correction)) did.outcome = Outcome::not_finite;
+  return did;
 }
 
 Outcome Projector::onto(double t, const double* w, const double* target, double* y, int most) {
@@ -82,7 +87,7 @@ Outcome Projector::onto(double t, const double* w, const double* target, double*
       y[i] -= delta_[i];
       moved.add(delta_[i] / w_[i]);
     }
-    if (moved.value() <= negligible) break;
+    if (moved.value() <= last_correction) break;
   }
   return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
 }
@@ -92,7 +97,7 @@ Outcome Projector::linearize_at(double t, const double* y) {
   return linearize(t, y);
 }
 
-Projector::Imposed Projector::impose(double t, double* y) {
+Imposed Projector::impose(double t, double* y) {
   tolerances_.fill(y, w_.data());
   std::copy(y, y + w_.size(), original_.begin());
   double least = std::numeric_limits<double>::infinity();
@@ -127,19 +132,22 @@ double Projector::roundoff_units(const double* y) const {
   return size;
 }
 
-/// The residual of a candidate, and whether it is to be left alone: judged by the gradients of the last linearization.
+/// The residual of a candidate.
 Outcome Projector::measure(double t, const double* y) {
-  skipped_ = false;
   if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
   if (!all_finite(r_.data(), r_.size())) return Outcome::not_finite;
   residual_before_ = r_;
-  skipped_ = negligible_ > 0 && linearized_;
-  for (std::size_t i = 0; i < r_.size() && skipped_; ++i) {
-    distance_before_[i] = norm_[i] > 0 ? std::abs(r_[i]) / norm_[i] : 0;
-    skipped_ = distance_before_[i] <= negligible_;
-  }
-  if (skipped_) correction_ = 0;
   return Outcome::ok;
+}
+
+/// Whether the candidate is to be left alone: judged by the gradients of the last linearization.
+bool Projector::close_enough() {
+  if (negligible_ == 0 || !linearized_) return false;
+  for (std::size_t i = 0; i < r_.size(); ++i) {
+    distance_before_[i] = linearization().distance(i);
+    if (!(distance_before_[i] <= negligible_)) return false;
+  }
+  return true;
 }
 
 Outcome Projector::linearize(double t, const double* y) {
@@ -164,24 +172,32 @@ Outcome Projector::linearize_known(double t, const double* y) {
   return Outcome::ok;
 }
 
-/// δ = W (J W)⁺ r of the last linearization. One row needs no factorisation.
-void Projector::solve(double t) {
+/// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.
+std::size_t Projector::solve(double t) {
   const std::size_t n = w_.size();
   if (r_.size() > 1) return solve_several(t);
   if (norm_[0] == 0) {
     drop(0, t);
     std::fill(delta_.begin(), delta_.end(), 0);
-    return;
+    return 0;
   }
   const double distance = r_[0] / norm_[0];
   const double* row = scaled_.data();
   for (std::size_t j = 0; j < n; ++j) delta_[j] = w_[j] * (row[j] * distance);
+  return 1;
 }
 
-/// With (J W)ᵀ Π = Q R and rank k the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁. Q and R come from the modified
-/// Gram-Schmidt process with pivoting, in which each pivot is orthogonalised twice: Q is then orthogonal to roundoff.
-/// (Eigen's pivoted QR allocates in each call.)
-void Projector::solve_several(double t) {
+/// With (J W)ᵀ Π = Q R and rank k the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁.
+std::size_t Projector::solve_several(double t) {
+  const std::size_t rank = factor(t);
+  substitute(rank);
+  return rank;
+}
+
+/// Q, in place of the scaled rows, and R by the modified Gram-Schmidt process with pivoting, in which each pivot is
+/// orthogonalised twice: Q is then orthogonal to roundoff. (Eigen's pivoted QR allocates in each call.) Returns the
+/// rank; rows beyond it are dropped.
+std::size_t Projector::factor(double t) {
   const std::size_t m = r_.size();
   const auto column = [this](std::size_t k) { return scaled_.col(index(order_[k])); };
   std::iota(order_.begin(), order_.end(), std::size_t{0});
@@ -202,7 +218,11 @@ void Projector::solve_several(double t) {
     for (std::size_t k = rank + 1; k < m; ++k) remove_component(order_[k], order_[rank]);
   }
   for (std::size_t k = rank; k < m; ++k) drop(order_[k], t);
+  return rank;
+}
 
+/// R₁₁ᵀ z = (Πᵀ r)₁, δ = W Q₁ z
+void Projector::substitute(std::size_t rank) {
   std::fill(delta_.begin(), delta_.end(), 0);
   for (std::size_t k = 0; k < rank; ++k) {
     const std::size_t i = order_[k];

@@ -37,23 +37,31 @@ void integrate_polynomial(const double* data, std::size_t size, std::size_t n, d
   }
 }
 
-Adams::Adams(Callback& f, const Weights& weights, int max_order)
+Adams::Adams(Callback& f, const Weights& weights, int max_order, int min_order)
     : Step(f, weights),
       max_order_(max_order),
+      min_order_(min_order),
       phi_(static_cast<std::size_t>(max_order + 2) * weights.size()),
       values_(4 * weights.size()) {
   double* next = values_.data();
-  for (double** v : {&weight_, &candidate_, &d_, &slope_}) *v = std::exchange(next, next + n());
+  for (double** v : {&weight_, &candidate_, &defect_, &slope_}) *v = std::exchange(next, next + n());
 }
 
 Outcome Adams::start(double t, const double* y, const Span& span) {
   restart(t, y, 1);
   if (const Outcome outcome = evaluate(t, y); outcome != Outcome::ok) return outcome;
-  std::swap(slope_, d_);
+  std::swap(slope_, defect_);
   std::copy(slope_, slope_ + n(), phi(1));
   weights_.fill(y, weight_);
   h_ = first_h(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
   return Outcome::ok;
+}
+
+void Adams::start_from(double t, const double* y, double h, const double* differences) {
+  restart(t, y, max_order_);
+  std::copy(differences, differences + static_cast<std::size_t>(max_order_) * n(), phi(1));
+  std::copy(phi(1), phi(1) + n(), slope_);
+  for (int i = 1; i <= max_order_; ++i) psi_[static_cast<std::size_t>(i)] = i * h;
 }
 
 /// Calls work(begin, end) for the components in blocks of which several vectors fit into the cache.
@@ -82,8 +90,8 @@ void Adams::restart(double t, const double* y, int order) {
 /// d = f(t, y)
 Outcome Adams::evaluate(double t, const double* y) {
   if (!all_finite(y, n())) return Outcome::not_finite;
-  if (f_(t, y, d_) == Status::stop) return Outcome::stop;
-  return all_finite(d_, n()) ? Outcome::ok : Outcome::not_finite;
+  if (f_(t, y, defect_) == Status::stop) return Outcome::stop;
+  return all_finite(defect_, n()) ? Outcome::ok : Outcome::not_finite;
 }
 
 double Adams::norm(const double* v) const {
@@ -104,7 +112,7 @@ Step::Attempt Adams::attempt(double h, double t1) {
   }
   const double size = compare_orders();
   const auto k = static_cast<std::size_t>(order_);
-  for (std::size_t i = 0; i < n(); ++i) candidate_[i] += h * (g_[k + 1] * d_[i]);
+  for (std::size_t i = 0; i < n(); ++i) candidate_[i] += h * (g_[k + 1] * defect_[i]);
   return {Outcome::ok, h_ * size * (g_[k] - g_[k + 1]), candidate_};
 }
 
@@ -188,16 +196,17 @@ void Adams::restore() {
 double Adams::compare_orders() {
   const auto k = static_cast<std::size_t>(order_);
   const double* first = phi(1);
-  for (std::size_t c = 0; c < n(); ++c) d_[c] -= first[c];
-  const double size = norm(d_);
+  for (std::size_t c = 0; c < n(); ++c) defect_[c] -= first[c];
+  const double size = norm(defect_);
   const auto error = [&](std::size_t order, double norm) { return h_ * sigma_[order + 1] * gamma_star[order] * norm; };
   const auto with_d = [&](int order) {
-    return max_norm(n(), [a = phi(order), d = d_, w = weight_](std::size_t c) { return (a[c] + d[c]) / w[c]; });
+    return max_norm(n(), [a = phi(order), d = defect_, w = weight_](std::size_t c) { return (a[c] + d[c]) / w[c]; });
   };
   erk_ = error(k, size);
   lower_ = order_;
   if (k == 1) return size;
   erkm1_ = error(k - 1, with_d(order_));
+  if (order_ == min_order_) return size;
   if (k == 2 ? erkm1_ <= 0.5 * erk_ : std::max(erkm1_, error(k - 2, with_d(order_ - 1))) <= erk_) lower_ = order_ - 1;
   return size;
 }
@@ -208,7 +217,7 @@ bool Adams::reject(Cause, double hmin) {
   phase1_ = false;
   if (h_ <= hmin) return false;
   ++failures_;
-  order_ = failures_ >= 3 ? 1 : lower_;
+  order_ = failures_ >= 3 ? min_order_ : lower_;
   const double goal = 0.5 * weights_.rtol();
   const double factor = failures_ > 3 && goal < 0.25 * erk_ ? std::sqrt(goal / erk_) : 0.5;
   h_ = std::max(hmin, h_ * factor);
@@ -217,7 +226,7 @@ bool Adams::reject(Cause, double hmin) {
 
 Outcome Adams::accept(const double* y1) {
   if (const Outcome outcome = evaluate(t1_, y1); outcome != Outcome::ok) return outcome;
-  std::swap(slope_, d_);
+  std::swap(slope_, defect_);
   t_ = t1_;
   std::copy(y1, y1 + n(), y_.begin());
   for_each_block([&](std::size_t begin, std::size_t end) {
@@ -257,7 +266,7 @@ void Adams::choose_order_and_step() {
     choose(k - 1, erkm1_);
   } else if (k + 1 <= steps_at_h_) {
     const double erkp1 = h_ * gamma_star[k + 1] * norm(phi(k + 2));
-    if (k > 1 && erkm1_ <= std::min(erk_, erkp1))
+    if (k > min_order_ && erkm1_ <= std::min(erk_, erkp1))
       choose(k - 1, erkm1_);
     else if (k < max_order_ && erkp1 < (k > 1 ? 1 : 0.5) * erk_)
       choose(k + 1, erkp1);
@@ -284,7 +293,7 @@ Status Adams::extension(double* data) {
 
 int Adams::undefined_component() const {
   for (std::size_t i = 0; i < n(); ++i)
-    if (!std::isfinite(d_[i])) return static_cast<int>(i);
+    if (!std::isfinite(defect_[i])) return static_cast<int>(i);
   return -1;
 }
 

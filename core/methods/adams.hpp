@@ -16,11 +16,14 @@ void integrate_polynomial(const double* data, std::size_t size, std::size_t n, d
 
 /// The code ode113. Projection comes between the corrector and the last evaluation, so that everything stored is data
 /// of the projected solution.
-class Adams : public Step {
+class Adams final : public Step {
  public:
   static constexpr int highest_order = 12;
 
-  Adams(Callback& f, const Weights& weights, int max_order = highest_order);
+  Adams(Callback& f, const Weights& weights, int max_order = highest_order, int min_order = 1);
+
+  /// Memory of equal steps h and the highest order k: differences = [∇^0 f … ∇^{k−1} f] at t, each (n,).
+  void start_from(double t, const double* y, double h, const double* differences);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
@@ -38,7 +41,7 @@ class Adams : public Step {
   [[nodiscard]] const double* slope() const override { return slope_; }
   [[nodiscard]] int undefined_component() const override;
 
- protected:
+ private:
   // Indices are those of the book: they start at 1.
   static constexpr std::size_t most = highest_order + 3;
   using Coefficients = std::array<double, most>;
@@ -47,13 +50,6 @@ class Adams : public Step {
   double* phi(int i) { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
   [[nodiscard]] const double* phi(int i) const { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
 
-  int max_order_;
-  int order_ = 1;           ///< k of the next attempt
-  int previous_order_ = 1;  ///< of the accepted step
-  double previous_h_ = 0;   ///< signed; 0: forgotten
-  Coefficients psi_{};      ///< ψ_i = h_n + … + h_{n+1−i}
-
- private:
   void update_coefficients();
   void predict();
   void restore();
@@ -64,6 +60,11 @@ class Adams : public Step {
   template <class Work>
   void for_each_block(Work work);
 
+  int max_order_, min_order_;
+  int order_ = 1;           // k of the next attempt
+  int previous_order_ = 1;  // of the accepted step
+  double previous_h_ = 0;   // signed; 0: forgotten
+  Coefficients psi_{};      // ψ_i = h_n + … + h_{n+1−i}
   double signed_h_ = 0;
   double t1_ = 0;
   int steps_at_h_ = 0;  // ns: steps in a row with the present h, so many coefficients stay what they are
@@ -77,7 +78,7 @@ class Adams : public Step {
   std::vector<double> values_;
   double* weight_ = nullptr;     // w, of the start of the step
   double* candidate_ = nullptr;  // p, then y*
-  double* d_ = nullptr;          // f as last evaluated; f(t₁, p) − φ₁ (predicted)
+  double* defect_ = nullptr;     // f as last evaluated; from it f(t₁, p) − φ₁ (predicted)
   double* slope_ = nullptr;      // f at the last point reached
 };
 

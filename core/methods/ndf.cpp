@@ -4,7 +4,8 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <utility>
+
+#include "linear/time_derivative.hpp"
 
 namespace invariode {
 namespace {
@@ -21,14 +22,8 @@ constexpr std::array<double, most> gamma = [] {
 /// The parameters of Klopfenstein and Shampine that make an NDF of a BDF.
 constexpr double kappa[most] = {0, -37.0 / 200, -1.0 / 9, -0.0823, -0.0415, 0, 0, 0};
 
-constexpr int newton_iterations = 4;
-constexpr double newton_goal = 0.5;         // of rtol: the error of the iteration
-constexpr double newton_first_goal = 0.05;  // the same for the first iteration, where the rate is an old one
-constexpr double slowest_rate = 0.9;
-constexpr double rate_memory = 0.9;  // what remains of the last rate in the present one
-constexpr double newton_cut = 0.3;   // of h, where a current Jacobian does not help
-constexpr int old_jacobian = 20;     // steps
-constexpr double stiffness = 10;     // h invGa_k ‖J‖ above which an old Jacobian may do harm
+constexpr double newton_cut = 0.3;  // of h, where a current Jacobian does not help
+constexpr int old_jacobian = 20;    // steps
 
 constexpr double safety_same = 1.2, safety_lower = 1.3, safety_higher = 1.4;  // 1/c after a success
 constexpr double retry_same = 0.833, retry_lower = 0.769, smallest_retry = 0.1;
@@ -62,15 +57,14 @@ void newton_backward(const double* data, std::size_t size, std::size_t n, double
   }
 }
 
-Ndf::Ndf(Callback& f, const Weights& weights, Jacobian jacobian, Mass* mass, const Options& options)
+Ndf::Ndf(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Options& options)
     : Step(f, weights),
       options_(options),
-      jacobian_(std::move(jacobian)),
-      mass_(mass),
-      lu_(make_factorization(jacobian_.matrix().structure, options.lapack)),
+      mass_(linear.mass),
+      lapack_(linear.lapack),
+      newton_(f, weights, linear),
       differences_(static_cast<std::size_t>(options.max_order + 2) * weights.size()) {
-  for (std::vector<double>* v :
-       {&weight_, &predictor_, &psi_, &d_, &candidate_, &residual_, &slope_, &f_value_, &scratch_})
+  for (std::vector<double>* v : {&weight_, &predictor_, &psi_, &d_, &candidate_, &slope_, &scratch_})
     v->resize(weights.size());
 }
 
@@ -90,16 +84,6 @@ double Ndf::norm(const double* v) const {
   return norm.value();
 }
 
-Outcome Ndf::evaluate(double t, const double* y, double* out) {
-  undefined_ = false;
-  if (!all_finite(y, n())) return Outcome::not_finite;
-  if (f_(t, y, out) == Status::stop) return Outcome::stop;
-  if (all_finite(out, n())) return Outcome::ok;
-  if (out != f_value_.data()) std::copy(out, out + n(), f_value_.begin());
-  undefined_ = true;
-  return Outcome::not_finite;
-}
-
 /// Memory as it is before any step, at a first |h|.
 void Ndf::restart(double t, const double* y, double h, int order) {
   t_ = t;
@@ -108,53 +92,55 @@ void Ndf::restart(double t, const double* y, double h, int order) {
   order_ = memory_order_ = order;
   std::fill(differences_.begin(), differences_.end(), 0);
   steps_at_h_ = 0;
-  factored_ = 0;
-  rate_known_ = renew_ = failed_ = false;
+  failed_ = false;
+  newton_.restart();
 }
 
 Outcome Ndf::start(double t, const double* y, const Span& span) {
   restart(t, y, 0, 1);
+  if (const Outcome outcome = first_slope(t, y); outcome != Outcome::ok) return outcome;
   const double forward = span.tf >= t ? 1 : -1;
-  std::vector<double> f0(n()), later(n());
-  if (const Outcome outcome = evaluate(t, y, f0.data()); outcome != Outcome::ok) return outcome;
-  if (jacobian_.evaluate(f_, t, y, f0.data()) == Status::stop) return Outcome::stop;
-  jacobian_current_ = true;
-  jacobian_age_ = 0;
-  weights_.fill(y, weight_.data());
-
-  MassSolver solver;
-  const Matrix& J = jacobian_.matrix();
-  const auto solve_for_slope = [&](std::vector<double>& f, const double* ft) {
-    if (mass_) solver.slope(*mass_, ft, f.data());
-  };
-  if (mass_) {
-    if (mass_->evaluate(t) == Status::stop) return Outcome::stop;
-    if (!solver.factor(*mass_, J, weight_.data(), options_.lapack)) {
-      work_.singular = true;
-      return Outcome::not_finite;
-    }
-  }
-  slope_ = f0;
-  solve_for_slope(slope_, nullptr);
   const double root = std::sqrt(weights_.rtol());
   const double first = first_h(starting_safety * norm(slope_.data()) / root, t, span);
-
-  // The second derivative decides: M y'' = f_t + J y'.
-  const double step = forward * std::min(std::sqrt(eps) * std::max(std::abs(t), std::abs(t + forward * first)), first);
-  const double increment = (t + step) - t;
-  if (const Outcome outcome = evaluate(t + increment, y, later.data()); outcome == Outcome::stop) return outcome;
-  for (std::size_t i = 0; i < n(); ++i) later[i] = undefined_ || increment == 0 ? 0 : (later[i] - f0[i]) / increment;
-  undefined_ = false;
-  if (mass_ && mass_->singular()) {
-    slope_ = f0;
-    solve_for_slope(slope_, later.data());
-  }
-  J.multiply(slope_.data(), scratch_.data());
-  for (std::size_t i = 0; i < n(); ++i) scratch_[i] += later[i];
-  solve_for_slope(scratch_, nullptr);
+  if (const Outcome outcome = second_derivative(t, y, forward * first); outcome != Outcome::ok) return outcome;
   const double second = norm(scratch_.data());
   h_ = memory_h_ = first_h(starting_safety * std::sqrt(0.5 * second / weights_.rtol()), t, span);
   for (std::size_t i = 0; i < n(); ++i) D(1)[i] = forward * memory_h_ * slope_[i];
+  return Outcome::ok;
+}
+
+Outcome Ndf::start_from(double t, const double* y, double h, const double* differences) {
+  restart(t, y, h, options_.max_order);
+  std::copy(differences, differences + static_cast<std::size_t>(order_) * n(), D(1));
+  return first_slope(t, y);
+}
+
+/// f into `candidate_`, y' with M y' = f into `slope_`; J, and the weights of the start.
+Outcome Ndf::first_slope(double t, const double* y) {
+  if (const Outcome outcome = newton_.evaluate(t, y, candidate_.data()); outcome != Outcome::ok) return outcome;
+  if (newton_.take_jacobian(t, y, candidate_.data()) == Status::stop) return Outcome::stop;
+  weights_.fill(y, weight_.data());
+  slope_ = candidate_;
+  if (!mass_) return Outcome::ok;
+  if (mass_->evaluate(t) == Status::stop) return Outcome::stop;
+  if (!initial_.factor(*mass_, newton_.jacobian(), weight_.data(), lapack_)) {
+    newton_.note_singular();
+    return Outcome::not_finite;
+  }
+  initial_.slope(*mass_, nullptr, slope_.data());
+  return Outcome::ok;
+}
+
+/// M y'' = f_t + J y' into `scratch_`, with f in `candidate_`. What f_t adds to y' where M is singular enters too.
+Outcome Ndf::second_derivative(double t, const double* y, double h) {
+  if (time_derivative(f_, t, y, candidate_.data(), h, n(), predictor_.data()) == Status::stop) return Outcome::stop;
+  if (mass_ && mass_->singular()) {
+    slope_ = candidate_;
+    initial_.slope(*mass_, predictor_.data(), slope_.data());
+  }
+  newton_.jacobian().multiply(slope_.data(), scratch_.data());
+  for (std::size_t i = 0; i < n(); ++i) scratch_[i] += predictor_[i];
+  if (mass_) initial_.slope(*mass_, nullptr, scratch_.data());
   return Outcome::ok;
 }
 
@@ -183,117 +169,44 @@ void Ndf::rescale_memory(double h) {
   steps_at_h_ = 0;
 }
 
-/// Takes the Jacobian at (t, y).
-Status Ndf::renew_jacobian() {
-  renew_ = false;
-  if (jacobian_.kind() == Jacobian::Kind::differences) {
-    const Outcome outcome = evaluate(t_, y(), residual_.data());
-    if (outcome == Outcome::stop) return Status::stop;
-  }
-  factored_ = 0;
-  jacobian_current_ = true;
-  jacobian_age_ = 0;
-  return jacobian_.evaluate(f_, t_, y(), residual_.data());
-}
-
-/// Factorises M − c J, unless that has been done. `not_finite`: it is singular.
-Outcome Ndf::factor(double c) {
-  if (c == factored_) return Outcome::ok;
-  ++work_.factorizations;
-  rate_known_ = false;
-  factored_ = 0;
-  work_.undefined_jacobian = !all_finite(jacobian_.matrix().values.data(), jacobian_.matrix().values.size());
-  work_.singular = !lu_->factor(mass_ ? &mass_->matrix() : nullptr, c, jacobian_.matrix());
-  if (work_.singular) return Outcome::not_finite;
-  factored_ = c;
-  return Outcome::ok;
-}
-
 Step::Attempt Ndf::attempt(double h, double t1) {
   signed_h_ = h;
   h_ = std::abs(h);
   t1_ = t1;
-  undefined_ = false;
+  newton_.forget_undefined();
   error_ = std::numeric_limits<double>::quiet_NaN();
   const Attempt stopped{Outcome::stop, error_, candidate_.data()};
   const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
   if (h_ != memory_h_ || order_ != memory_order_) rescale_memory(h_);
-  if (renew_ && renew_jacobian() == Status::stop) return stopped;
-  if (mass_ && mass_->evaluate(t1) == Status::stop) return stopped;
+  if (newton_.repair(t_, y()) == Status::stop) return stopped;
   const double c = h * gamma_inverse(order_);
-  if (factor(c) != Outcome::ok) return diverged;
-  switch (iterate(c, t1)) {
-    case Newton::stop: return stopped;
-    case Newton::failed: return diverged;
-    case Newton::converged: break;
+  switch (newton_.prepare(c, t1)) {
+    case Outcome::stop: return stopped;
+    case Outcome::not_finite: return diverged;
+    case Outcome::ok: break;
+  }
+  predict();
+  switch (newton_.solve(c, t1, predictor_.data(), psi_.data(), weight_.data(), d_.data(), candidate_.data())) {
+    case Newton::Result::stop: return stopped;
+    case Newton::Result::failed: return diverged;
+    case Newton::Result::converged: break;
   }
   error_ = norm(d_.data()) * error_constant(order_);
   return {Outcome::ok, error_, candidate_.data()};
 }
 
-/// Simplified Newton iteration for d = ∇^{k+1} y₁ of c f(t₁, y₁) = M (ψ + d), y₁ = predictor + d.
-Ndf::Newton Ndf::iterate(double c, double t1) {
-  const int k = order_;
-  const double scale = gamma_inverse(k);
+/// p = y + Σ D_j and ψ = invGa_k Σ γ_j D_j of c f(t₁, p + d) = M (ψ + d), where d = ∇^{k+1} y₁; the weights of the
+/// step.
+void Ndf::predict() {
+  const double scale = gamma_inverse(order_);
   std::copy(y_.begin(), y_.end(), predictor_.begin());
   std::fill(psi_.begin(), psi_.end(), 0);
-  for (int j = 1; j <= k; ++j)
+  for (int j = 1; j <= order_; ++j)
     for (std::size_t i = 0; i < n(); ++i) {
       predictor_[i] += D(j)[i];
       psi_[i] += D(j)[i] * (gamma[static_cast<std::size_t>(j)] * scale);
     }
-  std::fill(d_.begin(), d_.end(), 0);
-  candidate_ = predictor_;
   weights_.fill(y(), predictor_.data(), weight_.data());
-  const double roundoff = 100 * eps * norm(predictor_.data());
-
-  double previous = 0;
-  for (int iteration = 1; iteration <= newton_iterations; ++iteration) {
-    switch (evaluate(t1, candidate_.data(), f_value_.data())) {
-      case Outcome::stop: return Newton::stop;
-      case Outcome::not_finite: return Newton::failed;
-      case Outcome::ok: break;
-    }
-    for (std::size_t i = 0; i < n(); ++i) scratch_[i] = psi_[i] + d_[i];
-    if (mass_)
-      mass_->matrix().multiply(scratch_.data(), residual_.data());
-    else
-      std::swap(scratch_, residual_);
-    for (std::size_t i = 0; i < n(); ++i) residual_[i] = c * f_value_[i] - residual_[i];
-    ++work_.solves;
-    lu_->solve(residual_.data());
-    const double size = norm(residual_.data());
-    for (std::size_t i = 0; i < n(); ++i) {
-      d_[i] += residual_[i];
-      candidate_[i] = predictor_[i] + d_[i];
-    }
-    if (!std::isfinite(size)) return Newton::failed;
-    if (size <= roundoff) return Newton::converged;
-    const double goal = newton_goal * weights_.rtol();
-    if (iteration == 1) {
-      if (rate_known_ && size * rate_ / (1 - rate_) <= newton_first_goal * weights_.rtol()) return Newton::converged;
-      if (!rate_known_) rate_ = 0;
-    } else {
-      if (size > slowest_rate * previous) return Newton::failed;
-      rate_ = std::max(rate_memory * rate_, size / previous);
-      rate_known_ = true;
-      const double left = size * rate_ / (1 - rate_);
-      if (left <= goal) return Newton::converged;
-      if (left * std::pow(rate_, newton_iterations - iteration) > goal) return Newton::failed;
-    }
-    previous = size;
-  }
-  return Newton::failed;
-}
-
-/// Whether h invGa_k ‖J‖ is large in the norm of the error test. Where it is not, an old Jacobian does no harm. (With a
-/// mass matrix, which would have to be inverted to tell: yes.)
-bool Ndf::stiff() {
-  if (mass_) return true;
-  std::fill(scratch_.begin(), scratch_.end(), 0);
-  jacobian_.matrix().for_each(
-      [this](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(value) * weight_[j]; });
-  return norm(scratch_.data()) * h_ * gamma_inverse(order_) > stiffness;
 }
 
 double Ndf::optimal_h(int k, double error, double safety) const {
@@ -301,36 +214,35 @@ double Ndf::optimal_h(int k, double error, double safety) const {
   return shrink > 1 / largest_growth ? h_ / shrink : h_ * largest_growth;
 }
 
+/// |h| of a retry with formula k, whose error at the present |h| is `error`.
+double Ndf::retry_h(int k, double error, double safety) const {
+  return h_ * std::max(smallest_retry, safety * std::pow(weights_.rtol() / error, 1.0 / (k + 1)));
+}
+
 bool Ndf::reject(Cause cause, double hmin) {
   if (cause == Cause::newton) {
-    if (!jacobian_current_ && jacobian_.kind() != Jacobian::Kind::constant) {
-      renew_ = true;
-      return true;
-    }
+    if (newton_.renew_if_old()) return true;
     if (h_ <= hmin) return false;
     h_ = std::max(hmin, newton_cut * h_);
-    renew_ = work_.undefined_jacobian && jacobian_.kind() != Jacobian::Kind::constant;
+    newton_.renew_if_undefined();
     return true;
   }
   if (h_ <= hmin) return false;
   double h = 0.5 * h_;
   if (!failed_ && cause == Cause::error) {
-    const auto retry = [this](int k, double error, double safety) {
-      return h_ * std::max(smallest_retry, safety * std::pow(weights_.rtol() / error, 1.0 / (k + 1)));
-    };
-    h = retry(order_, error_, retry_same);
-    if (order_ > 1) {
+    h = retry_h(order_, error_, retry_same);
+    if (order_ > options_.min_order) {
       for (std::size_t i = 0; i < n(); ++i) scratch_[i] = D(order_)[i] + d_[i];
-      const double lower = retry(order_ - 1, norm(scratch_.data()) * error_constant(order_ - 1), retry_lower);
+      const double lower = retry_h(order_ - 1, norm(scratch_.data()) * error_constant(order_ - 1), retry_lower);
       if (lower > h) {
         h = std::min(lower, h_);
         --order_;
       }
     }
   }
-  if (cause == Cause::error && options_.renew_on_error && jacobian_age_ >= old_jacobian &&
-      jacobian_.kind() != Jacobian::Kind::constant && stiff())
-    renew_ = true;
+  if (cause == Cause::error && options_.renew_on_error && newton_.jacobian_age() >= old_jacobian &&
+      newton_.stiff(h_ * gamma_inverse(order_), weight_.data()))
+    newton_.renew();
   failed_ = true;
   h_ = std::max(hmin, h);
   return true;
@@ -349,8 +261,7 @@ Outcome Ndf::accept(const double* y1) {
     for (std::size_t i = 0; i < n(); ++i) D(j)[i] += D(j + 1)[i];
   t_ = t1_;
   std::copy(y1, y1 + n(), y_.begin());
-  jacobian_current_ = false;
-  ++jacobian_age_;
+  newton_.step_accepted();
   failed_ = false;
   steps_at_h_ = std::min(steps_at_h_ + 1, options_.max_order + 2);
   choose_order_and_step();
@@ -371,7 +282,7 @@ void Ndf::choose_order_and_step() {
       order = candidate;
     }
   };
-  if (k > 1) offer(k - 1, safety_lower);
+  if (k > options_.min_order) offer(k - 1, safety_lower);
   if (k < options_.max_order) offer(k + 1, safety_higher);
   if (best > h_) {
     h_ = best;
@@ -387,19 +298,6 @@ Status Ndf::extension(double* data) {
   data = std::copy(y_.begin(), y_.end(), data);
   std::copy(D(1), D(memory_order_ + 1), data);
   return Status::ok;
-}
-
-int Ndf::undefined_component() const {
-  if (!undefined_) return -1;
-  for (std::size_t i = 0; i < n(); ++i)
-    if (!std::isfinite(f_value_[i])) return static_cast<int>(i);
-  return -1;
-}
-
-LinearWork Ndf::linear_work() const {
-  LinearWork work = work_;
-  work.jacobians = jacobian_.count();
-  return work;
 }
 
 }  // namespace invariode

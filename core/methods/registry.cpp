@@ -1,6 +1,7 @@
 #include "methods/registry.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
@@ -8,73 +9,109 @@
 namespace invariode {
 namespace {
 
-using Options = const MethodOptions&;
-using Linear = const LinearAlgebra*;
-using Made = std::unique_ptr<Step>;
+bool rows_of_n(std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
+bool rows_and_steps(std::size_t size, std::size_t n) {
+  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
+}
+constexpr Extension runge_kutta_polynomial{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n};
+constexpr Extension adams_polynomial{"Adams", integrate_polynomial, rows_and_steps};
+constexpr Extension backward_differences{"NDF", newton_backward, rows_of_n};
 
-constexpr const char* pair_family = "explicit Runge-Kutta pair";
-constexpr const char* of_fsal_pairs[] = {"fsal"};
-constexpr const char* of_adams[] = {"max_order"};
-constexpr const char* of_ndf[] = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass"};
+template <std::size_t I>
+std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& told,
+                                const LinearAlgebra&) {
+  using namespace runge_kutta;
+  return (weights.size() <= few ? pairs_for_few : pairs_for_many)[I](f, weights, told.fsal);
+}
 
-int highest(Options options, int order) { return options.max_order > 0 ? options.max_order : order; }
+std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
+                                 const LinearAlgebra&) {
+  return std::make_unique<Adams>(f, weights, told.max_order > 0 ? told.max_order : method.order);
+}
 
-constexpr Method rows[] = {
-    {"ode23", pair_family, 3, 3, 3, 3, 0, 1, 1, "Bogacki and Shampine (1989)", of_fsal_pairs, false, nested,
-     [](Callback& f, const Weights& w, Options o, Linear) -> Made { return ode23_step(f, w, o.fsal); }},
-    {"ode45", pair_family, 5, 5, 4, 6, 0, 2, 4, "Dormand and Prince (1980)", of_fsal_pairs, false, nested,
-     [](Callback& f, const Weights& w, Options o, Linear) -> Made { return ode45_step(f, w, o.fsal); }},
-    {"dop853",
-     pair_family,
-     8,
-     8,
-     7,
-     12,
-     3,
-     2,
-     1,
-     "Hairer, Norsett and Wanner (1993)",
-     {},
-     false,
-     nested,
-     [](Callback& f, const Weights& w, Options, Linear) -> Made { return dop853_step(f, w); }},
-    {"ode78",
-     pair_family,
-     8,
-     8,
-     7,
-     13,
-     3,
-     2,
-     8,
-     "Verner (2010)",
-     {},
-     false,
-     nested,
-     [](Callback& f, const Weights& w, Options, Linear) -> Made { return ode78_step(f, w); }},
-    {"ode113", "Adams PECE, variable order", 1, 12, 12, 0, 0, 1, 1, "Shampine and Gordon (1975)", of_adams, false,
-     integrate_polynomial,
-     [](Callback& f, const Weights& w, Options o, Linear) -> Made {
-       return std::make_unique<Adams>(f, w, highest(o, Adams::highest_order));
-     }},
-    {"ode15s", "NDF (or BDF), variable order", 1, 5, 5, 0, 0, 1, 1, "Shampine and Reichelt (1997)", of_ndf, true,
-     newton_backward,
-     [](Callback& f, const Weights& w, Options o, Linear linear) -> Made {
-       const Ndf::Options options{.max_order = highest(o, Ndf::highest_order),
-                                  .bdf = o.bdf,
-                                  .renew_on_error = o.projected,
-                                  .lapack = linear->lapack};
-       return std::make_unique<Ndf>(f, w, linear->jacobian, linear->mass, options);
-     }},
+std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
+                               const LinearAlgebra& linear) {
+  const Ndf::Options options{.max_order = told.max_order > 0 ? told.max_order : method.order,
+                             .bdf = told.bdf,
+                             .renew_on_error = told.projected};
+  return std::make_unique<Ndf>(f, weights, linear, options);
+}
+
+/// The row of the pair T, number I of the pairs.
+template <const auto& T, std::size_t I>
+constexpr Method row() {
+  Method method{.name = T.name,
+                .family = "explicit Runge-Kutta pair",
+                .source = T.source,
+                .scipy_name = T.scipy_name,
+                .min_order = T.order,
+                .order = T.order,
+                .extension_order = T.extension_order,
+                .stages = static_cast<int>(T.stages) - 1,
+                .extra = static_cast<int>(T.all_stages - T.stages),
+                .iterations = T.iterations,
+                .refine = T.refine,
+                .extension = &runge_kutta_polynomial,
+                .make = make_pair<I>};
+  if (T.last_in_error()) method.options[0] = "fsal";  // else f(t₁, y₁) is evaluated in any case
+  return method;
+}
+
+constexpr Method others[] = {
+    {.name = "ode113",
+     .family = "Adams PECE, variable order",
+     .source = "L. F. Shampine, M. K. Gordon, Computer Solution of Ordinary Differential Equations: The Initial Value "
+               "Problem, Freeman, San Francisco, 1975, chapters 5 and 10",
+     .min_order = 1,
+     .order = Adams::highest_order,
+     .extension_order = Adams::highest_order,
+     .options = {"max_order"},
+     .extension = &adams_polynomial,
+     .make = make_adams},
+    {.name = "ode15s",
+     .family = "NDF (or BDF), variable order, for stiff problems and M y' = f",
+     .source = "L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22, section 2",
+     .scipy_name = "BDF",
+     .scipy_bdf = true,
+     .min_order = 1,
+     .order = Ndf::highest_order,
+     .extension_order = Ndf::highest_order,
+     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::any,
+     .extension = &backward_differences,
+     .make = make_ndf},
 };
+
+template <const auto&... T>
+constexpr auto all(runge_kutta::Tableaux<T...>) {
+  return [&]<std::size_t... I, std::size_t... J>(std::index_sequence<I...>, std::index_sequence<J...>) {
+    return std::array{row<T, I>()..., others[J]...};
+  }(std::index_sequence_for<decltype(T)...>{}, std::make_index_sequence<std::size(others)>{});
+}
+constexpr auto table = all(runge_kutta::Pairs());
 
 }  // namespace
 
-std::span<const Method> methods() { return rows; }
+bool Method::takes(std::string_view option) const {
+  return std::ranges::any_of(options, [&](const char* one) { return one != nullptr && option == one; });
+}
+
+std::span<const Method> methods() { return table; }
 
 const Method* find_method(std::string_view name) {
-  const auto found = std::ranges::find(methods(), name, &Method::name);
-  return found == methods().end() ? nullptr : &*found;
+  const auto found = std::ranges::find(table, name, &Method::name);
+  return found == table.end() ? nullptr : &*found;
+}
+
+const Extension* find_extension(std::string_view name) {
+  const auto found = std::ranges::find_if(table, [&](const Method& one) { return one.extension->name == name; });
+  return found == table.end() ? nullptr : found->extension;
+}
+
+const Extension* find_extension(Interpolate evaluate) {
+  const auto found =
+      std::ranges::find_if(table, [&](const Method& one) { return one.extension->evaluate == evaluate; });
+  return found == table.end() ? nullptr : found->extension;
 }
 
 }  // namespace invariode

@@ -1,54 +1,73 @@
 #pragma once
-// The registry of methods: the one list over which the run, the binding and the tests iterate.
+// The methods: the one list of them. The binding hands it to Python, and the tests iterate over it.
 
+#include <array>
+#include <cstddef>
 #include <memory>
 #include <span>
 #include <string_view>
 
-#include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
-#include "linear/matrix.hpp"
 #include "methods/runge_kutta.hpp"
 #include "step.hpp"
 
 namespace invariode {
 
-/// What a method can be told. Each takes what concerns it.
+using runge_kutta::Fsal;
+
+/// What a method may be told; one that cannot use an entry leaves it alone.
 struct MethodOptions {
   Fsal fsal = Fsal::reuse;
-  int max_order = 0;  ///< 0: the highest
-  bool bdf = false;
-  bool projected = false;  ///< invariants are imposed on its steps
+  int max_order = 0;       ///< highest order of the formulas; 0: the method's own
+  bool bdf = false;        ///< backward differentiation formulas instead of NDFs
+  bool projected = false;  ///< the steps are projected, which Newton's iteration does not see
 };
 
-/// What an implicit method needs beyond f. `mass` and `lapack` may be null: the identity, Eigen.
-struct LinearAlgebra {
-  Jacobian jacobian;
-  Mass* mass = nullptr;
-  const Lapack* lapack = nullptr;
+/// Which M of M y' = f(t, y) a method takes.
+enum class MassMatrices { none, constant_regular, any };
+
+/// A raw continuous extension under its name in files, and the sizes that its data may have.
+struct Extension {
+  const char* name;
+  Interpolate evaluate;
+  bool (*fits)(std::size_t size, std::size_t n);
 };
 
-/// A named method: data, citation, and how its step is made.
+/// A method as data: what it is called, what it can do, where it comes from, how a step of it is made.
 struct Method {
+  static constexpr std::size_t most_options = 8;
+
   const char* name;
   const char* family;
-  int min_order;
-  int order;
-  int extension_order;
-  int stages;      ///< evaluations of f per step; 0: they are not a fixed number
-  int extra;       ///< evaluations of f for the first look into a step
-  int iterations;  ///< of the projection in a step
-  int refine;      ///< points per step of the suite's function of this name
   const char* source;
-  std::span<const char* const> options;  ///< names of the options that not every method takes, and this one does
-  bool implicit;                         ///< needs LinearAlgebra
-  Interpolate interpolate;
-  std::unique_ptr<Step> (*make)(Callback& f, const Weights& weights, const MethodOptions& options,
-                                const LinearAlgebra* linear);
+  const char* scipy_name = nullptr;  ///< of the corresponding method of `scipy.integrate.solve_ivp`
+  bool scipy_bdf = false;            ///< that name implies the option `bdf`
+  int min_order;
+  int order;            ///< the highest
+  int extension_order;  ///< of the formula of highest order
+  int stages = 0;       ///< calls of f in a step of a Runge-Kutta pair; 0: not a fixed number
+  int extra = 0;        ///< calls of f that output or events inside a step take
+  int iterations = 1;   ///< of the projection in a step (paper, section 4)
+  int refine = 1;       ///< points per step that the function of this name returns
+  std::array<const char*, most_options> options{};  ///< those that not every method takes, and this one does
+  MassMatrices mass = MassMatrices::none;
+  const Extension* extension;
+  std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
+                                const LinearAlgebra& linear);
+
+  [[nodiscard]] std::unique_ptr<Step> step(Callback& f, const Weights& weights, const MethodOptions& told = {},
+                                           const LinearAlgebra& linear = {}) const {
+    return make(*this, f, weights, told, linear);
+  }
+  [[nodiscard]] bool takes(std::string_view option) const;
+  [[nodiscard]] bool implicit() const { return takes("jac"); }
+  [[nodiscard]] bool fixed_order() const { return min_order == order; }
 };
 
-std::span<const Method> methods();
+[[nodiscard]] std::span<const Method> methods();
 /// Null: there is none of that name.
-const Method* find_method(std::string_view name);
+[[nodiscard]] const Method* find_method(std::string_view name);
+[[nodiscard]] const Extension* find_extension(std::string_view name);
+[[nodiscard]] const Extension* find_extension(Interpolate evaluate);
 
 }  // namespace invariode

@@ -1,25 +1,43 @@
 #pragma once
 // Explicit Runge-Kutta pairs with local extrapolation and FSAL, driven by tableaux (docs/algorithms.md, 'Runge-Kutta').
 
+#include <array>
+#include <cstddef>
 #include <memory>
 
+#include "methods/dop853.hpp"
+#include "methods/ode23.hpp"
+#include "methods/ode45.hpp"
+#include "methods/ode78.hpp"
+#include "methods/ode89.hpp"
 #include "step.hpp"
-#include "methods/tableaux.hpp"
 
-namespace invariode {
+namespace invariode::runge_kutta {
 
 /// What the first stage of the step after a projection is: `reuse` takes f(t₁, y*), already computed, which changes the
 /// result by O(h^{q+1}) and saves an evaluation per step (paper, section 4); `evaluate` computes f(t₁, y₁).
 enum class Fsal { reuse, evaluate };
 
 /// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
-void nested(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+void nested_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
-std::unique_ptr<Step> ode23_step(Callback& f, const Weights& weights, Fsal fsal);
-std::unique_ptr<Step> ode45_step(Callback& f, const Weights& weights, Fsal fsal);
-/// f(t₁, y₁) has no part in the error estimates of these: it is evaluated once y₁ is known, so that `Fsal` makes no
-/// difference.
-std::unique_ptr<Step> dop853_step(Callback& f, const Weights& weights);
-std::unique_ptr<Step> ode78_step(Callback& f, const Weights& weights);
+template <const auto&... T>
+struct Tableaux {
+  static constexpr std::size_t count = sizeof...(T);
+};
 
-}  // namespace invariode
+/// The pairs: a new one needs a file with its tableau and a place here.
+using Pairs = Tableaux<bogacki_shampine, dormand_prince, dormand_prince_853, verner_87, verner_98>;
+
+using MakePair = std::unique_ptr<Step> (*)(Callback& f, const Weights& weights, Fsal fsal);
+
+/// The pairs compiled for few equations, where vector instructions cost more than they gain: what f has just written
+/// one number at a time cannot be read two at a time before it has reached the cache (docs/benchmarks.md, 'Native
+/// functions').
+extern const std::array<MakePair, Pairs::count> pairs_for_few;
+/// The same for any number of equations.
+extern const std::array<MakePair, Pairs::count> pairs_for_many;
+/// Up to so many equations are few.
+inline constexpr std::size_t few = 8;
+
+}  // namespace invariode::runge_kutta

@@ -2,24 +2,27 @@
 // The step of all explicit Runge-Kutta pairs.
 
 #include <array>
+#include <cmath>
 #include <memory>
 #include <utility>
 #include <vector>
 
 #include "methods/runge_kutta.hpp"
+#include "methods/runge_kutta_kernel.hpp"
+#include "step.hpp"
 
 namespace invariode::runge_kutta {
 
 inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
 inline constexpr double largest_growth = 5;  // of h after a success
 
-/// The pair T. `Few`: compiled for few equations, without vector instructions, by core/runge_kutta_few.cpp.
+/// The pair T. `Few`: compiled for few equations, without vector instructions, by runge_kutta_few.cpp.
 template <const auto& T, bool Few>
 class Pair final : public Step {
   static constexpr std::size_t stages = T.stages;
   static constexpr std::size_t last = stages - 1;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
-  static constexpr bool last_in_error = T.E[last] != 0;        // else it is evaluated once y₁ is known
+  using Kernel = runge_kutta::Kernel<T, double, Few>;
 
  public:
   Pair(Callback& f, const Weights& weights, Fsal fsal)
@@ -58,8 +61,8 @@ class Pair final : public Step {
     error_ = std::numeric_limits<double>::quiet_NaN();
     Outcome outcome = inner_stages(h, std::make_index_sequence<last - 1>{});
     if (outcome == Outcome::ok) {
-      form_candidate();
-      if constexpr (last_in_error) outcome = evaluate(t1, candidate_, last);
+      Kernel::candidate(y_.data(), purified_, k_, n(), candidate_);
+      if constexpr (T.last_in_error()) outcome = evaluate(t1, candidate_, last);
     }
     if (outcome == Outcome::ok) error_ = error_norm();
     return {outcome, error_, candidate_};
@@ -79,7 +82,7 @@ class Pair final : public Step {
 
   Outcome accept(const double* y1) override {
     projected_ = y1 != candidate_ && !std::equal(y1, y1 + n(), candidate_);
-    if constexpr (!last_in_error) {
+    if constexpr (!T.last_in_error()) {
       const Outcome outcome = evaluate(t1_, y1, last);
       if (outcome == Outcome::stop) return outcome;
       if (outcome != Outcome::ok || !all_finite(k_[last], n())) return Outcome::not_finite;
@@ -100,7 +103,7 @@ class Pair final : public Step {
     return Outcome::ok;
   }
 
-  [[nodiscard]] Interpolate interpolate() const override { return nested; }
+  [[nodiscard]] Interpolate interpolate() const override { return nested_polynomial; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }
@@ -114,7 +117,7 @@ class Pair final : public Step {
       if (extra_stage(k, finite) == Status::stop) return Status::stop;
     data = std::copy(start_, start_ + n(), data);
     if (finite)
-      coefficients(data, std::make_index_sequence<T.degree>{});
+      Kernel::coefficients(purified_, k_, n(), data);
     else
       cubic(data);
     return Status::ok;
@@ -136,24 +139,11 @@ class Pair final : public Step {
 
   /// The last stage of the accepted step is the first of the next one (FSAL).
   void advance_memory() {
-    if (last_in_error && projected_ && fsal_ == Fsal::evaluate)
+    if (T.last_in_error() && projected_ && fsal_ == Fsal::evaluate)
       std::swap(k_[0], reevaluated_);
     else
       std::swap(k_[0], k_[last]);
     accepted_ = false;
-  }
-
-  /// Σ_j w(j) k_j[i] over the stages j < Count whose weight, known at compile time, is not zero.
-  template <std::size_t Count, class W>
-  [[nodiscard]] double dot(W w, std::size_t i) const {
-    return [&]<std::size_t... J>(std::index_sequence<J...>) {
-      double sum = 0;
-      const auto add = [&]<std::size_t j>(std::integral_constant<std::size_t, j> index) {
-        if constexpr (w(index) != 0) sum += w(index) * k_[j][i];
-      };
-      (add(std::integral_constant<std::size_t, J>{}), ...);
-      return sum;
-    }(std::make_index_sequence<Count>{});
   }
 
   /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later
@@ -174,52 +164,24 @@ class Pair final : public Step {
 
   template <std::size_t I>
   Outcome stage(double h) {
-    for (std::size_t i = 0; i < n(); ++i) stage_[i] = y_[i] + h * dot<I>([](auto j) { return T.A[I][j]; }, i);
+    Kernel::template argument<I>(y_.data(), h, k_, n(), stage_);
     return evaluate(t_ + T.c[I] * h, stage_, I);
   }
 
   /// A stage of the extension; its k may turn out not to be finite.
   Status extra_stage(std::size_t k, bool& finite) {
-    const double h = purified_;
-    for (std::size_t i = 0; i < n(); ++i) {
-      double sum = 0;
-      for (std::size_t j = 0; j < k; ++j) sum += T.A[k][j] * k_[j][i];
-      stage_[i] = start_[i] + h * sum;
-    }
+    Kernel::extension_argument(k, start_, purified_, k_, n(), stage_);
     finite = finite && all_finite(stage_, n());
     if (!finite) return Status::ok;
-    const Status status = f_(t1_ - (1 - T.c[k]) * h, stage_, k_[k]);
+    const Status status = f_(t1_ - (1 - T.c[k]) * purified_, stage_, k_[k]);
     finite = all_finite(k_[k], n());
     return status;
   }
 
-  /// y* = y + (t₁ − t) Σ b_k k_k
-  void form_candidate() {
-    for (std::size_t i = 0; i < n(); ++i)
-      candidate_[i] = y_[i] + purified_ * dot<last>([](auto j) { return T.b()[j]; }, i);
-  }
-
   /// |h| ‖Σ E_k k_k‖ with weights max(|y|, |y*|, thr)
   [[nodiscard]] double error_norm() const {
-    MaxNorm norm, crude;
-    for (std::size_t i = 0; i < n(); ++i) {
-      const double w = weights_.at(i, y_[i], candidate_[i]);
-      norm.add(dot<stages>([](auto j) { return T.E[j]; }, i) / w);
-      if constexpr (T.crude_order > 0) crude.add(dot<stages>([](auto j) { return T.crude[j]; }, i) / w);
-    }
-    double error = norm.value();
-    if (T.crude_order > 0 && error > 0) error *= error / std::hypot(error, 0.1 * crude.value());
-    return std::abs(purified_) * error;
-  }
-
-  /// Coefficients of the continuous extension: (t₁ − t) Σ_k B_kj k_k
-  template <std::size_t... J>
-  void coefficients(double* data, std::index_sequence<J...>) const {
-    const auto fill = [&]<std::size_t J1>(std::integral_constant<std::size_t, J1>) {
-      for (std::size_t i = 0; i < n(); ++i)
-        data[J1 * n() + i] = purified_ * dot<T.all_stages>([](auto k) { return T.B[k][J1]; }, i);
-    };
-    (fill(std::integral_constant<std::size_t, J>{}), ...);
+    const auto weight = [this](std::size_t i) { return weights_.at(i, y_[i], candidate_[i]); };
+    return std::abs(purified_) * Kernel::template error<MaxNorm>(k_, n(), weight);
   }
 
   /// The cubic Hermite interpolant, where f is not defined at a stage of the extension.
@@ -250,10 +212,11 @@ class Pair final : public Step {
   bool projected_ = false;  // y₁ differs from y*
 };
 
-/// The pair T compiled for few equations, where vector instructions cost more than they gain: what f has just written
-/// one number at a time cannot be read two at a time before it has reached the cache (docs/benchmarks.md, 'Native
-/// functions').
-template <const auto& T>
-std::unique_ptr<Step> step_for_few(Callback& f, const Weights& weights, Fsal fsal);
+template <bool Few, const auto&... T>
+constexpr std::array<MakePair, sizeof...(T)> factories(Tableaux<T...>) {
+  return {[](Callback& f, const Weights& weights, Fsal fsal) -> std::unique_ptr<Step> {
+    return std::make_unique<Pair<T, Few>>(f, weights, fsal);
+  }...};
+}
 
 }  // namespace invariode::runge_kutta

@@ -61,33 +61,33 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
   occurrences_.reserve(functions_.size() * intervals_);
 }
 
-Events::Result Events::evaluate(std::size_t event, double t, const double* y, double& value) {
-  if (functions_[event].function(t, y, &value) == Status::stop) return Result::stop;
-  if (!std::isnan(value)) return Result::ok;
+Outcome Events::evaluate(std::size_t event, double t, const double* y, double& value) {
+  if (functions_[event].function(t, y, &value) == Status::stop) return Outcome::stop;
+  if (!std::isnan(value)) return Outcome::ok;
   undefined_ = {event, t};
-  return Result::undefined;
+  return Outcome::not_finite;
 }
 
-Events::Result Events::start(double t, const double* y) {
+Outcome Events::start(double t, const double* y) {
   for (std::size_t e = 0; e < count(); ++e) {
-    if (const Result result = evaluate(e, t, y, last_[e]); result != Result::ok) return result;
+    if (const Outcome outcome = evaluate(e, t, y, last_[e]); outcome != Outcome::ok) return outcome;
     if (std::exchange(functions_[e].asleep, false)) last_[e] = 0;
     sign_[e] = sign_of(last_[e]);
   }
-  return Result::ok;
+  return Outcome::ok;
 }
 
-Events::Result Events::restart(double t, const double* y) {
-  if (const Result result = start(t, y); result != Result::ok) return result;
+Outcome Events::restart(double t, const double* y) {
+  if (const Outcome outcome = start(t, y); outcome != Outcome::ok) return outcome;
   for (const Occurrence& occurrence : occurrences_)
     if (occurrence.t == t) {
       sign_[occurrence.event] = 0;
       last_[occurrence.event] = 0;
     }
-  return Result::ok;
+  return Outcome::ok;
 }
 
-Events::Result Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
+Outcome Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
   step_ = {t0, t1, y1, &interpolant};
   intervals_ = static_cast<std::size_t>(std::max(degree, fewest_points)) + 1;
   occurrences_.clear();
@@ -98,45 +98,45 @@ Events::Result Events::search(double t0, double t1, const double* y1, int degree
   times_[intervals_] = t1;
 
   for (std::size_t e = 0; e < count(); ++e) {
-    if (const Result result = scan(e, false); result != Result::ok) return result;
+    if (const Outcome outcome = scan(e, false); outcome != Outcome::ok) return outcome;
     if (!brackets_.empty() && interpolant.projects())  // decide on the values that will be returned
-      if (const Result result = scan(e, true); result != Result::ok) return result;
+      if (const Outcome outcome = scan(e, true); outcome != Outcome::ok) return outcome;
     for (const Bracket& bracket : brackets_) {
       const int direction = sign_of(values_[bracket.b] == 0 ? -values_[bracket.a] : values_[bracket.b]);
       if (functions_[e].direction != 0 && sign_of(functions_[e].direction) != direction) continue;
       double root = times_[bracket.b];
-      if (const Result result = locate(e, bracket, root); result != Result::ok) return result;
+      if (const Outcome outcome = locate(e, bracket, root); outcome != Outcome::ok) return outcome;
       occurrences_.push_back({e, root});
     }
     last_[e] = values_[intervals_];
     sign_[e] = sign_after_;
   }
   if (!occurrences_.empty()) settle();
-  return Result::ok;
+  return Outcome::ok;
 }
 
 /// y at the interior points of the scan, once for all events.
-Events::Result Events::points(bool projected) {
-  if (std::exchange(points_known_[projected], true)) return Result::ok;
+Outcome Events::points(bool projected) {
+  if (std::exchange(points_known_[projected], true)) return Outcome::ok;
   for (std::size_t j = 1; j < intervals_; ++j) {
     double* y = points_[projected].data() + (j - 1) * n_;
     const Status status =
         projected ? step_.interpolant->value(times_[j], y) : step_.interpolant->corrected(times_[j], y);
-    if (status == Status::stop) return Result::stop;
+    if (status == Status::stop) return Outcome::stop;
   }
-  return Result::ok;
+  return Outcome::ok;
 }
 
 /// Values of the event along the step, and the brackets that they show.
-Events::Result Events::scan(std::size_t event, bool projected) {
-  if (const Result result = points(projected); result != Result::ok) return result;
+Outcome Events::scan(std::size_t event, bool projected) {
+  if (const Outcome outcome = points(projected); outcome != Outcome::ok) return outcome;
   values_[0] = last_[event];
   for (std::size_t j = 1; j <= intervals_; ++j) {
     const double* y = j < intervals_ ? points_[projected].data() + (j - 1) * n_ : step_.y1;
-    if (const Result result = evaluate(event, times_[j], y, values_[j]); result != Result::ok) return result;
+    if (const Outcome outcome = evaluate(event, times_[j], y, values_[j]); outcome != Outcome::ok) return outcome;
   }
   find_brackets(event);
-  return Result::ok;
+  return Outcome::ok;
 }
 
 void Events::find_brackets(std::size_t event) {
@@ -156,19 +156,19 @@ void Events::find_brackets(std::size_t event) {
   sign_after_ = sign;
 }
 
-Events::Result Events::locate(std::size_t event, const Bracket& bracket, double& root) {
-  if (values_[bracket.b] == 0) return Result::ok;  // the scan hit it
-  Result result = Result::ok;
+Outcome Events::locate(std::size_t event, const Bracket& bracket, double& root) {
+  if (values_[bracket.b] == 0) return Outcome::ok;  // the scan hit it
+  Outcome outcome = Outcome::ok;
   const auto e = [&](double t, double& value) {
     if (step_.interpolant->value(t, y_.data()) == Status::stop)
-      result = Result::stop;
+      outcome = Outcome::stop;
     else
-      result = evaluate(event, t, y_.data(), value);
-    return result == Result::ok;
+      outcome = evaluate(event, t, y_.data(), value);
+    return outcome == Outcome::ok;
   };
   const double width = location_ulps * step_ulp();
   find_root(e, times_[bracket.a], values_[bracket.a], times_[bracket.b], values_[bracket.b], width, root);
-  return result;
+  return outcome;
 }
 
 /// The unit of time in the step, which also holds where t passes through 0.

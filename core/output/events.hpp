@@ -32,23 +32,21 @@ struct Occurrence {
 /// only once.
 class Events {
  public:
-  enum class [[nodiscard]] Result { ok, stop, undefined };
-
   Events(std::vector<EventFunction> functions, std::size_t n, int max_degree);
 
   [[nodiscard]] bool empty() const { return functions_.empty(); }
   [[nodiscard]] std::size_t count() const { return functions_.size(); }
 
   /// Takes the signs at the start of the integration.
-  Result start(double t, const double* y);
+  Outcome start(double t, const double* y);
 
   /// Finds the roots in the accepted step from t0 to (t1, y1), in the order of integration, and counts them. The first
   /// one that is terminal or has an action ends the list, together with those that tie with it. `degree`: of the
   /// extension of this step.
-  Result search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant);
+  Outcome search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant);
 
   /// Takes the signs after a jump at t to y. The events that have just occurred sleep until they have left zero.
-  Result restart(double t, const double* y);
+  Outcome restart(double t, const double* y);
 
   /// Of the last search.
   [[nodiscard]] const std::vector<Occurrence>& occurrences() const { return occurrences_; }
@@ -56,7 +54,7 @@ class Events {
   /// Whether an action is to be taken at the last occurrence.
   [[nodiscard]] bool acts() const { return acts_; }
   [[nodiscard]] EventFunction& function(std::size_t event) { return functions_[event]; }
-  /// Of a result `undefined`: the event that is NaN, and where.
+  /// Of an outcome `not_finite`: the event that is NaN, and where.
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
  private:
@@ -69,11 +67,11 @@ class Events {
     std::size_t a, b;  // indices into the scan; equal where the event is exactly zero there
   };
 
-  Result evaluate(std::size_t event, double t, const double* y, double& value);
-  Result points(bool projected);
-  Result scan(std::size_t event, bool projected);
+  Outcome evaluate(std::size_t event, double t, const double* y, double& value);
+  Outcome points(bool projected);
+  Outcome scan(std::size_t event, bool projected);
   void find_brackets(std::size_t event);
-  Result locate(std::size_t event, const Bracket& bracket, double& root);
+  Outcome locate(std::size_t event, const Bracket& bracket, double& root);
   void settle();
   [[nodiscard]] double step_ulp() const;
 

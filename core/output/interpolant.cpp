@@ -38,55 +38,64 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   return Status::ok;
 }
 
-StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Invariants* invariants, Projector* projector)
+StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps)
     : step_(step),
-      invariants_(invariants),
-      interpolant_(step.n(), invariants ? invariants->m() : 0, mode, step.interpolate(), projector),
+      invariants_(between ? &between->invariants() : nullptr),
+      projector_(steps),
+      interpolant_(step.n(), invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between),
+      start_y_(step.n()),
       g_end_(interpolant_.m_) {}
 
-void StepInterpolant::begin(double t0, const double* y0, const double* w) {
+void StepInterpolant::start_at(double t, const double* y) {
+  start_t_ = t;
+  std::copy(y, y + start_y_.size(), start_y_.begin());
+}
+
+void StepInterpolant::accept() {
   made_ = false;
-  t0_ = t0;
-  t1_ = step_.t();
-  y0_ = y0;
-  w_ = w;
+  end_t_ = step_.t();
 }
 
 Status StepInterpolant::make() {
   if (made_) return Status::ok;
-  const std::size_t n = interpolant_.n_, m = interpolant_.m_;
+  const std::size_t n = interpolant_.n_;
   const std::size_t raw_size = step_.extension_size();
   size_ = raw_size + interpolant_.overhead();
   if (data_.empty()) data_.resize(step_.max_extension_size() + interpolant_.overhead());
-  double* next = data_.data();
-  if (step_.extension(next) == Status::stop) return Status::stop;
+  if (step_.extension(data_.data()) == Status::stop) return Status::stop;
   if (interpolant_.mode_ != Interpolation::raw) {
-    double* e0 = next + raw_size;
+    double* e0 = data_.data() + raw_size;
     double* e1 = e0 + n;
     interpolant_.raw_(data_.data(), raw_size, n, 0, e0);
     interpolant_.raw_(data_.data(), raw_size, n, 1, e1);
-    for (std::size_t i = 0; i < n; ++i) e0[i] = y0_[i] - e0[i];
+    for (std::size_t i = 0; i < n; ++i) e0[i] = start_y_[i] - e0[i];
     for (std::size_t i = 0; i < n; ++i) e1[i] = step_.y()[i] - e1[i];
-    if (m > 0) {
-      double* g0 = std::copy(w_, w_ + n, e1 + n);
-      double* g1 = g0 + m;
-      if (g_known_ && g_t_ == t0_)
-        std::copy(g_end_.begin(), g_end_.end(), g0);
-      else if (invariants_->evaluate(t0_, y0_, g0) == Status::stop)
-        return Status::stop;
-      if (invariants_->evaluate(t1_, step_.y(), g1) == Status::stop) return Status::stop;
-      std::copy(g1, g1 + m, g_end_.begin());
-      g_t_ = t1_;
-      g_known_ = true;
+    if (interpolant_.projects()) {
+      const std::span<const double> w = projector_->linearization().weights;
+      double* g0 = std::copy(w.begin(), w.end(), e1 + n);
+      if (residuals(g0, g0 + interpolant_.m_) == Status::stop) return Status::stop;
     }
   }
   made_ = true;
   return Status::ok;
 }
 
+/// g at both ends of the step.
+Status StepInterpolant::residuals(double* g0, double* g1) {
+  if (g_known_ && g_t_ == start_t_)
+    std::copy(g_end_.begin(), g_end_.end(), g0);
+  else if (invariants_->evaluate(start_t_, start_y_.data(), g0) == Status::stop)
+    return Status::stop;
+  if (invariants_->evaluate(end_t_, step_.y(), g1) == Status::stop) return Status::stop;
+  std::copy(g1, g1 + g_end_.size(), g_end_.begin());
+  g_t_ = end_t_;
+  g_known_ = true;
+  return Status::ok;
+}
+
 Segment StepInterpolant::segment() {
-  if (make() == Status::stop) return {t0_, t1_, nullptr, 0};
-  return {t0_, t1_, data_.data(), size_};
+  if (make() == Status::stop) return {start_t_, end_t_, nullptr, 0};
+  return {start_t_, end_t_, data_.data(), size_};
 }
 
 Status StepInterpolant::value(double t, double* y) {

@@ -62,10 +62,18 @@ class Interpolant {
 /// that nobody looks into costs nothing.
 class StepInterpolant {
  public:
-  StepInterpolant(Step& step, Interpolation mode, Invariants* invariants, Projector* projector);
+  /// `between`: projects the points between steps; `steps`: has projected the step, and knows its weights. Null without
+  /// invariants.
+  StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps);
 
-  /// A step from (t0, y0) to the step's present (t, y) was accepted. `w`: the weights it was projected with.
-  void begin(double t0, const double* y0, const double* w);
+  /// The step that is to come starts at (t, y).
+  void start_at(double t, const double* y);
+  [[nodiscard]] double start_t() const { return start_t_; }
+  [[nodiscard]] const double* start_y() const { return start_y_.data(); }
+  /// To be moved before the step begins only: by a projection of the start, by actions of events.
+  [[nodiscard]] double* start_y() { return start_y_.data(); }
+  /// The step's present (t, y) was accepted.
+  void accept();
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
 
@@ -77,16 +85,17 @@ class StepInterpolant {
 
  private:
   Status make();
+  Status residuals(double* g0, double* g1);
 
   Step& step_;
   Invariants* invariants_;
+  const Projector* projector_;
   Interpolant interpolant_;
+  double start_t_ = 0, end_t_ = 0;
+  std::vector<double> start_y_;
   std::vector<double> data_;
   std::size_t size_ = 0;
   bool made_ = false;
-  double t0_ = 0, t1_ = 0;
-  const double* y0_ = nullptr;
-  const double* w_ = nullptr;
   double g_t_ = 0;  // g_end_ is g at this t, if known
   bool g_known_ = false;
   std::vector<double> g_end_;

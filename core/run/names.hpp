@@ -6,14 +6,14 @@
 #include <optional>
 #include <string_view>
 
-#include "integrate.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/invariants.hpp"
-#include "methods/runge_kutta.hpp"
+#include "methods/registry.hpp"
 #include "output/interpolant.hpp"
+#include "report.hpp"
 #include "step.hpp"
 
 namespace invariode {

@@ -1,10 +1,10 @@
 #include "run/points.hpp"
 
-#include <cmath>
 #include <stdexcept>
 
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
+#include "slope.hpp"
 
 namespace invariode {
 namespace {
@@ -32,9 +32,7 @@ std::optional<std::vector<double>> distances(const Problem& problem, const Weigh
   std::vector<double> d(points.count * m);
   for (std::size_t p = 0; p < points.count; ++p) {
     if (projector.linearize_at(points.t[p], points.y + p * problem.n) == Outcome::stop) return {};
-    for (std::size_t i = 0; i < m; ++i)
-      if (projector.row_norm(i) > 0)
-        d[p * m + i] = std::abs(projector.residual()[i]) / projector.row_norm(i) / weights.rtol();
+    for (std::size_t i = 0; i < m; ++i) d[p * m + i] = projector.linearization().distance(i) / weights.rtol();
   }
   return d;
 }
@@ -49,7 +47,7 @@ std::optional<ImposedPoints> impose(const Problem& problem, const Weights& weigh
                     .iterations = std::vector<std::int64_t>(points.count)};
   for (std::size_t p = 0; p < points.count; ++p) {
     double* y = all.y.data() + p * n;
-    const Projector::Imposed imposed = projector.impose(points.t[p], y);
+    const Imposed imposed = projector.impose(points.t[p], y);
     if (imposed.outcome == Outcome::stop) return {};
     if (g.residual(points.t[p], y, all.residual.data() + p * m) == Status::stop) return {};
     all.converged[p] = imposed.converged;
@@ -61,7 +59,8 @@ std::optional<ImposedPoints> impose(const Problem& problem, const Weights& weigh
 std::optional<PointExamination> examine(const Problem& problem, const Weights& weights, double t, const double* y) {
   if (!problem.f) throw std::invalid_argument("only an f conserves invariants: the problem has none");
   Invariants g = bound(problem, weights);
-  Guard guard(g, weights, problem.f);
+  ExplicitSlope slope(problem.f);
+  Guard guard(g, weights, slope);
   PointExamination all;
   constexpr double any_step = 1;  // a point has no step; increments of t are taken for one of this size
   const Outcome outcome = guard.examine(t, y, any_step, all.invariants);
@@ -83,11 +82,12 @@ std::optional<ConsistentStart> consistent_start(const Problem& problem, const We
     throw std::invalid_argument("algebraic equations come from f and a mass matrix: the problem lacks one of them");
   const LinearTerms& linear = *problem.linear;
   Callback f = problem.f;
-  Jacobian jacobian = make_jacobian(linear, weights);
+  const Jacobian jacobian = make_jacobian(linear, weights);
   Mass mass = *linear.mass;
   ConsistentStart start{.y0 = std::vector<double>(y0, y0 + problem.n), .verdict = {}};
-  start.verdict =
-      make_consistent(f, jacobian, mass, weights, linear.lapack ? &*linear.lapack : nullptr, t0, start.y0.data());
+  const LinearAlgebra algebra{
+      .jacobian = &jacobian, .mass = &mass, .lapack = linear.lapack ? &*linear.lapack : nullptr};
+  start.verdict = make_consistent(f, algebra, weights, t0, start.y0.data());
   if (start.verdict == Consistency::stop) return {};
   return start;
 }

@@ -12,7 +12,7 @@ void require(bool right, const std::string& what) {
 }
 
 void require_settings(const Settings& settings) {
-  require(settings.hmax > 0, "max_step must be positive: infinity for no cap");
+  require(settings.hmax > 0 || settings.t0 == settings.tf, "max_step must be positive: infinity for no cap");
   require(settings.refine >= 1, "refine must be at least 1");
   require(settings.output_at_times || settings.times.empty(), "times are given and not asked for");
 }
@@ -47,7 +47,7 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require_sizes(problem_, weights_);
   require_settings(settings_);
   require(static_cast<bool>(problem_.f), "the problem has no f");
-  require(!method_.implicit || problem_.linear,
+  require(!method_.implicit() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
   options_.projected = !problem_.invariants.empty();
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));

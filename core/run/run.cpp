@@ -35,16 +35,20 @@ void Run::copy_linear_terms() {
   mass_ = solver_.problem().linear->mass;
 }
 
-const Lapack* Run::lapack() const {
-  const std::optional<LinearTerms>& linear = solver_.problem().linear;
-  return linear && linear->lapack ? &*linear->lapack : nullptr;
+LinearAlgebra Run::linear_algebra() {
+  if (!jacobian_) return {};
+  const std::optional<Lapack>& lapack = solver_.problem().linear->lapack;
+  return {.jacobian = &*jacobian_, .mass = mass_ ? &*mass_ : nullptr, .lapack = lapack ? &*lapack : nullptr};
 }
 
 /// y' as a function, by which invariants are tested.
 void Run::derive_slope() {
-  manifold_.slope = f_;
-  if (mass_ && !solver_.problem().invariants.empty())
-    manifold_.slope = mass_slope_.emplace(f_, *jacobian_, *mass_, solver_.weights(), lapack()).callback();
+  if (solver_.problem().invariants.empty()) return;
+  if (mass_)
+    slope_ = std::make_unique<MassSlope>(f_, linear_algebra(), solver_.weights());
+  else
+    slope_ = std::make_unique<ExplicitSlope>(f_);
+  manifold_.slope = slope_.get();
 }
 
 void Run::bind_invariants() {
@@ -77,10 +81,7 @@ Invariants Run::with_algebraic_equations() {
 }
 
 void Run::start_loop() {
-  std::optional<LinearAlgebra> linear;
-  if (jacobian_) linear.emplace(LinearAlgebra{*jacobian_, mass_ ? &*mass_ : nullptr, lapack()});
-  std::unique_ptr<Step> step =
-      solver_.method().make(f_, solver_.weights(), solver_.options(), linear ? &*linear : nullptr);
+  std::unique_ptr<Step> step = solver_.method().step(f_, solver_.weights(), solver_.options(), linear_algebra());
   integration_.emplace(std::move(step), solver_.weights(), manifold_, solver_.problem().events,
                        solver_.problem().callback, solver_.settings());
 }
@@ -88,8 +89,7 @@ void Run::start_loop() {
 Consistency Run::prepare(double t0, double* y0) {
   Consistency verdict = Consistency::consistent;
   Callback uncounted = f_;  // nfev is what the method evaluates
-  if (mass_ && mass_->singular())
-    verdict = make_consistent(uncounted, *jacobian_, *mass_, solver_.weights(), lapack(), t0, y0);
+  if (mass_ && mass_->singular()) verdict = make_consistent(uncounted, linear_algebra(), solver_.weights(), t0, y0);
   if (steps_ && steps_->hold(t0, y0) == Status::stop) return Consistency::stop;
   if (between_ && between_->hold(t0, y0) == Status::stop) return Consistency::stop;
   return verdict;
@@ -98,7 +98,7 @@ Consistency Run::prepare(double t0, double* y0) {
 void Run::count_evaluations(RunResult& result) const {
   result.nfev = f_.calls();
   if (!steps_) return;
-  result.nfev_check = mass_slope_ ? mass_slope_->evaluations() : integration_->guard()->calls();
+  result.nfev_check = slope_->evaluations();
   result.ng = steps_->calls();
   result.ngjac = steps_->jacobian_calls();
   result.ngdiff = steps_->derivative_calls();

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <iterator>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -14,6 +15,7 @@
 #include "linear/mass.hpp"
 #include "manifold/invariants.hpp"
 #include "run/problem.hpp"
+#include "slope.hpp"
 
 namespace invariode {
 
@@ -80,7 +82,7 @@ class Run {
   void start_loop();
   void count_evaluations(RunResult& result) const;
   void describe_invariants(RunResult& result) const;
-  [[nodiscard]] const Lapack* lapack() const;
+  LinearAlgebra linear_algebra();
 
   const Solver& solver_;
   Callback f_;
@@ -89,7 +91,7 @@ class Run {
   std::optional<Jacobian> jacobian_;
   std::optional<Mass> mass_;
 
-  std::optional<MassSlope> mass_slope_;
+  std::unique_ptr<Slope> slope_;
   std::optional<AlgebraicConstraints> algebraic_;
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too
   std::optional<Invariants> between_;  // where those differ, the user's invariants alone

@@ -6,17 +6,20 @@ laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72
 
 from importlib.metadata import version
 
-from .check import CheckReport, check_invariants
+from . import ode_functions
+from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
-from .discovery import PolynomialInvariant, find_invariants
 from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ensemble
 from .events import Event
-from .export import load
+from .invariant_check import CheckReport, check_invariants
+from .invariant_search import PolynomialInvariant, find_invariants
 from .invariants import ImposeResult, InvariantError, Invariants, impose
+from .ivp import solve_ivp
+from .loading import load
 from .methods import METHODS, Method
+from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps
-from .suite import dop853, ode15s, ode23, ode45, ode78, ode113, solve_ivp
 
 __all__ = [
     "METHODS",
@@ -39,17 +42,14 @@ __all__ = [
     "Steps",
     "check_invariants",
     "compile",
-    "dop853",
     "find_invariants",
     "impose",
     "load",
-    "ode15s",
-    "ode23",
-    "ode45",
-    "ode78",
-    "ode113",
     "solve_ensemble",
     "solve_ivp",
 ]
+__all__ += ode_functions.__all__
 
 __version__ = version("invariode")
+
+announce_moves()

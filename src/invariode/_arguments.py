@@ -11,7 +11,8 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from copy import copy
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
+
+_Value = TypeVar("_Value")
 
 _quiet = ContextVar("quiet", default=False)
 
@@ -67,7 +70,7 @@ def function(name: str, value: object, signature: str) -> Any:
 
 
 def number(name: str, value: object) -> float:
-    """A real number; NaN is none."""
+    """A real number, and not NaN."""
     try:
         result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
     except (TypeError, ValueError):
@@ -121,6 +124,11 @@ def interval(t_span: object) -> tuple[float, float]:
     if math.isinf(t0):
         raise ValueError(f"t_span[0] must be finite, got {t0!r}")
     return t0, tf
+
+
+def kept(value: _Value) -> _Value:
+    """What was given, to be kept: a copy of what the caller can change."""
+    return value if value is None or isinstance(value, float) else copy(value)
 
 
 def numbers(name: str, value: ArrayLike) -> Array:

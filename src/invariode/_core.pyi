@@ -39,7 +39,7 @@ class Linear:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
@@ -169,6 +169,9 @@ class Dense:
     @property
     def n(self) -> int:
         """Reals in a state."""
+
+    @property
+    def complex(self) -> bool: ...
 
     def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
@@ -437,6 +440,14 @@ class Method:
 
     @property
     def source(self) -> str: ...
+
+    @property
+    def scipy_name(self) -> str | None:
+        """Of the corresponding method of `scipy.integrate.solve_ivp`, or None."""
+
+    @property
+    def scipy_bdf(self) -> bool:
+        """That name implies the option bdf."""
 
     @property
     def options(self) -> tuple: ...

@@ -4,7 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["COLOURS", "DASHES", "IMPOSED", "INK", "LOOK", "PLAIN", "PROJECTED", "QUIET"]
+__all__ = [
+    "AXES",
+    "BLACK",
+    "COLOURS",
+    "DASHES",
+    "GRID",
+    "IMPOSED",
+    "INK",
+    "LOOK",
+    "MUTED",
+    "PAGE",
+    "PLAIN",
+    "PROJECTED",
+    "QUIET",
+    "SHADE",
+]
 
 #: The palette of Okabe and Ito (https://jfly.uni-koeln.de/color), which all kinds of colour vision tell apart, without
 #: its yellow, which is too faint for lines on white.
@@ -16,6 +31,25 @@ DASHES = (("-", "--"), ("-.", ":"))
 #: What colours stand for where runs are compared: without projection, with it, imposed afterwards.
 PROJECTED, PLAIN, IMPOSED = COLOURS[:3]
 QUIET, INK = "#8a8f98", "#20242c"
+#: Axes and their numbers, grids, and ranges that are shaded.
+AXES, GRID, SHADE = "#555b66", "#e4e7ec", "#eef0f3"
+#: A colour for one thing more than the palette has.
+BLACK = "#000000"
+
+#: For what stands in the background, one for each kind of thing.
+MUTED = ("#8c8c8c", "#5f8f8f", "#b08f5f", "#9aa35a", "#9b8fc0", "#404040", "#c09090")
+
+#: Pages: background, behind code, text, secondary text, lines and heavier lines of tables, what agrees, what differs.
+PAGE = {
+    "paper": "#ffffff",
+    "tint": "#f3f5f8",
+    "ink": INK,
+    "quiet": "#626a76",
+    "line": "#dfe3e9",
+    "rule": "#aab1bc",
+    "good": "#1d7a55",
+    "bad": "#c02942",
+}
 
 LOOK: dict[Any, Any] = {  # rc parameters, which mypy knows by name; in force while figures of our own are made
     "axes.axisbelow": True,

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypedDict
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ._arguments import Array
 
-if TYPE_CHECKING:
-    from .invariants import Invariants
+__all__ = [
+    "EventFunction",
+    "EventsLike",
+    "Fsal",
+    "Function",
+    "Interpolation",
+    "JacobianKind",
+    "Keep",
+    "LowLevelCallable",
+    "MethodName",
+    "Numbers",
+    "Span",
+]
 
 
 class LowLevelCallable(Protocol):
@@ -26,7 +36,6 @@ class LowLevelCallable(Protocol):
 Function: TypeAlias = Callable[..., Any] | LowLevelCallable
 EventFunction: TypeAlias = Callable[..., float] | LowLevelCallable
 EventsLike: TypeAlias = EventFunction | Sequence[EventFunction] | None
-InvariantsLike: TypeAlias = "Function | Invariants | Iterable[Function | Invariants]"
 
 #: One number or several. `ArrayLike` has strings too.
 Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array
@@ -37,55 +46,4 @@ MethodName: TypeAlias = str | type[Any]
 Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
-Save: TypeAlias = Literal["all", "outputs", "end"]
-
-
-class StepOptions(TypedDict, total=False):
-    """The options of every kind of solve; `invariode.solve_ivp` says what they mean."""
-
-    rtol: Numbers
-    atol: Numbers
-    first_step: float | None
-    max_step: float | None
-    interpolation: Interpolation
-    fsal: Fsal
-    max_order: int | None
-    bdf: bool | None
-    callback: Callable[[float, Array], object] | None
-    save: Save | None
-    check: bool
-    min_step: float | None
-
-
-class EnsembleOptions(StepOptions, total=False):
-    """Those of `solve_ensemble`."""
-
-    t_eval: ArrayLike | None
-
-
-class RefinedOptions(StepOptions, total=False):
-    """Those of `solve_ivp` that its signature does not spell out."""
-
-    refine: int
-    progress: bool
-
-
-class Options(RefinedOptions, total=False):
-    """Those of `Problem.solve`."""
-
-    t_eval: ArrayLike | None
-    dense_output: bool
-
-
-class AllOptions(Options, total=False):
-    """Those of the suite's functions: with what describes a problem."""
-
-    events: EventsLike
-    vectorized: bool
-    args: Iterable[Any] | None
-    invariants: InvariantsLike | None
-    jac: Any
-    jac_sparsity: Any
-    lband: int | None
-    uband: int | None
-    mass: Any
+Keep: TypeAlias = Literal["all", "outputs", "end"]

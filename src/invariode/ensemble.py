@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 import os
-import pickle
-import signal
-import warnings
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing, suppress
-from multiprocessing.connection import Connection
-from multiprocessing.connection import wait as wait_for_any
-from multiprocessing.context import BaseContext
+from contextlib import closing
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -22,7 +15,6 @@ from numpy.typing import ArrayLike
 from . import _core
 from ._arguments import (
     Array,
-    choice,
     extra_arguments,
     flag,
     interval,
@@ -32,17 +24,22 @@ from ._arguments import (
     state,
     warn,
 )
-from ._outcome import inconsistent_start
+from ._docstrings import documented
+from ._messages import inconsistent_start
+from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
+from ._processes import may_start, solve_rows
 from ._progress import bar
-from ._types import EnsembleOptions, EventsLike, Function, InvariantsLike, MethodName, Span
+from ._types import EventsLike, Function, MethodName, Span
 from .compiled import native_parameters
+from .description import Description
 from .invariants import as_columns
-from .problem import Plan, Problem
-from .solution import Record
+from .plan import Plan, make_plan, solver
+from .result import Record
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
 _STATUS = {"reached_end": 0, "terminal_event": 1, "stopped_by_callback": 2, "invariant_convicted": -2}
+_OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
 _EXCEPTIONS = ("invariant_refused", "event_undefined", "action_undefined", "interrupted")
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 # States that only trajectories of an ensemble have.
@@ -106,9 +103,9 @@ class EnsembleSolution(Record):
     y_end : ndarray, (N, n)
         The state there.
     status : ndarray of int, (N,)
-        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 an invariant is none,
-        -3 what ends a single solve with an exception: the initial value is off a demanded manifold, not consistent or
-        not finite, an invariant or an event is refused, a function raised.
+        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
+        invariant is not conserved, -3 what ends a single solve with an exception: the initial value is off a demanded
+        manifold, not consistent or not finite, an invariant or an event is refused, a function raised.
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str
@@ -154,6 +151,7 @@ class EnsembleSolution(Record):
         return text
 
 
+@documented(options=table_of(EnsembleOptions))
 def solve_ensemble(
     fun: Function,
     t_span: Span,
@@ -161,13 +159,8 @@ def solve_ensemble(
     method: MethodName = "ode45",
     *,
     args: Iterable[Any] | ArrayLike | None = None,
-    invariants: InvariantsLike | None = None,
     events: EventsLike = None,
-    jac: Any = None,
-    jac_sparsity: Any = None,
-    lband: int | None = None,
-    uband: int | None = None,
-    mass: Any = None,
+    t_eval: ArrayLike | None = None,
     workers: int | None = None,
     progress: bool = False,
     **options: Unpack[EnsembleOptions],
@@ -179,20 +172,23 @@ def solve_ensemble(
 
     Parameters
     ----------
-    fun, t_span, method, invariants, events, jac, jac_sparsity, lband, uband, mass
-        As in `solve_ivp`. An invariant without `value` is held at its initial value of each trajectory.
+    fun, t_span, method, events
+        As in `solve_ivp`.
     y0 : array_like of shape (N, n) or (n,)
         Initial states, one row per trajectory, or one for all.
     args : tuple, or array or list of shape (N, k), optional
         A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i;
         those of a list may be of any types.
+    t_eval : array_like, optional
+        Times of the output, sorted in the direction of integration. Default: the final states are kept, and no others.
     workers : int, optional
         Threads or processes. Default: the processors that this process may use.
-    progress : bool
+    progress : bool, default False
         Whether a progress bar is shown (needs rich).
-    **options
-        Those of `solve_ivp` but for `dense_output` and `refine`. With `t_eval` the states at these times are kept,
-        without it the final ones.
+
+    Other Parameters
+    ----------------
+    {options}
 
     Returns
     -------
@@ -208,11 +204,15 @@ def solve_ensemble(
 
     Notes
     -----
+    An invariant without `value` is held at its initial value of each trajectory. The options are those of `solve_ivp`
+    but for `dense_output` and `refine`.
+
     Where all functions are native (`invariode.compile` and the like), trajectories run on threads in the core, which
     take work from each other as they run out of it; memory is the result plus a few vectors per thread. Otherwise they
     run in processes, and each function must be importable there: on platforms without fork define it in a module, guard
-    the script by ``if __name__ == "__main__":``, or give ``workers=1``, which stays in this process. The result takes
-    8 (n n_t + 2 n + 3 m) + 120 bytes per trajectory, and 8 (n + 2) per event that occurred.
+    the script by ``if __name__ == "__main__":``, or give ``workers=1``, which stays in this process; so
+    does, with a warning, an ensemble in a daemonic process. Workers end with this process, however it ends. The result
+    takes 8 (n n_t + 2 n + 3 m) + 120 bytes per trajectory, and 8 (n + 2) per event that occurred.
 
     Examples
     --------
@@ -224,33 +224,35 @@ def solve_ensemble(
     >>> np.allclose(out.y_end[:, 0], np.exp([-1, -2]), rtol=1e-7)
     True
     """
-    describing = {
-        "invariants": invariants,
-        "events": events,
-        "jac": jac,
-        "jac_sparsity": jac_sparsity,
-        "lband": lband,
-        "uband": uband,
-        "mass": mass,
-    }
-    for name, harmless in (("dense_output", False), ("refine", 1)):
-        if options.get(name, harmless) != harmless:
-            raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
-    if (save := options.get("save")) is not None:
-        choice("save", save, ("all", "outputs", "end"))
-    if options.get("t_eval") is None:
-        if save in ("all", "outputs"):
-            raise ValueError(f"save={save!r} of an ensemble needs t_eval: trajectories have steps of their own")
-        options["save"] = "end"
+    describing, running = parted(options, DescribingOptions)
+    described = _Described(fun, interval(t_span), events, describing)
+    run_options = _options_of_each(running, t_eval)
     workers = positive_integer("workers", _processors() if workers is None else workers)
     rows, extra = _rows(y0, args)
-    task = _Task(fun, interval(t_span), describing, method, options, rows, extra)
+    task = _Task(described, method, run_options, rows, extra)
     if len(rows) == 0:
         raise ValueError("an ensemble needs at least one row of y0 or args")
     plan = task.first_plan()
     with bar(flag("progress", progress), "trajectories", len(rows)) as report:
-        native = plan.solver_object().native
+        native = solver(plan).native
         return (_on_threads if native else _in_processes)(task, plan, min(workers, len(rows)), report)
+
+
+def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
+    """The options of each trajectory."""
+    for name, value in given.items():
+        if name in _OF_SINGLE_RUNS and value != TABLE[name].default:
+            raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
+    options = given.copy()
+    if t_eval is not None:
+        options["t_eval"] = t_eval
+        return options
+    for name, kept in (("keep", given.get("keep")), ("save", given.get("save"))):
+        if kept in ("all", "outputs"):
+            raise ValueError(f"{name}={kept!r} of an ensemble needs t_eval: trajectories have steps of their own")
+    if options.get("save") is None:
+        options["keep"] = "end"
+    return options
 
 
 def _processors() -> int:
@@ -289,25 +291,32 @@ def _no_rows(got: str) -> ValueError:
 
 
 @dataclasses.dataclass
+class _Described:
+    """What describes all trajectories."""
+
+    fun: Any
+    t_span: tuple[float, float]
+    events: EventsLike
+    others: DescribingOptions
+
+
+@dataclasses.dataclass
 class _Task:
     """What is to be solved; picklable if the functions are."""
 
-    fun: Any
-    t_span: tuple[float, ...]
-    describing: dict[str, Any]
+    described: _Described
     method: MethodName
-    options: Any
+    options: Options
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
 
-    def problem(self, i: int) -> Problem:
+    def plan(self, i: int) -> Plan:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
         if isinstance(args, np.ndarray):
             args = tuple(args.tolist())
-        return Problem(self.fun, self.t_span, self.y0[i], args=args, **self.describing)
-
-    def plan(self, i: int) -> Plan:
-        return self.problem(i).plan(self.method, **self.options)
+        about = self.described
+        problem = Description(about.fun, about.t_span, self.y0[i], args=args, events=about.events, **about.others)
+        return make_plan(problem, self.method, self.options)
 
     def first_plan(self) -> Plan:
         """The plan of the first trajectory that has one. What fails for many is wrong for all, and raised."""
@@ -323,13 +332,13 @@ class _Task:
 
 
 def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) -> EnsembleSolution:
-    times = plan.solver["times"]
+    times = plan.settings.times
     if dropped := int((counts[:, -1] > 0).sum()):
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
     stats = dict(zip(_core.COUNTS, counts.T, strict=True))
     del stats["dropped"]
     return EnsembleSolution(
-        t=np.array([plan.solver["tf"]]) if times is None else times,
+        t=np.array([plan.settings.tf]) if times is None else times,
         y=y_end[:, :, None].copy() if times is None else y,
         y_end=y_end,
         success=fields["status"] >= 0,
@@ -344,7 +353,7 @@ def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) 
 
 def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     y0 = np.ascontiguousarray(task.y0)
-    solvers = [plan.solver_object() for _ in range(workers)]
+    solvers = [solver(plan) for _ in range(workers)]
     run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
     dtype = y0.dtype
     states = run.take_states()
@@ -368,13 +377,13 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
 
 def _parameters(task: _Task, plan: Plan) -> Array:
     """The parameters of the native functions, one row for each trajectory."""
-    size, p = len(task.y0), plan.solver["parameters"]
+    size, p = len(task.y0), plan.functions.parameters
     if isinstance(task.args, tuple):
         return np.ascontiguousarray(np.broadcast_to(p, (size, len(p))))
     try:
         return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except ValueError:  # arguments of different shapes
-        return np.stack([native_parameters(row, [task.fun]) for row in task.args])
+        return np.stack([native_parameters(row, [task.described.fun]) for row in task.args])
 
 
 def _messages(task: _Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
@@ -389,7 +398,7 @@ def _messages(task: _Task, plan: Plan, run: _core.EnsembleRun, states: Array) ->
         except ValueError as error:
             messages[i] = _as_text(error)
     for code, verdict in _INCONSISTENT.items():
-        text = f"ValueError: {inconsistent_start(verdict, plan.solver['t0'])}"
+        text = f"ValueError: {inconsistent_start(verdict, plan.settings.t0)}"
         messages.update(dict.fromkeys(np.flatnonzero(states == code).tolist(), text))
     return dict(sorted(messages.items()))
 
@@ -436,25 +445,25 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
     try:
         with quietly():  # the first plan has said it
             plan = task.plan(i)
-        run = plan.solver_object().integrate(plan.y0.view(float))
+        run = solver(plan).integrate(plan.y0.view(float))
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
         return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # sys.exit in a function too
         return _Outcome(i, -3, _as_text(error), None)
 
 
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     bound = plan.bound
     if jumps := run.take_jumps():
-        bound = dataclasses.replace(
-            bound, jumps=tuple(jumps), forward=1 if plan.solver["tf"] >= plan.solver["t0"] else -1
-        )
+        bound = bound.jumped(jumps, forward=plan.settings.forward)
     t, rows, t_end, end = run.take_points()
     y = as_columns(rows, dtype)
     y_end = y[:, -1] if end is None else end.view(dtype)
     counts = np.array(run.counts)
-    counts[_NG] += bound.evaluations  # before the run, as in `Problem._solution`
+    counts[_NG] += bound.evaluations  # before the run, as in a single run
     counts[_NGDIFF] += bound.evaluations - len(bound.specs)
     before, _, correction = run.take_drift()
     after = np.zeros(len(bound))
@@ -465,7 +474,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     return _Row(
         t_end=t_end,
         y_end=y_end,
-        y=y if plan.solver["times"] is not None else y[:, :0],
+        y=y if plan.settings.times is not None else y[:, :0],
         counts=counts,
         value=bound.value,
         before=before[: len(bound)],
@@ -480,10 +489,10 @@ class _Rows:
 
     def __init__(self, task: _Task, plan: Plan) -> None:
         size, n = task.y0.shape
-        times, m = plan.solver["times"], len(plan.bound)
+        times, m = plan.settings.times, len(plan.bound)
         self.plan = plan
         self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
-        self.t_end, self.y_end = np.full(size, plan.solver["t0"], dtype=float), task.y0.copy()
+        self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), task.y0.copy()
         self.status = np.full(size, -3, dtype=np.int8)
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)
@@ -534,6 +543,9 @@ class _Rows:
 
 def _in_processes(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     rows, done = _Rows(task, plan), 0
+    if workers > 1 and not may_start():
+        warn("a daemonic process cannot start workers, and solves the ensemble alone: start it with daemon=False")
+        workers = 1
     with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
         for outcomes in chunks:
             for outcome in outcomes:
@@ -550,112 +562,8 @@ def _here(task: _Task) -> Generator[list[_Outcome]]:
 
 
 def _elsewhere(task: _Task, workers: int) -> Generator[list[_Outcome]]:
-    """Chunks of outcomes from worker processes, as they end. A trajectory that kills its process is a failure."""
-    context = multiprocessing.get_context()
-    if context.get_start_method() != "fork":
-        _require_picklable(task)
-    size = len(task.y0)
-    chunk = max(1, min(256, size // (8 * workers)))
-    left = deque(range(i, min(i + chunk, size)) for i in range(0, size, chunk))
-    crew: list[_Worker] = []
-    try:
-        for _ in range(workers):
-            crew.append(_Worker(context, task))
-        while True:
-            for worker in crew:
-                if left and worker.chunk is None:
-                    worker.give(left.popleft())
-            busy = {worker.connection: worker for worker in crew if worker.chunk is not None}
-            if not busy:
-                break
-            for connection in wait_for_any(list(busy)):
-                worker = busy[connection]  # type: ignore[index]  # they are among those that were waited for
-                chunk_of_it, outcomes = worker.take()
-                if outcomes is None:
-                    if all(one.row.value < 0 for one in crew):
-                        raise RuntimeError(_NOTHING_SOLVED)
-                    outcomes, again = _narrowed(chunk_of_it, worker.row.value)
-                    left.extendleft(again)
-                    worker.end(at_once=True)
-                    crew[crew.index(worker)] = _Worker(context, task)
-                if outcomes:
-                    yield outcomes
-    except BaseException:
-        for worker in crew:
-            worker.end(at_once=True)
-        raise
-    for worker in crew:
-        worker.end()
+    return solve_rows(partial(_solve_one, task), len(task.y0), workers, _died)
 
 
-def _narrowed(chunk: range, row: int) -> tuple[list[_Outcome], list[range]]:
-    """What becomes of a chunk whose process died at `row`, and what of it is left to be solved: `row` alone, in case
-    that it was not to blame, and those before and behind it."""
-    if len(chunk) == 1:
-        why = "the worker process died: fun ended the process, or memory ran out"
-        return [_Outcome(chunk.start, -3, why, None)], []
-    row = row if row in chunk else chunk.start
-    parts = range(chunk.start, row), range(row, row + 1), range(row + 1, chunk.stop)
-    return [], [part for part in parts if part]
-
-
-class _Worker:
-    """A process that solves one chunk after the other, and says at which row it is."""
-
-    def __init__(self, context: BaseContext, task: _Task) -> None:
-        self.connection, theirs = context.Pipe()
-        self.row = context.RawValue("q", -1)
-        self.chunk: range | None = None  # what it is solving
-        self._process = context.Process(target=_work, args=(task, theirs, self.row))  # type: ignore[attr-defined]  # all contexts have it
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
-            self._process.start()
-        theirs.close()  # theirs alone, it ends with them
-
-    def give(self, chunk: range) -> None:
-        self.chunk = chunk
-        with suppress(OSError):  # it has died: `take` will see it
-            self.connection.send(chunk)
-
-    def take(self) -> tuple[range, list[_Outcome] | None]:
-        """The chunk that was given, and its outcomes. None: the process has died."""
-        chunk, self.chunk = self.chunk, None
-        assert chunk is not None
-        try:
-            return chunk, self.connection.recv()
-        except (EOFError, OSError):
-            return chunk, None
-
-    def end(self, at_once: bool = False) -> None:
-        if at_once:
-            self._process.kill()
-        with suppress(OSError):  # closing alone ends no process whose siblings have inherited this end
-            self.connection.send(None)
-        self.connection.close()
-        self._process.join()
-
-
-def _work(task: _Task, connection: Connection, row: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
-    while (chunk := connection.recv()) is not None:
-        outcomes = []
-        for i in chunk:
-            row.value = i
-            outcomes.append(_solve_one(task, i))
-        connection.send(outcomes)
-
-
-_NOTHING_SOLVED = (
-    "the worker processes end before they solve anything: where processes are started afresh, define the functions in "
-    'a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
-)
-
-
-def _require_picklable(task: _Task) -> None:
-    try:
-        pickle.dumps(task)
-    except Exception as error:
-        raise TypeError(
-            f"the functions of this ensemble cannot be sent to other processes ({error}): define them in a module, "
-            "compile them (invariode.compile), or solve with workers=1"
-        ) from error
+def _died(i: int) -> _Outcome:
+    return _Outcome(i, -3, "the worker process died: fun ended the process, or memory ran out", None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from ._arguments import Array, call_name, flag, function
 from ._types import EventFunction, EventsLike, Function
@@ -21,7 +21,7 @@ class Event:
     ----------
     fun : callable
         ``fun(t, y, *args) -> float``, with y of shape (n,). Its sign changes are events; a touch
-        without a sign change is none. An event that is zero at the start is reported only after it has left zero.
+        without a sign change is not. An event that is zero at the start is reported only after it has left zero.
         NaN is an error.
     terminal : bool or int, default False
         True ends the integration at the first occurrence, a positive integer at that occurrence.
@@ -112,8 +112,19 @@ def direction_sign(event: Event) -> int:
         raise TypeError(f"direction of {event.__name__} must be a number, got {direction!r}") from None
 
 
-def event_spec(event: Event, n: int, p: Array) -> tuple[Any, int, int, str, Any, bool]:
+class EventSpec(NamedTuple):
+    """An event in the form that the core takes."""
+
+    fun: Any
+    terminal: int  # the occurrence that ends the integration, 0 for none
+    direction: int
+    name: str
+    action: Any
+    rehold: bool
+
+
+def event_spec(event: Event, n: int, p: Array) -> EventSpec:
     """The event as the core takes it; n and p for native ones."""
     fun = to_native(f"event {event.__name__}", event.fun, n, 1, p, event=True)
     action = to_native(f"the action of event {event.__name__}", event.action, n, n, p)
-    return fun, terminal_count(event), direction_sign(event), event.__name__, action, event.rehold
+    return EventSpec(fun, terminal_count(event), direction_sign(event), event.__name__, action, event.rehold)

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol, cast, overload
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,10 +25,10 @@ from ._arguments import (
     reals,
     tolerances,
 )
-from ._types import Function, InvariantsLike, JacobianKind, Numbers
+from ._types import Function, JacobianKind, Numbers
 from .compiled import is_native, native_parameters, to_native
 
-__all__ = ["ImposeResult", "InvariantError", "Invariants", "impose"]
+__all__ = ["ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
 
 
 #: How a Jacobian can be had without a function for it.
@@ -39,7 +39,7 @@ _NEGLIGIBLE = 0.01
 
 
 class InvariantError(ValueError):
-    """An invariant contradicts the problem: its value at the start, its Jacobian, or that it is none."""
+    """An invariant contradicts the problem: its value at the start, or its Jacobian, or f does not keep it."""
 
 
 class Invariants:
@@ -107,6 +107,10 @@ class Invariants:
         return f"{type(self).__name__}({', '.join(self.names or [call_name(self.fun, 'g')])}{held})"
 
 
+#: Invariants as arguments: a function, an `Invariants`, or several of these.
+InvariantsLike: TypeAlias = Function | Invariants | Iterable[Function | Invariants]
+
+
 def _values(value: ArrayLike) -> Array:
     try:
         values = np.atleast_1d(np.array(value, dtype=float))
@@ -138,11 +142,29 @@ def to_invariants(invariants: object) -> list[Invariants]:
     raise TypeError(f"invariants must be a function g(t, y), an Invariants, or a list of these, got {invariants!r}")
 
 
+class InvariantSpec(NamedTuple):
+    """An invariant in the form that the core takes."""
+
+    fun: Any
+    jac: Any  # a function, or how the Jacobian is computed without one
+    m: int  # number of its values
+    name: str
+    held: bool  # at its initial value; False: at one that was demanded
+
+
+class Jump(NamedTuple):
+    """Where the action of an event gave the invariants new values."""
+
+    row: int  # of the output, from which on they hold
+    t: float
+    value: Array
+
+
 @dataclass
 class BoundInvariants:
     """Invariants together with the values they are held at and the arguments of their functions."""
 
-    specs: list[tuple[Any, Any, int, str, bool]]
+    specs: list[InvariantSpec]
     value: Array
     names: list[str]
     args: tuple[Any, ...]
@@ -151,19 +173,33 @@ class BoundInvariants:
     negligible: float = 0.0
     evaluations: int = 0  # of the functions, so far
 
-    jumps: tuple[tuple[int, float, Array], ...] = ()  # (row of the output, t, values from there on)
+    jumps: tuple[Jump, ...] = ()
     forward: float = 1.0
 
     def __len__(self) -> int:
         return len(self.value)
 
+    @property
+    def demanded(self) -> list[bool]:
+        """Of each value, whether it was demanded."""
+        return [not spec.held for spec in self.specs for _ in range(spec.m)]
+
+    @property
+    def last_value(self) -> Array:
+        """At what the invariants are held at the end of the run."""
+        return self.jumps[-1].value[: len(self)] if self.jumps else self.value
+
+    def jumped(self, jumps: Iterable[tuple[int, float, Array]], forward: float) -> BoundInvariants:
+        """The same with the jumps of a run in the direction `forward`."""
+        return replace(self, jumps=tuple(Jump(*jump) for jump in jumps), forward=forward)
+
     def pieces_of_output(self, size: int) -> Array:
         """Between which jumps each point of the output lies."""
-        return np.searchsorted([row for row, _, _ in self.jumps], np.arange(size), side="right")
+        return np.searchsorted([jump.row for jump in self.jumps], np.arange(size), side="right")
 
     def pieces_at(self, t: Array, side: Literal["left", "right"]) -> Array:
         """The same at times; `side`: which of two one-sided values is meant."""
-        times = self.forward * np.array([at for _, at, _ in self.jumps])
+        times = self.forward * np.array([jump.t for jump in self.jumps])
         return np.searchsorted(times, self.forward * np.asarray(t), side=side)
 
     def _each(self, pieces: Array | None, size: int) -> Iterator[tuple[Array, Array]]:
@@ -172,7 +208,7 @@ class BoundInvariants:
             yield np.arange(size), self.value
             return
         for piece in np.unique(pieces):
-            yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1][2]
+            yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1].value
 
     def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
         """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t)."""
@@ -202,10 +238,14 @@ class BoundInvariants:
             converged[here], residual[:, here], iterations[here] = done, left.T, spent
         return ImposeResult(points, converged, residual, iterations)
 
-    def _problem_of(self, y: Array, value: Array) -> _core.Problem:
-        return self.problem(reals(y), y.dtype.kind == "c", value)
+    def evaluate(self, dense: _core.Dense, t: Array) -> Array:
+        """The rows of a continuous solution of the core at t, projected between the steps where it is to be."""
+        return dense.evaluate(t, self._problem(dense.n, dense.complex, self.value))
 
-    def problem(self, n: int, is_complex: bool, value: Array) -> _core.Problem:
+    def _problem_of(self, y: Array, value: Array) -> _core.Problem:
+        return self._problem(reals(y), y.dtype.kind == "c", value)
+
+    def _problem(self, n: int, is_complex: bool, value: Array) -> _core.Problem:
         """The invariants alone, for the core; n: reals in a state."""
         return _core.Problem(
             n=n,
@@ -269,7 +309,7 @@ def bind(
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
             evaluations += probe.evaluations
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
-        specs.append((fun, kind, m, name, one.value is None))
+        specs.append(InvariantSpec(fun, kind, m, name, held=one.value is None))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     iterations = [one.iterations for one in invariants if one.iterations is not None]
@@ -286,8 +326,8 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> t
         raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
     m = max(told)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
-    alone = BoundInvariants([(fun, "3-point", m, name, False)], np.zeros(m), [name], (), p, None)
-    at_start = _core.residual(np.array([t]), y.view(float)[None], alone._problem_of(y, alone.value))[0]
+    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], (), p, None)
+    at_start = alone.residual(np.array([t]), y[:, None])[:, 0]
     if not all(map(math.isfinite, at_start.tolist())):
         raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
     return fun, at_start

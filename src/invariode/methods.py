@@ -18,6 +18,8 @@ class Method:
     ----------
     name : str
         As in MATLAB; of dop853, which is not there, as its authors call it.
+    summary : str
+        What it is and what it is for, in a few words.
     family : str
         What kind of method it is.
     min_order : int
@@ -46,6 +48,7 @@ class Method:
     """
 
     name: str
+    summary: str
     family: str
     min_order: int
     order: int
@@ -71,6 +74,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         for method in (
             Method(
                 name="ode23",
+                summary="the Bogacki-Shampine (2,3) pair, for crude tolerances",
                 family="explicit Runge-Kutta pair",
                 min_order=3,
                 order=3,
@@ -86,6 +90,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
             Method(
                 name="ode45",
+                summary="the Dormand-Prince (4,5) pair, the one to try first",
                 family="explicit Runge-Kutta pair",
                 min_order=5,
                 order=5,
@@ -102,6 +107,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
             Method(
                 name="dop853",
+                summary="the eighth-order pair DOP853, for tight tolerances and cheap f",
                 family="explicit Runge-Kutta pair",
                 min_order=8,
                 order=8,
@@ -117,6 +123,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
             Method(
                 name="ode78",
+                summary="Verner's (7,8) pair, for tight tolerances",
                 family="explicit Runge-Kutta pair",
                 min_order=8,
                 order=8,
@@ -132,6 +139,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
             Method(
                 name="ode113",
+                summary="Adams PECE formulas of order 1 to 12, for tight tolerances and costly f",
                 family="Adams PECE, variable order",
                 min_order=1,
                 order=12,
@@ -147,6 +155,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
             Method(
                 name="ode15s",
+                summary="NDFs of order 1 to 5, for stiff problems and M y' = f",
                 family="NDF (or BDF), variable order, for stiff problems and M y' = f",
                 min_order=1,
                 order=5,

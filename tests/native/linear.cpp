@@ -179,7 +179,7 @@ TEST(starts_are_made_consistent_or_refused) {
     Callback callback = as_callback(f);
     Jacobian jacobian = differences(weights);
     Mass mass(diagonal({1, 0}), {}, unit(2, {1}));
-    return make_consistent(callback, jacobian, mass, weights, nullptr, 0, y.data());
+    return make_consistent(callback, {.jacobian = &jacobian, .mass = &mass}, weights, 0, y.data());
   };
   const Function cubic = [](double, const double* y, double* out) {
     out[0] = -y[1], out[1] = y[1] * y[1] * y[1] + y[1] - y[0];
@@ -204,8 +204,8 @@ TEST(a_singular_iteration_matrix_ends_the_run_and_is_told) {
   const Weights weights(1e-3, {1e-3}, {});
   Callback f = as_callback(problem.f);
   Mass mass(diagonal({1}), {}, Mass::Basis(1, 0));
-  auto step = std::make_unique<Ndf>(f, weights, Jacobian(Jacobian::Kind::constant, diagonal({0}), {}, weights), &mass,
-                                    Ndf::Options{});
+  const Jacobian jacobian(Jacobian::Kind::constant, diagonal({0}), {}, weights);
+  auto step = named("ode15s").step(f, weights, {}, {.jacobian = &jacobian, .mass = &mass});
   Integration integration(std::move(step), weights, {}, {}, {}, {.tf = 1, .hmax = 0.1});
   CHECK(integration.start(problem.y0.data()) == State::running);
   CHECK(integration.advance() == State::running);

@@ -24,61 +24,53 @@ std::vector<double> backward_difference(int j, double t, double h, std::size_t n
   return sum;
 }
 
-/// A method that starts with the exact history of order k, and stays at that order and h.
-class FixedAdams : public Adams {
- public:
-  FixedAdams(Callback& f, const Weights& weights, int k) : Adams(f, weights), k_(k) {}
+/// ode113 with the exact history of order k, which it keeps.
+struct FixedAdams {
+  FixedAdams(Callback& f, const Weights& weights, int order) : k(order), step(f, weights, order, order) {}
 
   template <class Solution, class F>
   void begin(double t, double h, Solution solution, F f) {
-    std::vector<double> y(n());
+    const std::size_t n = step.n();
+    std::vector<double> y(n), differences;
     solution(t, y.data());
-    restart(t, y.data(), k_);
     const auto slope = [&](double at, double* out) {
-      std::vector<double> exact(n());
+      std::vector<double> exact(n);
       solution(at, exact.data());
       f(at, exact.data(), out);
     };
-    for (int i = 1; i <= k_; ++i) {
-      const std::vector<double> difference = backward_difference(i - 1, t, h, n(), slope);
-      std::copy(difference.begin(), difference.end(), phi(i));
-      psi_[static_cast<std::size_t>(i)] = i * h;
+    for (int i = 0; i < k; ++i) {
+      const std::vector<double> difference = backward_difference(i, t, h, n, slope);
+      differences.insert(differences.end(), difference.begin(), difference.end());
     }
-  }
-  Outcome accept(const double* y1) override {
-    const Outcome outcome = Adams::accept(y1);
-    order_ = k_;
-    return outcome;
+    step.start_from(t, y.data(), h, differences.data());
   }
 
- private:
-  int k_;
+  int k;
+  Adams step;
 };
 
-class FixedNdf : public Ndf {
- public:
-  FixedNdf(Callback& f, const Weights& weights, int k, bool bdf)
-      : Ndf(f, weights, differences(weights), nullptr, {.bdf = bdf}), k_(k) {}
+/// The same of ode15s.
+struct FixedNdf {
+  FixedNdf(Callback& f, const Weights& weights, int order, bool bdf)
+      : k(order),
+        jacobian(differences(weights)),
+        step(f, weights, {.jacobian = &jacobian}, {.max_order = order, .min_order = order, .bdf = bdf}) {}
 
   template <class Solution, class F>
   void begin(double t, double h, Solution solution, F) {
-    std::vector<double> y(n());
+    const std::size_t n = step.n();
+    std::vector<double> y(n), differences;
     solution(t, y.data());
-    (void)start(t, y.data(), {.tf = t + 1, .hmax = 1, .hmin = 0});
-    restart(t, y.data(), h, k_);
-    for (int j = 1; j <= k_; ++j) {
-      const std::vector<double> difference = backward_difference(j, t, h, n(), solution);
-      std::copy(difference.begin(), difference.end(), D(j));
+    for (int j = 1; j <= k; ++j) {
+      const std::vector<double> difference = backward_difference(j, t, h, n, solution);
+      differences.insert(differences.end(), difference.begin(), difference.end());
     }
-  }
-  Outcome accept(const double* y1) override {
-    const Outcome outcome = Ndf::accept(y1);
-    order_ = k_;
-    return outcome;
+    CHECK(step.start_from(t, y.data(), h, differences.data()) == Outcome::ok);
   }
 
- private:
-  int k_;
+  int k;
+  Jacobian jacobian;
+  Ndf step;
 };
 
 /// Largest error over [start, start + span] with `count` equal steps, projected or not.
@@ -92,9 +84,10 @@ double march(Problem problem, double start, double span, int count, bool project
   std::optional<Invariants> invariants;
   std::optional<Projector> projector;
   if (project) projector.emplace(invariants.emplace(make_invariants(problem, weights, true, {})), weights, 1);
-  Fixed step(f, weights, formula...);
+  Fixed fixed(f, weights, formula...);
   const double h = span / count;
-  step.begin(start, h, solution, problem.f);
+  fixed.begin(start, h, solution, problem.f);
+  Step& step = fixed.step;
   std::vector<double> y1(n), exact(n);
   double error = 0;
   for (int k = 0; k < count; ++k) {
@@ -102,7 +95,7 @@ double march(Problem problem, double start, double span, int count, bool project
     const Step::Attempt proposal = step.attempt(h, t1);
     CHECK(proposal.outcome == Outcome::ok && proposal.converged);
     std::copy(proposal.y, proposal.y + n, y1.begin());
-    if (project) CHECK(projector->project(t1, step.y(), y1.data()) == Outcome::ok);
+    if (project) CHECK(projector->project(t1, step.y(), y1.data()).outcome == Outcome::ok);
     CHECK(step.accept(y1.data()) == Outcome::ok);
     solution(t1, exact.data());
     error = std::max(error, distance(y1.data(), exact.data(), n));
@@ -190,8 +183,9 @@ TEST(bdfs_and_ndfs_of_order_k_have_order_k_projected_or_not) {
 TEST(formulas_integrate_polynomials_of_their_degree_to_roundoff_also_when_h_changes) {
   // Adams of order k with local extrapolation: degree k + 1. NDF of order k: degree k. h follows a fixed pattern.
   constexpr double pattern[] = {1, 1, 1, 0.5, 0.5, 1.25, 1.25, 0.75, 2, 1};
-  const auto run = [&](auto& step, const Problem& problem) {
-    step.begin(1, 0.1, [&](double t, double* y) { problem.solution(t, nullptr, y); }, problem.f);
+  const auto run = [&](auto& fixed, const Problem& problem) {
+    fixed.begin(1, 0.1, [&](double t, double* y) { problem.solution(t, nullptr, y); }, problem.f);
+    Step& step = fixed.step;
     double t = 1, exact = 0;
     for (const double factor : pattern) {
       const double h = 0.1 * factor;
@@ -207,26 +201,26 @@ TEST(formulas_integrate_polynomials_of_their_degree_to_roundoff_also_when_h_chan
     const check::Case label("Adams ", k);
     Problem problem = polynomial(k + 1);
     Callback f = as_callback(problem.f);
-    FixedAdams step(f, weights, k);
-    run(step, problem);
+    FixedAdams fixed(f, weights, k);
+    run(fixed, problem);
   }
   for (int k = 1; k <= Ndf::highest_order; ++k) {
     const check::Case label("NDF ", k);
     Problem problem = polynomial(k);
     Callback f = as_callback(problem.f);
-    FixedNdf step(f, weights, k, false);
-    run(step, problem);
+    FixedNdf fixed(f, weights, k, false);
+    run(fixed, problem);
   }
 }
 
 TEST(a_rejected_attempt_is_taken_back_to_roundoff) {
-  for (const Method* method : {&adams, &ndf}) {
+  for (const Method* method : {find_method("ode113"), find_method("ode15s")}) {
     const check::Case label(method->name);
     Problem problem = kepler(0.3);
     const Weights weights(1e-8, std::vector<double>(4, 1e-3), {});
     Callback f = as_callback(problem.f);
-    const std::unique_ptr<Step> bench = method->make(f, weights, Fsal::reuse);
-    const std::unique_ptr<Step> plain = method->make(f, weights, Fsal::reuse);
+    const std::unique_ptr<Step> bench = make_step(*method, f, weights);
+    const std::unique_ptr<Step> plain = make_step(*method, f, weights);
     for (Step* step : {bench.get(), plain.get()}) {
       CHECK(step->start(0, problem.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
       for (int k = 0; k < 20; ++k) {
@@ -256,7 +250,7 @@ TEST(an_ndf_step_stores_differences_of_the_projected_solution) {
   Problem problem = kepler(0.5);
   const Weights weights(1e-4, std::vector<double>(4, 1e-3), {});
   Callback f = as_callback(problem.f);
-  const std::unique_ptr<Step> step = ndf.make(f, weights, Fsal::reuse);
+  const std::unique_ptr<Step> step = make_step(named("ode15s"), f, weights);
   CHECK(step->start(0, problem.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
   std::vector<double> before = problem.y0;
   for (int k = 0; k < 10; ++k) {
@@ -277,7 +271,7 @@ TEST(an_ndf_step_stores_differences_of_the_projected_solution) {
 
 TEST(adams_evaluates_twice_a_step_and_once_a_failure_projected_or_not) {
   for (const Problem& problem : {kepler(0.5), without_invariants(kepler(0.5)), lotka_volterra()}) {
-    Run run(adams, problem);
+    Run run(named("ode113"), problem);
     CHECK(run.run() == State::reached_end);
     const Counts& counts = run->counts();
     CHECK(run->guard() == nullptr || counts.projections >= counts.steps);
@@ -299,7 +293,7 @@ TEST(the_stiff_circle_is_no_trap) {
                    .m = 1,
                    .g = [](double, const double* y, double* r) { r[0] = y[0] * y[0] + y[1] * y[1]; },
                    .jacobian = [](double, const double* y, double* J) { J[0] = 2 * y[0], J[1] = 2 * y[1]; }};
-    Run run(ndf, circle);
+    Run run(named("ode15s"), circle);
     CHECK(run.run() == State::reached_end);
     CHECK(run->counts().steps <= 250);
     CHECK(run->step().linear_work().jacobians >= 2);
@@ -313,7 +307,7 @@ TEST(newton_that_fails_with_an_old_jacobian_renews_it_and_keeps_h) {
   });
   const Weights weights(1e-3, {1e-3}, {});
   Callback f = as_callback(problem.f);
-  const std::unique_ptr<Step> step = ndf.make(f, weights, Fsal::reuse);
+  const std::unique_ptr<Step> step = make_step(named("ode15s"), f, weights);
   CHECK(step->start(0, problem.y0.data(), {.tf = 2, .hmax = 0.1, .hmin = 0}) == Outcome::ok);
   Step::Attempt proposal = step->attempt(0.01, 0.01);
   CHECK(step->accept(std::vector<double>{proposal.y[0]}.data()) == Outcome::ok);

@@ -1,9 +1,11 @@
 #pragma once
 // Problems, methods and runs that the native tests share.
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <functional>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -13,10 +15,10 @@
 #include <utility>
 #include <vector>
 
-#include "methods/adams.hpp"
 #include "integrate.hpp"
+#include "methods/adams.hpp"
 #include "methods/ndf.hpp"
-#include "methods/runge_kutta.hpp"
+#include "methods/registry.hpp"
 
 namespace invariode::test {
 
@@ -221,37 +223,40 @@ inline Problem without_invariants(Problem problem) {
 
 inline bool operator==(const Buffer<double>& a, const std::vector<double>& b) { return a.copy() == b; }
 
-struct Method {
-  const char* name;
-  std::unique_ptr<Step> (*make)(Callback& f, const Weights& weights, Fsal fsal);
-  int order;
-  int extension_order;
-  int iterations;  // of the projection, as in the paper
-  int stages = 0;  // calls of f in a step of a Runge-Kutta pair
-};
-
 inline Jacobian differences(const Weights& weights) {
   return {Jacobian::Kind::differences, Matrix({.n = weights.size()}), {}, weights};
 }
-inline std::unique_ptr<Step> ode113_step(Callback& f, const Weights& weights, Fsal) {
-  return std::make_unique<Adams>(f, weights);
+
+/// A step of a method, as runs with invariants have it: with a Jacobian by differences where it takes one.
+inline std::unique_ptr<Step> make_step(const Method& method, Callback& f, const Weights& weights,
+                                       Fsal fsal = Fsal::reuse) {
+  const Jacobian jacobian = differences(weights);
+  return method.step(f, weights, {.fsal = fsal, .projected = true}, {.jacobian = &jacobian});
 }
-inline std::unique_ptr<Step> ode15s_step(Callback& f, const Weights& weights, Fsal) {
-  return std::make_unique<Ndf>(f, weights, differences(weights), nullptr, Ndf::Options{.renew_on_error = true});
+
+/// The methods of the registry that a law is about.
+template <class Which>
+std::vector<Method> methods_that(Which which) {
+  std::vector<Method> chosen;
+  std::ranges::copy_if(methods(), std::back_inserter(chosen), which);
+  return chosen;
 }
-inline std::unique_ptr<Step> eighth_step(Callback& f, const Weights& weights, Fsal) { return dop853_step(f, weights); }
-inline std::unique_ptr<Step> verner_step(Callback& f, const Weights& weights, Fsal) { return ode78_step(f, weights); }
-/// First the Runge-Kutta pairs, of one order each; the last stage of the first two is part of their error estimate.
-inline const Method methods[] = {{"ode23", ode23_step, 3, 3, 1, 3},    {"ode45", ode45_step, 5, 4, 2, 6},
-                                 {"dop853", eighth_step, 8, 7, 2, 12}, {"ode78", verner_step, 8, 7, 2, 13},
-                                 {"ode113", ode113_step, 12, 12, 1},   {"ode15s", ode15s_step, 5, 5, 1}};
-inline const std::span pairs(methods, 4);
-inline const std::span fsal_pairs(methods, 2);
-inline const std::span waiting_pairs(methods + 2, 2);
-inline const std::span explicit_methods(methods, 5);
-inline const Method& ode78 = methods[3];
-inline const Method& adams = methods[4];
-inline const Method& ndf = methods[5];
+/// Pairs of one order, whose last stage is the first of the next step; those where it is part of the error estimate,
+/// and those where it waits for y₁.
+inline std::vector<Method> pairs() {
+  return methods_that([](const Method& m) { return m.stages > 0; });
+}
+inline std::vector<Method> fsal_pairs() {
+  return methods_that([](const Method& m) { return m.takes("fsal"); });
+}
+inline std::vector<Method> waiting_pairs() {
+  return methods_that([](const Method& m) { return m.stages > 0 && !m.takes("fsal"); });
+}
+inline std::vector<Method> explicit_methods() {
+  return methods_that([](const Method& m) { return !m.implicit(); });
+}
+inline const Method& named(std::string_view name) { return *find_method(name); }
+inline bool is(const Method& method, std::string_view name) { return method.name == name; }
 
 struct Options {
   double rtol = 1e-3;
@@ -284,15 +289,16 @@ class Run {
   Run(const Method& method, Problem p, Options options = {})
       : problem(std::move(p)),
         weights(options.rtol, std::vector<double>(problem.y0.size(), options.atol / options.rtol), {}),
-        f(as_callback(problem.f)) {
+        f(as_callback(problem.f)),
+        slope(f) {
     if (problem.m > 0) invariants.emplace(make_invariants(problem, weights, options.user_jacobian, options.value));
     Settings settings = options.settings;
     settings.tf = settings.tf != 0 ? settings.tf : problem.tf;
     settings.iterations = method.iterations;
     if (settings.hmax == 0) settings.hmax = std::abs(settings.tf - settings.t0) / 10;
     Invariants* g = invariants ? &*invariants : nullptr;
-    integration.emplace(method.make(f, weights, options.fsal), weights,
-                        Integration::Manifold{.steps = g, .between = g, .slope = f}, std::move(options.events),
+    integration.emplace(make_step(method, f, weights, options.fsal), weights,
+                        Integration::Manifold{.steps = g, .between = g, .slope = &slope}, std::move(options.events),
                         options.callback, std::move(settings));
   }
   Run(const Run&) = delete;
@@ -307,6 +313,7 @@ class Run {
   Problem problem;
   Weights weights;
   Callback f;
+  ExplicitSlope slope;
   std::optional<Invariants> invariants;
   std::optional<Integration> integration;
 };

@@ -58,7 +58,7 @@ struct Sample {
     Linear linear(matrix, target, weights);
     Projector projector(linear.invariants, weights, 1);
     Vector result = y;
-    CHECK(projector.project(0, from.data(), result.data()) == Outcome::ok);
+    CHECK(projector.project(0, from.data(), result.data()).outcome == Outcome::ok);
     if (dropped) *dropped = projector.dropped();
     return result;
   }
@@ -188,8 +188,9 @@ TEST(the_correction_reported_is_the_largest_move_in_units_of_the_weights) {
     Linear linear(s.J, s.value, s.weights);
     Projector projector(linear.invariants, s.weights, 1);
     Vector y = s.y;
-    CHECK(projector.project(0, s.from.data(), y.data()) == Outcome::ok);
-    CHECK_CLOSE(projector.correction(), s.difference(s.y, y), 0);
+    const Projected did = projector.project(0, s.from.data(), y.data());
+    CHECK(did.outcome == Outcome::ok && did.rank == static_cast<std::size_t>(s.J.rows()));
+    CHECK_CLOSE(did.correction, s.difference(s.y, y), 0);
   });
 }
 
@@ -203,7 +204,7 @@ TEST(impose_reaches_roundoff_and_keeps_points_that_have) {
       Projector projector(invariants, weights, 1);
       std::vector<double> y = problem.y0, r(problem.m), J(problem.m * n);
       for (std::size_t i = 0; i < n; ++i) y[i] += i % 2 ? 0.05 : -0.03;
-      Projector::Imposed imposed = projector.impose(0, y.data());
+      Imposed imposed = projector.impose(0, y.data());
       CHECK(imposed.outcome == Outcome::ok && imposed.converged && imposed.iterations < 20);
       CHECK(invariants.residual(0, y.data(), r.data()) == Status::ok);
       CHECK(invariants.jacobian(0, y.data(), J.data()) == Status::ok);
@@ -223,7 +224,7 @@ TEST(impose_leaves_points_that_do_not_converge_as_they_were) {
     Projector projector(invariants, weights, 1);
     const std::vector<double> before = {0.3, -0.4};
     std::vector<double> y = before;
-    const Projector::Imposed imposed = projector.impose(0, y.data());
+    const Imposed imposed = projector.impose(0, y.data());
     CHECK(imposed.outcome == Outcome::ok && !imposed.converged);
     CHECK(same_bits(y, before));
   }
@@ -245,8 +246,9 @@ TEST(an_invariant_or_jacobian_that_is_not_finite_fails_the_projection) {
       };
       Projector projector(linear.invariants, s.weights, 1);
       Vector y = s.y;
-      CHECK(projector.project(0, s.from.data(), y.data()) == Outcome::not_finite);
-      CHECK(projector.onto(0, projector.weights(), s.value.data(), y.data(), 3) == Outcome::not_finite);
+      CHECK(projector.project(0, s.from.data(), y.data()).outcome == Outcome::not_finite);
+      CHECK(projector.onto(0, projector.linearization().weights.data(), s.value.data(), y.data(), 3) ==
+            Outcome::not_finite);
     }
 }
 
@@ -326,14 +328,14 @@ TEST(a_candidate_that_is_close_enough_is_left_alone) {
   Invariants invariants = make_invariants(problem, weights, true, {});
   Projector projector(invariants, weights, 1, 0.01);
   double y[] = {1 + 5e-6, 0};  // the first candidate has no gradient to be judged by
-  CHECK(projector.project(0, problem.y0.data(), y) == Outcome::ok);
-  CHECK(!projector.skipped());
+  Projected did = projector.project(0, problem.y0.data(), y);
+  CHECK(did.outcome == Outcome::ok && !did.skipped);
   y[0] = 1 + 5e-6;
-  CHECK(projector.project(0, problem.y0.data(), y) == Outcome::ok);
-  CHECK(projector.skipped() && y[0] == 1 + 5e-6 && projector.correction() == 0);
-  CHECK_CLOSE(projector.distance_before()[0], 5e-6, 1e-9);
+  did = projector.project(0, problem.y0.data(), y);
+  CHECK(did.outcome == Outcome::ok && did.skipped && y[0] == 1 + 5e-6 && did.correction == 0);
+  CHECK_CLOSE(did.distance[0], 5e-6, 1e-9);
   y[0] = 1 + 5e-5;
-  CHECK(projector.project(0, problem.y0.data(), y) == Outcome::ok);
-  CHECK(!projector.skipped());
+  did = projector.project(0, problem.y0.data(), y);
+  CHECK(did.outcome == Outcome::ok && !did.skipped);
   CHECK_CLOSE(y[0], 1, 1e-8);
 }

@@ -40,7 +40,7 @@ TEST(a_run_of_each_method_keeps_its_invariant_and_reaches_the_end) {
     CHECK(result.nfev + result.nfev_check == oscillator.calls);
     CHECK(result.derivatives.size() == 1 && result.derivatives[0] == Derivative::given);
     CHECK(result.counted()[0] == result.counts.steps);
-    CHECK((result.linear.jacobians > 0) == method.implicit);
+    CHECK((result.linear.jacobians > 0) == method.implicit());
   }
 }
 
@@ -58,7 +58,7 @@ TEST(runs_of_one_solver_leave_no_trace_in_it) {
 
 TEST(with_a_singular_mass_invariants_hold_together_with_the_algebraic_equations) {
   for (const Method& method : methods()) {
-    if (!method.implicit) continue;
+    if (!method.implicit()) continue;
     const check::Case label(method.name);
     for (const double off : {0.0, 0.25}) {  // the algebraic component at the start, as far off
       ConstrainedOscillator problem;

@@ -9,6 +9,7 @@ from scipy import LowLevelCallable
 from scipy.integrate import solve_ivp
 
 import invariode as iv
+from invariode.scipy import ODE15S, ODE45
 
 Vector = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ sol = iv.solve_ivp(pendulum, [0, 10], np.array([1.0, 0.0]), "RK45", np.linspace(
 sol = iv.solve_ivp(pendulum, (0.0, np.inf), (1, 0), callback=lambda t, y: y[0] < 0, max_step=np.inf)
 sol = iv.solve_ivp(with_arguments, (0, 10), [1.0, 0.0], args=(1.0, 0.1), rtol=1e-6, atol=[1e-9, 1e-8])
 sol = iv.solve_ivp(pendulum, sol.t[[0, -1]], sol.y[:, -1], rtol=np.full(2, 1e-6), atol=np.float64(1e-9))
-sol = iv.solve_ivp(pendulum, (0, 1), [1j, 0], method="ode113", save="end", check=False, max_order=5)
+sol = iv.solve_ivp(pendulum, (0, 1), [1j, 0], method="ode113", keep="end", check=False, max_order=5)
 sol = iv.solve_ivp(pendulum, (0, 1), [1, 0], fsal="evaluate", interpolation="raw", refine=4, first_step=1e-3)
 for name in iv.METHODS:
     sol = iv.solve_ivp(pendulum, (0, 1), [1, 0], name)
@@ -68,6 +69,11 @@ sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], invariants=maybe)
 hit = iv.Event(bottom, terminal=3, direction=-1, action=kick, rehold=False)
 sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], events=[hit, bottom, lambda t, y: y[1]], dense_output=True)
 sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], events=iv.Event(lambda t, y: y[0], terminal=True))
+
+# One step at a time
+stepper = ODE45(pendulum, 0, [1.0, 0.0], 10, rtol=1e-6, invariants=energy, interpolation="raw")
+stepper.step()
+stiff = ODE15S(pendulum, 0, [1.0, 0.0], 10, bdf=True, jac=np.eye(2)).dense_output
 
 # Native functions
 native = iv.compile(pendulum)
@@ -93,6 +99,8 @@ again: iv.Solution = iv.load("orbit.npz", invariants=[energy, both], args=(1, 2)
 # Problem
 problem = iv.Problem(pendulum, (0, 10), [1, 0], invariants=energy, name="pendulum", labels=["angle", "speed"])
 sol = problem.solve("ode113", rtol=1e-6, dense_output=True)
+more = sol.extend(20, t_eval=None, max_step=0.1, progress=False).t_end + 1
+sol = problem.replace(y0=[2, 0], labels=None).solve(save="end")
 sol = problem.solve(method="ode15s", t_eval=np.linspace(0, 10), max_order=2)
 
 # Projection, checks, discovery
@@ -114,8 +122,8 @@ print(many.stats.steps.sum(), many.messages.get(3), many.events[0].t)
 
 # Pictures
 figure, (left, right) = plt.subplots(1, 2)
-sol.plot(left, components=["angle"], label="angle", lw=2)
-sol.plot_phase(0, 1, right)
+sol.plot(ax=left, components=["angle"], label="angle", lw=2)
+sol.plot_phase(0, 1, ax=right)
 sol.plot_drift(invariants=[energy]).set_title("drift")
 sol.plot_steps()
 

@@ -1,6 +1,7 @@
 """Wrong calls. mypy must reject each: an `ignore` that it does not need is an error."""
 
 import invariode as iv
+from invariode.scipy import ODE45
 
 
 def f(t: float, y: list[float]) -> list[float]:
@@ -34,6 +35,7 @@ iv.solve_ivp(f, (0, 1), [1], callback=True)  # type: ignore[arg-type]
 iv.solve_ivp(f, (0, 1), [1], callback=lambda t: True)  # type: ignore[arg-type,misc]
 iv.solve_ivp(f, (0, 1), [1], interpolation="projekted")  # type: ignore[arg-type]
 iv.solve_ivp(f, (0, 1), [1], save="none")  # type: ignore[arg-type]
+iv.solve_ivp(f, (0, 1), [1], keep="none")  # type: ignore[arg-type]
 iv.solve_ivp(f, (0, 1), [1], fsal=True)  # type: ignore[arg-type]
 iv.solve_ivp(f, (0, 1), [1], tol=1e-6)  # type: ignore[call-arg]
 iv.solve_ivp(f, (0, 1), [1], invariant=g)  # type: ignore[call-arg]
@@ -43,6 +45,11 @@ iv.ode15s(f, (0, 1), [1], lband=1.5)  # type: ignore[arg-type]
 iv.Problem(f, (0, 1), [1]).solve(rtolerance=1e-6)  # type: ignore[call-arg]
 iv.Problem(f, (0, 1), [1]).solve(invariants=g)  # type: ignore[call-arg]
 iv.Problem(f, (0, 1), [1], rtol=1e-6)  # type: ignore[call-arg]
+iv.Problem(f, (0, 1), [1]).replace(y=[2])  # type: ignore[call-arg]
+iv.solve_ivp(f, (0, 1), [1]).extend(2, rtol=1e-6)  # type: ignore[call-arg]
+iv.solve_ivp(f, (0, 1), [1]).plot(3)  # type: ignore[arg-type,call-arg]
+ODE45(f, 0, [1], 1, t_eval=[0])  # type: ignore[call-arg]
+ODE45(f, 0, [1], 1, check="no")  # type: ignore[arg-type]
 iv.solve_ensemble(f, (0, 1), [[1]], dense_output=True)  # type: ignore[call-arg]
 iv.solve_ensemble(f, (0, 1), [[1]], workers="all")  # type: ignore[arg-type]
 

@@ -9,10 +9,10 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from ..check import CheckReport, check_invariants
+from ..invariant_check import CheckReport, check_invariants
 from ..problem import Problem
 from .load import File, load
-from .session import complete_method, examples, guarded, method_of, numbers, stop, unprojected
+from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop, unprojected
 
 __all__ = ["EXAMPLES", "check"]
 
@@ -34,8 +34,8 @@ def check(
         str,
         typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="For that solution."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Unit of distances.")] = 1e-3,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Where components count as small.")] = 1e-6,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Unit of distances.")] = RTOL,
+    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Where components count as small.")] = ATOL,
 ) -> None:
     """Report whether the invariants of a problem are invariants of its equations.
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated
@@ -13,10 +12,10 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from .._progress import bar, in_passing
 from ..methods import Method
 from ..problem import Problem
 from .load import File, load
@@ -94,15 +93,13 @@ def compare(
     named = [_own_name(name) for name in method or ()]
     if plot is not None:
         writable(plot, PICTURES, "--plot", "plot", force)
-    console, errors = Console(highlight=False), Console(stderr=True)
+    console = Console(highlight=False)
     with guarded():
         problem = load(file)
         methods = _methods(problem, named)
-        shown = errors.is_terminal if progress is None else progress
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        bar = Progress(*columns, console=errors, transient=True) if shown else nullcontext()
-        with bar:
-            truth, rows = _all(problem, methods, rtols, atol_ratio, limit, bar if isinstance(bar, Progress) else None)
+        shown = Console(stderr=True).is_terminal if progress is None else progress
+        with in_passing(), bar(shown, "reference", len(methods) * len(rtols)) as told:
+            truth, rows = _all(problem, methods, rtols, atol_ratio, limit, told)
     _print_runs(console, problem, rows, truth)
     _print_notes(console, rows, limit)
     if not any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run):
@@ -155,9 +152,8 @@ def _all(
     rtols: Sequence[float],
     ratio: float,
     limit: float,
-    bar: Progress | None,
+    told: Callable[..., None] | None,
 ) -> tuple[Reference, list[Row]]:
-    task = bar.add_task("reference", total=len(methods) * len(rtols)) if bar else None
     try:
         truth = reference(problem, ratio, limit)
     except NoReferenceError as none:
@@ -165,9 +161,8 @@ def _all(
     rows = []
     for row in compare_runs(problem, methods, rtols, ratio, limit, truth):
         rows.append(row)
-        if bar and task is not None:
-            done = len(rtols) * [m.name for m in methods].index(row.method) + rtols.index(row.rtol) + 1
-            bar.update(task, description=row.method, completed=done)
+        if told:
+            told(len(rtols) * [m.name for m in methods].index(row.method) + rtols.index(row.rtol) + 1, row.method)
     return truth, rows
 
 

@@ -13,15 +13,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from .._style import BLACK, INK, SHADE
 from .._style import COLOURS as PALETTE
-from .._style import INK
 from ..methods import METHODS
 from ..paper.plots import STYLE
 from .precision import WAYS, Reference, Row
 
 __all__ = ["draw"]
 
-COLOURS = (*PALETTE, "#000000")
+COLOURS = (*PALETTE, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 #: So many keys of the legend fit beside each other.
@@ -57,7 +57,7 @@ def _curves(axes: Axes, rows: Sequence[Row], cost: str, truth: Reference) -> Non
     axes.set_axisbelow(True)
     low, high = axes.get_ylim()
     if low < truth.floor:
-        axes.axhspan(low, truth.floor, color="#eef0f3", lw=0)
+        axes.axhspan(low, truth.floor, color=SHADE, lw=0)
         axes.set_ylim(low, high)
 
 

@@ -29,7 +29,7 @@ def paper(
         typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="Where the report goes."),
     ] = Path("paper-report.html"),
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Only print the table; matplotlib is not needed.")
+        bool, typer.Option("--no-report", help="Only print the table; the extra plot is not needed.")
     ] = False,
 ) -> None:
     """Run the experiments of Shampine's paper and compare each published number.
@@ -41,7 +41,7 @@ def paper(
     """
     console = Console()
     if not no_report:
-        needs("The report (--no-report leaves it out)", ("matplotlib",), "plot")
+        needs("The report (--no-report leaves it out)", ("matplotlib", "jinja2"), "plot")
         if not output.parent.is_dir():
             raise typer.BadParameter(f"no such directory: {output.parent}", param_hint="--output")
     with guarded():
@@ -90,7 +90,7 @@ def _print_kinetics(console: Console, results: Results) -> None:
     table = numbers("problem", ("steps", "Jacobian given", "by differences"))
     for one in results.kinetics:
         drifts = (f"{drift:.1e}" for drift in one.drifts)
-        table.add_row(f"{one.problem.name}, {one.problem.invariant}", str(one.given.stats.steps), *drifts)
+        table.add_row(f"{one.kinetic.problem.name}, {one.kinetic.invariant}", str(one.given.stats.steps), *drifts)
     title = "Drift of linear invariants, ode15s without projection (no gain of it)"
     console.print(Text(title, style="bold"), table, "", sep="\n")
 

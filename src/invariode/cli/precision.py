@@ -165,7 +165,7 @@ def _stiff(problem: Problem, seconds: float) -> bool:
     if implicit.status not in (0, 1):
         return False
     steps = _STIFF * implicit.stats.steps + _FEW
-    return problem.solve("ode45", callback=_Limit(seconds, steps), save="end").status not in (0, 1)
+    return problem.solve("ode45", callback=_Limit(seconds, steps), keep="end").status not in (0, 1)
 
 
 def _agreed(first: Solution, second: Solution, by: str) -> Reference:
@@ -193,7 +193,7 @@ def compare_runs(
     plain = unprojected(problem)
     for method in methods:
         for rtol in rtols:
-            options = {"method": method.name, "rtol": rtol, "atol": ratio * rtol, "save": "end"}
+            options = {"method": method.name, "rtol": rtol, "atol": ratio * rtol, "keep": "end"}
             row = Row(method.name, rtol, *_measured(problem, plain, options, seconds, truth))
             if row.projected and row.projected.problem == "refused":
                 raise InvariantError(row.projected.message)

@@ -9,7 +9,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import copy
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -21,13 +20,16 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import PACKAGE
+from .._options import TABLE
 from ..invariants import InvariantError
 from ..methods import METHODS, Method, find_method
 from ..problem import Problem
 
 __all__ = [
+    "ATOL",
     "INTERRUPTED",
     "PICTURES",
+    "RTOL",
     "clock",
     "complete_method",
     "count",
@@ -44,6 +46,9 @@ __all__ = [
     "unprojected",
     "writable",
 ]
+
+#: The tolerances where none are given.
+RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 
 #: Exit code of a command ended by Ctrl-C: 128 + SIGINT.
 INTERRUPTED = 130
@@ -151,9 +156,7 @@ def method_of(name: str) -> Method:
 
 def unprojected(problem: Problem) -> Problem:
     """The same problem without its invariants."""
-    plain = copy(problem)
-    plain.invariants = []
-    return plain
+    return problem.replace(invariants=None)
 
 
 def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, extra: str, force: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -10,17 +10,19 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
+from .._progress import in_passing
 from ..invariants import bind
 from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
 from .session import (
+    ATOL,
     PICTURES,
+    RTOL,
     clock,
     complete_method,
     examples,
@@ -52,9 +54,6 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 #: Points per step with --dense, as in the figures of the paper.
 DENSE = 10
 
-#: Seconds between updates of the progress bar, and before it appears at all.
-INTERVAL, PATIENCE = 0.1, 0.3
-
 
 def solve(
     file: File,
@@ -62,8 +61,8 @@ def solve(
         str,
         typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = 1e-3,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = 1e-6,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
+    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
     project: Annotated[
         bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
     ] = True,
@@ -109,12 +108,11 @@ def solve(
             options["t_eval"] = _times(problem, t_eval)
         if dense:
             options["refine"] = DENSE
-        errors = Console(stderr=True)
-        shown = errors.is_terminal and not quiet if progress is None else progress
+        shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
-        with Bar(problem, errors) if shown else _Nothing() as callback:
+        with in_passing():
             start = perf_counter()
-            sol = run.solve(method, callback=callback, **options)
+            sol = run.solve(method, progress=shown, **options)
             seconds = perf_counter() - start
     if output is not None:  # first of all: what is printed may get lost
         write_to(output, lambda: _save(sol, output))
@@ -142,47 +140,6 @@ def _times(problem: Problem, size: int) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------------------------
-# Progress
-
-
-class _Nothing:
-    """No progress bar, no callback."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-
-class Bar:
-    """A progress bar over t that a solve drives by its callback. It costs a look at the clock per step."""
-
-    def __init__(self, problem: Problem, console: Console) -> None:
-        self._t0, tf = problem.t_span
-        self._span = tf - self._t0
-        columns = (BarColumn(), TaskProgressColumn(), TextColumn("t = {task.fields[t]:.4g}"), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=console, transient=True, auto_refresh=False)
-        total = abs(self._span) if np.isfinite(self._span) else None
-        self._task: TaskID = self._bar.add_task("", total=total, t=self._t0)
-        self._next = 0.0
-
-    def __enter__(self) -> Callable[[float, Array], None]:
-        self._next = perf_counter() + PATIENCE
-        return self
-
-    def __call__(self, t: float, y: Array) -> None:
-        if perf_counter() < self._next:
-            return
-        self._bar.start()  # does nothing if it is running
-        self._bar.update(self._task, completed=abs(t - self._t0), t=t, refresh=True)
-        self._next = perf_counter() + INTERVAL
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
-
-
-# ----------------------------------------------------------------------------------------------------------------------
 # Tables
 
 
@@ -196,9 +153,7 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("problem", Text(problem.name, style="bold"))
     table.add_row("method", method)
     table.add_row("status", Text.assemble(mark, f" {sol.message}"))
-    table.add_row(
-        "interval", f"from {problem.t_span[0]:g} to {problem.t_span[1]:g}, reached {_reached(problem, sol):.10g}"
-    )
+    table.add_row("interval", f"from {problem.t_span[0]:g} to {problem.t_span[1]:g}, reached {sol.t_end:.10g}")
     table.add_row("steps", f"{stats.steps}, {stats.failed} failed")
     table.add_row("f", f"{stats.nfev} evaluations{checks}{linear}")
     if stats.projections or stats.skipped:
@@ -212,11 +167,6 @@ def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Ta
     table.add_row("output", f"{len(sol.t)} times")
     table.add_row("time", clock(seconds))
     return table
-
-
-def _reached(problem: Problem, sol: Solution) -> float:
-    """Where the run ended; the output may end before."""
-    return problem.t_span[0] if sol._origin is None else sol._origin.t
 
 
 def _print_drift(console: Console, problem: Problem, sol: Solution, projected: bool, rtol: float, atol: float) -> None:
@@ -275,6 +225,6 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")
         axes = figure.add_subplot()
-        sol.plot(axes)
+        sol.plot(ax=axes)
         axes.set_title(name)
         figure.savefig(path, dpi=200)

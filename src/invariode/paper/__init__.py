@@ -4,8 +4,8 @@ solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 `run` solves everything and holds each published number against the one computed here; `report` makes the page.
 """
 
+from ..problems import lotka_volterra, pendulum, three_body
 from .experiments import Results, run
-from .problems import lotka_volterra, pendulum, three_body
 from .report import report
 from .rows import Row
 

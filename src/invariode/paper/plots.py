@@ -14,10 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._arguments import EPS, Array
-from .._style import IMPOSED, INK, LOOK, PLAIN, PROJECTED, QUIET
+from .._style import AXES, GRID, IMPOSED, INK, LOOK, PLAIN, PROJECTED, QUIET
+from ..problems import MU, MU_STAR
 from ..solution import Solution
-from .experiments import REFINE, Results, residual
-from .problems import MU, MU_STAR, ORBITS, PENDULUM
+from .experiments import ORBITS, PENDULUM, REFINE, Results, residual
 
 __all__ = ["FIGURES", "Plot", "svg"]
 
@@ -25,10 +25,10 @@ STYLE: dict[Any, Any] = {
     **LOOK,
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
-    "axes.edgecolor": "#555b66",
+    "axes.edgecolor": AXES,
     "axes.labelcolor": INK,
     "axes.unicode_minus": True,
-    "grid.color": "#e4e7ec",
+    "grid.color": GRID,
     "grid.linewidth": 0.7,
     "legend.frameon": False,
     "legend.handlelength": 1.6,
@@ -38,8 +38,8 @@ STYLE: dict[Any, Any] = {
     "path.simplify": True,
     "svg.fonttype": "path",
     "svg.hashsalt": "invariode",
-    "xtick.color": "#555b66",
-    "ytick.color": "#555b66",
+    "xtick.color": AXES,
+    "ytick.color": AXES,
 }
 
 #: Width of a figure in inches: two stand side by side on a desk, one fills a phone. Usual height.
@@ -176,7 +176,7 @@ def _rod_length(axes: Axes, results: Results) -> None:
 def _orbit(name: str, label: str, colour: str) -> Callable[[Axes, Results], None]:
     def draw(axes: Axes, results: Results) -> None:
         sol: Solution = getattr(results.three_body, name)
-        sol.plot_phase("x", "y", axes, color=colour, label=label)
+        sol.plot_phase("x", "y", ax=axes, color=colour, label=label)
         axes.plot([-MU, MU_STAR], [0, 0], ".", color=INK, ms=5)
         _name(axes, "Earth", (-MU, 0), (0, -26))
         _name(axes, "Moon", (MU_STAR, 0), (-4, 9))

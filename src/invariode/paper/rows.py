@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..solution import Stats
+from .published import PAPER
 
-__all__ = ["DIGITS", "LAST_DIGIT", "SIZE", "Row", "Rule", "at_digits_of", "within"]
+__all__ = ["DIGITS", "LAST_DIGIT", "SIZE", "Row", "Rule", "at_digits_of", "of_the_paper", "within"]
 
 #: 'Only the size' of an error is to be met where round-off decides: within this factor.
 SIZE_FACTOR = 3.0
@@ -107,3 +108,11 @@ class Row:
         """Steps, failed attempts, evaluations of f, projections, evaluations of g."""
         s = self.stats
         return None if s is None else (s.steps, s.failed, s.nfev, s.projections, s.ng)
+
+
+def of_the_paper(
+    key: str, experiment: str, quantity: str, value: float, stats: Stats | None = None, rule: Rule = DIGITS
+) -> Row:
+    """The row of what the paper prints under this key."""
+    printed, source = PAPER[key]
+    return Row(experiment, quantity, printed, value, source, rule, stats)

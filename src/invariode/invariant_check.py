@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, function, number, reals, state, tolerances
-from ._outcome import wrong_jacobian
-from ._types import Function, InvariantsLike, Numbers
+from ._messages import wrong_jacobian
+from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
-from .invariants import bind, to_invariants
+from .invariants import InvariantsLike, bind, to_invariants
 
 __all__ = ["CheckReport", "check_invariants"]
 
@@ -148,7 +148,7 @@ def check_invariants(
     stationary = found.gradient == 0
     redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
     on_manifold = found.distance <= 1
-    kinds = [str(kind) if isinstance(kind, str) else "given" for _, kind, m, _, _ in bound.specs for _ in range(m)]
+    kinds = [one.jac if isinstance(one.jac, str) else "given" for one in bound.specs for _ in range(one.m)]
     findings = [
         *_each(bound.names, ~conserved, "{} is not conserved by fun"),
         *_each(bound.names, ~on_manifold, "the point is not on the manifold of {}"),

@@ -12,7 +12,7 @@ _MESSAGES = {
 }
 
 
-def status_and_message(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs: bool) -> tuple[int, str]:
+def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
     if run.state in _MESSAGES:
         return _MESSAGES[run.state]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, extra_arguments, function, interval, positive_integer, state
 from ._types import Span
 from .invariants import Invariants
-from .suite import solve_ivp
+from .ivp import solve_ivp
 
 __all__ = ["PolynomialInvariant", "find_invariants"]
 

@@ -6,7 +6,7 @@ import functools
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,9 +16,7 @@ from scipy.sparse.linalg import splu
 from . import _core
 from ._arguments import EPS, Array, warn
 from .compiled import is_native, to_native
-
-if TYPE_CHECKING:
-    from .problem import Matrices
+from .description import Matrices
 
 __all__ = ["prepare"]
 

@@ -1,0 +1,171 @@
+#include "methods/newton.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+// The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
+constexpr double goal = 0.5;         // of rtol: the error of the iteration
+constexpr double first_goal = 0.05;  // the same for the first iteration, where the rate is an old one
+constexpr double slowest_rate = 0.9;
+constexpr double rate_memory = 0.9;     // what remains of the last rate in the present one
+constexpr double roundoff_units = 100;  // of ε: an update of this size relative to the predictor is roundoff
+constexpr double large_stiffness = 10;  // c ‖J‖ above which an old Jacobian may do harm
+
+}  // namespace
+
+void Convergence::begin(double rtol, double roundoff) {
+  rtol_ = rtol;
+  roundoff_ = roundoff;
+  iteration_ = 0;
+}
+
+Convergence::Verdict Convergence::judge(double size) {
+  ++iteration_;
+  if (!std::isfinite(size)) return Verdict::diverged;
+  if (size <= roundoff_) return Verdict::converged;
+  if (iteration_ == 1) {
+    if (rate_known_ && size * rate_ / (1 - rate_) <= first_goal * rtol_) return Verdict::converged;
+    if (!rate_known_) rate_ = 0;
+  } else {
+    if (size > slowest_rate * previous_) return Verdict::diverged;
+    rate_ = std::max(rate_memory * rate_, size / previous_);
+    rate_known_ = true;
+    const double left = size * rate_ / (1 - rate_);
+    if (left <= goal * rtol_) return Verdict::converged;
+    if (left * std::pow(rate_, most_iterations - iteration_) > goal * rtol_) return Verdict::diverged;
+  }
+  previous_ = size;
+  return iteration_ < most_iterations ? Verdict::go_on : Verdict::diverged;
+}
+
+Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+    : f_(f),
+      weights_(weights),
+      jacobian_(*linear.jacobian),
+      mass_(linear.mass),
+      lu_(make_factorization(jacobian_.matrix().structure, linear.lapack)),
+      f_value_(weights.size()),
+      residual_(weights.size()),
+      sum_(weights.size()) {}
+
+void Newton::restart() {
+  factored_ = 0;
+  convergence_.forget();
+  renew_ = false;
+}
+
+Outcome Newton::evaluate(double t, const double* y, double* out) {
+  const std::size_t n = weights_.size();
+  undefined_ = false;
+  if (!all_finite(y, n)) return Outcome::not_finite;
+  if (f_(t, y, out) == Status::stop) return Outcome::stop;
+  if (all_finite(out, n)) return Outcome::ok;
+  if (out != f_value_.data()) std::copy(out, out + n, f_value_.begin());
+  undefined_ = true;
+  return Outcome::not_finite;
+}
+
+int Newton::undefined_component() const {
+  if (!undefined_) return -1;
+  for (std::size_t i = 0; i < f_value_.size(); ++i)
+    if (!std::isfinite(f_value_[i])) return static_cast<int>(i);
+  return -1;
+}
+
+Status Newton::take_jacobian(double t, const double* y, const double* slope) {
+  factored_ = 0;
+  renew_ = false;
+  current_ = true;
+  age_ = 0;
+  return jacobian_.evaluate(f_, t, y, slope);
+}
+
+Status Newton::repair(double t, const double* y) {
+  if (!renew_) return Status::ok;
+  if (jacobian_.kind() == Jacobian::Kind::differences && evaluate(t, y, residual_.data()) == Outcome::stop)
+    return Status::stop;
+  return take_jacobian(t, y, residual_.data());
+}
+
+bool Newton::renew() {
+  if (jacobian_.kind() == Jacobian::Kind::constant) return false;
+  return renew_ = true;
+}
+
+void Newton::step_accepted() {
+  current_ = false;
+  ++age_;
+}
+
+Outcome Newton::prepare(double c, double t1) {
+  if (mass_ && mass_->evaluate(t1) == Status::stop) return Outcome::stop;
+  if (c == factored_) return Outcome::ok;
+  ++work_.factorizations;
+  convergence_.forget();
+  factored_ = 0;
+  work_.undefined_jacobian = !all_finite(jacobian().values.data(), jacobian().values.size());
+  work_.singular = !lu_->factor(mass_ ? &mass_->matrix() : nullptr, c, jacobian());
+  if (work_.singular) return Outcome::not_finite;
+  factored_ = c;
+  return Outcome::ok;
+}
+
+Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
+                             double* y) {
+  const std::size_t n = weights_.size();
+  const auto norm = [&](const double* v) { return max_norm(n, [v, w](std::size_t i) { return v[i] / w[i]; }); };
+  std::fill(d, d + n, 0);
+  std::copy(p, p + n, y);
+  convergence_.begin(weights_.rtol(), roundoff_units * eps * norm(p));
+  for (;;) {
+    switch (evaluate(t1, y, f_value_.data())) {
+      case Outcome::stop: return Result::stop;
+      case Outcome::not_finite: return Result::failed;
+      case Outcome::ok: break;
+    }
+    residual(c, psi, d);
+    ++work_.solves;
+    lu_->solve(residual_.data());
+    const double size = norm(residual_.data());
+    for (std::size_t i = 0; i < n; ++i) {
+      d[i] += residual_[i];
+      y[i] = p[i] + d[i];
+    }
+    switch (convergence_.judge(size)) {
+      case Convergence::Verdict::converged: return Result::converged;
+      case Convergence::Verdict::diverged: return Result::failed;
+      case Convergence::Verdict::go_on: break;
+    }
+  }
+}
+
+/// c f − M (ψ + d), with f at hand.
+void Newton::residual(double c, const double* psi, const double* d) {
+  for (std::size_t i = 0; i < sum_.size(); ++i) sum_[i] = psi[i] + d[i];
+  if (mass_)
+    mass_->matrix().multiply(sum_.data(), residual_.data());
+  else
+    std::swap(sum_, residual_);
+  for (std::size_t i = 0; i < sum_.size(); ++i) residual_[i] = c * f_value_[i] - residual_[i];
+}
+
+bool Newton::stiff(double c, const double* w) {
+  if (mass_) return true;
+  std::fill(sum_.begin(), sum_.end(), 0);
+  jacobian().for_each([&](std::size_t i, std::size_t j, double value) { sum_[i] += std::abs(value) * w[j]; });
+  MaxNorm norm;
+  for (std::size_t i = 0; i < sum_.size(); ++i) norm.add(sum_[i] / w[i]);
+  return norm.value() * std::abs(c) > large_stiffness;
+}
+
+LinearWork Newton::work() const {
+  LinearWork work = work_;
+  work.jacobians = jacobian_.count();
+  return work;
+}
+
+}  // namespace invariode

@@ -1,0 +1,58 @@
+#pragma once
+// How a run ended, and what it did on the way.
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "manifold/guard.hpp"
+#include "step.hpp"
+
+namespace invariode {
+
+enum class State {
+  created,
+  running,
+  reached_end,
+  terminal_event,
+  stopped_by_callback,
+  interrupted,         ///< a user function raised
+  event_undefined,     ///< an event function returned NaN
+  action_undefined,    ///< an action returned NaN or infinity
+  start_undefined,     ///< f is not finite at the start
+  step_failed,         ///< an attempt failed at hmin
+  invariant_refused,   ///< at the start; see the finding
+  invariant_convicted  ///< during the run
+};
+
+/// Where and why a run ended, for whoever writes the message.
+struct Report {
+  double t = 0;
+  double h = 0;
+  Cause cause = Cause::error;
+  int component = -1;          ///< of y, that is not finite, or that pure relative control cannot resolve
+  bool pure_relative = false;  ///< y_i = 0 and atol_i = 0 made the error test fail
+  LinearWork linear;           ///< of an implicit method, in the attempt that failed
+  std::size_t event = 0;
+  Finding finding;
+};
+
+struct Counts {
+  std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
+};
+
+/// What projection met in the accepted steps: of each invariant the largest residual before it, and as a distance in
+/// units of rtol; of all together the largest correction, in units of rtol.
+struct Drift {
+  std::vector<double> residual, distance;
+  double correction = 0;
+};
+
+/// A jump of the solution: from which row of the output on it holds, and the values that invariants have from there.
+struct Jump {
+  std::size_t row;
+  double t;
+  std::vector<double> value;
+};
+
+}  // namespace invariode

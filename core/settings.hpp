@@ -1,0 +1,28 @@
+#pragma once
+// What a run is asked for, beyond the problem and the method.
+
+#include <vector>
+
+#include "output/interpolant.hpp"
+
+namespace invariode {
+
+struct Settings {
+  double t0 = 0;
+  double tf = 0;
+  double hmax = 0;               ///< infinite: no cap
+  double first_step = 0;         ///< 0: chosen by the method
+  int iterations = 1;            ///< of the projection in a step
+  int refine = 1;                ///< points per step
+  bool output_at_times = false;  ///< `times` instead of the steps
+  std::vector<double> times;     ///< in the order of integration, inside the interval
+  Interpolation interpolation = Interpolation::projected;
+  bool dense = false;
+  bool save_all = true;   ///< false: the final point only
+  bool record = true;     ///< with save_all: a record of each step too
+  bool check = true;      ///< the tests that may find that an invariant is not conserved
+  bool resumed = false;   ///< goes on from where another run ended: its start was inspected then
+  double negligible = 0;  ///< candidates so close to the manifold, in units of rtol, are not projected
+};
+
+}  // namespace invariode

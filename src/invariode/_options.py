@@ -1,0 +1,402 @@
+"""The options, once: what each is called, its type, default, check and meaning, and who takes it.
+
+A row of the table is a line of a TypedDict: its name and type are what type checkers read, the `Option` beside the type
+holds the rest. The classes say who takes a row: an entry point takes the rows of its class, and nothing else. Checks,
+signatures and docstrings follow from the rows, so that a new option is one row here and its use.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from numpy.typing import ArrayLike
+
+from ._arguments import Array, choice, flag, function, positive, positive_integer, unknown_option, warn
+from ._types import EventsLike, Fsal, Function, Interpolation, Keep, MethodName, Numbers, Span
+from .invariants import InvariantsLike
+from .methods import Method, find_method
+
+__all__ = [
+    "TABLE",
+    "AllOptions",
+    "DescribingOptions",
+    "EnsembleOptions",
+    "ExtensionOptions",
+    "Option",
+    "Options",
+    "ProblemArguments",
+    "RunOptions",
+    "SolveOptions",
+    "StepperOptions",
+    "SteppingOptions",
+    "checked",
+    "parted",
+    "refused",
+    "table_of",
+    "unused",
+]
+
+
+def as_given(name: str, value: Any) -> Any:
+    """No check here: what is right depends on the problem, and is checked with it."""
+    return value
+
+
+@dataclass(frozen=True)
+class Option:
+    """A row of the table, but for the name and the type of the option."""
+
+    default: Any
+    kind: str  # the type in words
+    text: str | None  # the paragraph of the documentation; None: it shares that of the next row
+    check: Callable[[str, Any], Any] = as_given
+    every_method: bool = True  # False: only those whose row in METHODS names it can use it
+    command: bool = False  # the command line has a flag of this name
+    type: Any = field(default=None, compare=False)  # filled in by `table_of`
+
+
+class StepSizeOptions(TypedDict, total=False):
+    """What decides how long steps are."""
+
+    rtol: Annotated[
+        Numbers,
+        Option(
+            1e-3,
+            "float or array_like of shape (n,)",
+            "The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is "
+            "raised to it.",
+            command=True,
+        ),
+    ]
+    atol: Annotated[
+        Numbers,
+        Option(1e-6, "float or array_like of shape (n,)", "See `rtol`; in the units of y.", command=True),
+    ]
+    first_step: Annotated[
+        float | None, Option(None, "float", "Size of the first step. Default: chosen from f(t0, y0).", positive)
+    ]
+    max_step: Annotated[
+        float | None,
+        Option(None, "float", "Largest step. Default: a tenth of the interval; ``inf`` lifts that.", positive),
+    ]
+
+
+class MethodOptions(TypedDict, total=False):
+    """How steps are made."""
+
+    interpolation: Annotated[
+        Interpolation,
+        Option(
+            "projected",
+            "{'projected', 'corrected', 'raw'}",
+            "Values between steps: continuous and on the manifold of the invariants; continuous only; or the method's "
+            "own extension, as in the paper and the suite.",
+            partial(choice, known=get_args(Interpolation)),
+        ),
+    ]
+    fsal: Annotated[
+        Fsal,
+        Option(
+            "reuse",
+            "{'reuse', 'evaluate'}",
+            "After a projection: take the last stage of the step as the first of the next (paper, section 4), or "
+            "evaluate f at the projected value, for one more f per step.",
+            partial(choice, known=get_args(Fsal)),
+            every_method=False,
+        ),
+    ]
+    max_order: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Highest order of the formulas. Default: that of the method.",
+            positive_integer,
+            every_method=False,
+        ),
+    ]
+    bdf: Annotated[
+        bool | None,
+        Option(
+            None,
+            "bool",
+            "Backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5 are "
+            "stable in wider sectors. Default: False, but for ``method='BDF'``.",
+            flag,
+            every_method=False,
+        ),
+    ]
+    check: Annotated[
+        bool,
+        Option(True, "bool", "Test that the invariants are invariants, and that their Jacobians are right.", flag),
+    ]
+    min_step: Annotated[
+        float | None,
+        Option(
+            None,
+            "float",
+            "An option of SciPy's LSODA. No method here uses it: a warning says so.",
+            every_method=False,
+        ),
+    ]
+
+
+class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
+    """The options of every kind of run."""
+
+
+class KeepingOptions(TypedDict, total=False):
+    """What a run keeps, and whom it tells."""
+
+    callback: Annotated[
+        Callable[[float, Array], object] | None,
+        Option(
+            None,
+            "callable",
+            "``callback(t, y)`` after each accepted step; returning True stops.",
+            partial(function, signature="callback(t, y)"),
+        ),
+    ]
+    keep: Annotated[
+        Keep | None,
+        Option(
+            None,
+            "{'all', 'outputs', 'end'}",
+            "Keep the outputs and a record of each step (``Solution.steps``), the outputs only, or the final state "
+            "only; events are kept always. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with "
+            "'outputs' at `t_eval`, memory does not grow with the number of steps, unless `dense_output` is asked for.",
+            partial(choice, known=get_args(Keep)),
+        ),
+    ]
+    save: Annotated[
+        Keep | None,
+        Option(None, "{'all', 'outputs', 'end'}", "Another name of `keep`.", partial(choice, known=get_args(Keep))),
+    ]
+
+
+class RunOptions(SteppingOptions, KeepingOptions, total=False):
+    """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
+
+    refine: Annotated[
+        int,
+        Option(1, "int", "Points per step in the output; those inside the step are interpolated.", positive_integer),
+    ]
+    progress: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Whether a bar on the standard error shows t, h and the time left, ten times a second at most (needs "
+            "rich).",
+            flag,
+        ),
+    ]
+
+
+class OutputOptions(TypedDict, total=False):
+    """What is computed beside the steps."""
+
+    t_eval: Annotated[
+        ArrayLike | None,
+        Option(
+            None,
+            "array_like",
+            "Times of the output, sorted in the direction of integration. Default: the ends of the steps.",
+            command=True,
+        ),
+    ]
+    dense_output: Annotated[bool, Option(False, "bool", "Whether ``Solution.sol`` is computed.", flag)]
+
+
+class DescribingOptions(TypedDict, total=False):
+    """What is known of the solution and of the equations: arguments of `Problem`, options of its shorter forms."""
+
+    invariants: Annotated[
+        InvariantsLike | None,
+        Option(
+            None,
+            "callable, Invariants, or list of these",
+            "What the solution keeps: each accepted step is projected onto it (paper, sections 3 and 4). See "
+            "`Invariants`.",
+        ),
+    ]
+    jac: Annotated[
+        Any,
+        Option(
+            None,
+            "callable, (n, n) array_like or sparse matrix",
+            "The Jacobian of f: ``jac(t, y, *args)``, or a constant. Where it is (or returns) a sparse matrix, the "
+            "linear algebra is sparse. Default: differences.",
+            every_method=False,
+        ),
+    ]
+    jac_sparsity: Annotated[
+        Any,
+        Option(
+            None,
+            "(n, n) array_like or sparse matrix",
+            "Which entries of the Jacobian can differ from zero, for differences and sparse linear algebra. An entry "
+            "that is missing here is taken for zero: Newton's iteration then converges slowly or not at all, and the "
+            "steps are small.",
+            every_method=False,
+        ),
+    ]
+    lband: Annotated[int | None, Option(None, "int", None, every_method=False)]
+    uband: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "The Jacobian is zero but for ``i - lband <= j <= i + uband``. `jac` then has, or returns, the bands as an "
+            "array (lband + uband + 1, n) with ``[uband + i - j, j]`` for entry (i, j).",
+            every_method=False,
+        ),
+    ]
+    mass: Annotated[
+        Any,
+        Option(
+            None,
+            "(n, n) array_like or sparse matrix, or callable",
+            "M of M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
+            "(index 1); y0 is then moved to consistent values.",
+            every_method=False,
+        ),
+    ]
+
+
+class CallingOptions(TypedDict, total=False):
+    """What else describes a problem, by position in SciPy's call."""
+
+    events: Annotated[
+        EventsLike,
+        Option(
+            None,
+            "callable, Event, or list of these",
+            "Functions ``event(t, y, *args)`` whose zeros are located, to a few units in the last place of t. See "
+            "`Event`.",
+        ),
+    ]
+    args: Annotated[
+        Iterable[Any] | None,
+        Option(None, "tuple", "Extra arguments of `fun`, `jac`, `mass`, invariants, events and actions."),
+    ]
+
+
+class SolveOptions(RunOptions, DescribingOptions, total=False):
+    """Those of `solve_ivp` that its signature does not spell out."""
+
+
+class Options(RunOptions, OutputOptions, total=False):
+    """Those of `Problem.solve`."""
+
+
+class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
+    """Those of the suite's functions."""
+
+    vectorized: Annotated[
+        bool, Option(False, "bool", "Whether `fun` takes y of shape (n, k). It is called with k = 1.", flag)
+    ]
+
+
+class EnsembleOptions(SteppingOptions, KeepingOptions, DescribingOptions, total=False):
+    """Those of `solve_ensemble` that its signature does not spell out."""
+
+
+class StepperOptions(MethodOptions, DescribingOptions, total=False):
+    """Those of the classes in `invariode.scipy` that their signature does not spell out."""
+
+
+class ExtensionOptions(TypedDict, total=False):
+    """Those that `Solution.extend` may have of its own. With any other the parts would not be of one solution."""
+
+    t_eval: ArrayLike | None
+    first_step: float | None
+    max_step: float | None
+    callback: Callable[[float, Array], object] | None
+    check: bool
+    progress: bool
+
+
+class ProblemArguments(DescribingOptions, CallingOptions, total=False):
+    """The arguments of `Problem`."""
+
+    fun: Function
+    t_span: Span
+    y0: ArrayLike
+    name: str | None
+    labels: Sequence[str] | None
+
+
+def table_of(kind: type) -> dict[str, Option]:
+    """The rows of a class, in their order."""
+    rows: dict[str, Option] = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if get_origin(hint) is Annotated:
+            rows[name] = replace(hint.__metadata__[0], type=hint.__origin__)
+    return rows
+
+
+#: All rows by name.
+TABLE: Mapping[str, Option] = table_of(AllOptions)
+
+_OF_A_RUN = table_of(Options)
+_DEFAULTS = {name: row.default for name, row in _OF_A_RUN.items()}
+_OF_SOME_METHODS = frozenset(name for name, row in TABLE.items() if not row.every_method)
+
+_Part = TypeVar("_Part")
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Checks
+
+
+def checked(given: Options, method: Method) -> Options:
+    """All options of a run: those given, each checked, and the defaults. One that the method cannot use is a warning,
+    an unknown one an error."""
+    complete = dict(_DEFAULTS)
+    for name, value in given.items():
+        row = _OF_A_RUN.get(name)
+        if row is None:
+            raise refused(name)
+        if value is row.default:
+            continue
+        complete[name] = row.check(name, value) if value is not None or row.default is not None else None
+        if name in _OF_SOME_METHODS:
+            warn_unused(method, name, value)
+    keep, save = complete["keep"], complete["save"]
+    if save is not None:
+        if keep is not None and keep != save:
+            raise TypeError(
+                f"keep and save are two names of one option, got keep={keep!r} and save={save!r}: give keep"
+            )
+        complete["keep"] = save
+    return cast("Options", complete)
+
+
+def refused(name: str) -> TypeError:
+    """The error for an option that a run cannot have."""
+    if name in ProblemArguments.__annotations__:
+        where = "Problem or solve_ivp" if name in TABLE else "Problem"
+        return TypeError(f"{name} describes the problem: it is an argument of {where}, not an option")
+    return unknown_option(name, TABLE)
+
+
+def warn_unused(method: Method, name: str, given: object) -> None:
+    """A warning if an option was given that the method cannot use."""
+    if name not in method.options and given is not None and given is not False:
+        warn(f"option {name!r} has no effect on {method.name}")
+
+
+def unused(method: MethodName, describing: DescribingOptions) -> None:
+    """The same for what describes the problem. A mass matrix that the method cannot use is an error of the plan."""
+    for name, given in describing.items():
+        if name in _OF_SOME_METHODS and name != "mass":
+            warn_unused(find_method(method)[0], name, given)
+
+
+def parted(options: Mapping[str, Any], kind: type[_Part]) -> tuple[_Part, Any]:
+    """Options in two: those of the class, and the others."""
+    own, others = kind.__annotations__, dict(options)
+    mine = {name: others.pop(name) for name in options if name in own}
+    return cast("_Part", mine), others

@@ -1,0 +1,304 @@
+"""Rows of work, solved in worker processes by `concurrent.futures`.
+
+What an executor leaves to its users is here: a row that kills its process fails alone, Ctrl-C ends everything at once,
+workers do not outlive their parent, and nothing forks while numba compiles.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
+from multiprocessing.connection import wait as wait_for_any
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import FrameType
+from typing import Any, Generic, TypeVar
+
+__all__ = ["may_start", "solve_rows"]
+
+T = TypeVar("T")
+
+#: Rows that a worker gets at once: so few that each worker gets several chunks, and that results do not pile up.
+CHUNKS_PER_WORKER, LARGEST_CHUNK = 8, 256
+#: Chunks under way per worker: the one that it solves, and the next, so that it need not wait.
+AHEAD = 2
+#: Windows waits for no more processes at once (documentation of `ProcessPoolExecutor`).
+MOST_WORKERS = 61 if sys.platform == "win32" else sys.maxsize
+#: Seconds between two looks of a worker at whether its parent is alive.
+INTERVAL = 0.5
+#: How often in a row processes may die before any of them comes to a row.
+PATIENCE = 5
+
+NOTHING_SOLVED = (
+    "the worker processes end before they solve anything: where processes are started afresh, define the functions in "
+    'a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
+)
+
+
+def may_start() -> bool:
+    """Whether this process may start others; a daemonic one may not."""
+    return not multiprocessing.current_process().daemon
+
+
+def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callable[[int], T]) -> Generator[list[T]]:
+    """Lists of ``solve(i)`` for i from 0 to size - 1, in the order in which worker processes finish them.
+
+    Parameters
+    ----------
+    solve : callable
+        Where processes are started afresh, it must be picklable. What it raises ends everything.
+    size, workers : int
+        Numbers of rows and of processes.
+    died : callable
+        ``died(i)`` stands for a row whose process died, and died again when the row was tried once more.
+
+    Raises
+    ------
+    TypeError
+        `solve` cannot be pickled, and must be.
+    RuntimeError
+        The processes end before they come to a row.
+    """
+    context = multiprocessing.get_context()
+    if context.get_start_method() != "fork":
+        _require_picklable(solve)
+    workers = min(workers, MOST_WORKERS)
+    length = max(1, min(LARGEST_CHUNK, size // (CHUNKS_PER_WORKER * workers)))
+    left = deque(range(i, min(i + length, size)) for i in range(0, size, length))
+    at = context.RawArray("q", size)
+    tried: set[int] = set()  # rows whose process died
+    fruitless = 0
+    with tempfile.TemporaryDirectory(prefix="invariode-", ignore_cleanup_errors=True) as folder:
+        while left:
+            # Where it is not clear who dies, one worker shows it.
+            crew: _Crew[T] = _Crew(context, _Work(solve, folder, at), left, 1 if fruitless else workers)
+            solved = 0
+            for outcomes in crew.outcomes():
+                solved += len(outcomes)
+                yield outcomes
+            fatal = crew.fatal_rows()
+            fruitless = 0 if solved or fatal else fruitless + 1
+            if fruitless == PATIENCE:
+                raise RuntimeError(NOTHING_SOLVED)
+            if hopeless := sorted(fatal & tried):
+                yield [died(i) for i in hopeless]
+            tried |= fatal
+            for chunk in crew.lost:
+                left.extendleft(_what_is_left(chunk, fatal, hopeless))
+
+
+def _what_is_left(chunk: range, fatal: set[int], hopeless: Sequence[int]) -> list[range]:
+    """What of a lost chunk is still to be solved: the row that its process died at alone, unless it is hopeless."""
+    row = next((i for i in chunk if i in fatal), None)
+    if row is None:
+        return [chunk]
+    again = range(row, row if row in hopeless else row + 1)
+    return [part for part in (range(chunk.start, row), range(row + 1, chunk.stop), again) if part]
+
+
+def _require_picklable(solve: Callable[[int], Any]) -> None:
+    try:
+        pickle.dumps(solve)
+    except Exception as error:
+        raise TypeError(
+            f"the functions of this ensemble cannot be sent to other processes ({error}): define them in a module, "
+            "compile them (invariode.compile), or solve with workers=1"
+        ) from error
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# In the parent
+
+
+class _Crew(Generic[T]):
+    """An executor, which works until everything is solved or one of its processes dies; then all of them end.
+
+    Attributes
+    ----------
+    lost : list of range
+        Chunks that were given to it and not solved.
+    """
+
+    def __init__(self, context: Any, work: _Work, left: deque[range], workers: int) -> None:
+        self.lost: list[range] = []
+        self._context = context
+        self._work = work
+        self._left = left
+        self._workers = min(workers, len(left))
+        self._given: dict[Future[str], range] = {}
+        self._executor: ProcessPoolExecutor | None = None
+        # The executor forgets them when it shuts down. Public, though less than this, from Python 3.14: kill_workers.
+        self._processes: Mapping[int, BaseProcess] = {}
+
+    def outcomes(self) -> Generator[list[T]]:
+        """The outcomes of a chunk at a time. If it is left early, by Ctrl-C for example, the processes are killed."""
+        try:
+            executor = self._start()
+            while self._given:
+                for future in wait(self._given, return_when=FIRST_COMPLETED).done:
+                    chunk = self._given.pop(future)
+                    try:
+                        file = future.result()
+                    except BrokenProcessPool:
+                        self.lost.append(chunk)
+                    else:
+                        yield _taken_from(Path(file))
+                if not self.lost:
+                    self._give(executor)
+            executor.shutdown()
+        except BaseException:
+            self._kill()
+            raise
+
+    def _kill(self) -> None:
+        for process in list(self._processes.values()):
+            process.kill()
+        if self._executor:
+            self._executor.shutdown(cancel_futures=True)
+
+    def _start(self) -> ProcessPoolExecutor:
+        """Starts the processes, with their first chunks."""
+        forks = self._context.get_start_method() == "fork"
+        with _no_compilation() if forks else nullcontext() as lock, _ctrl_c_later(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
+            work = replace(self._work, held=lock)
+            executor = self._executor = ProcessPoolExecutor(self._workers, self._context, _begin, (work,))
+            self._give(executor)
+            self._processes = executor._processes
+        return executor
+
+    def _give(self, executor: ProcessPoolExecutor) -> None:
+        with suppress(BrokenProcessPool):  # `outcomes` will see it
+            while self._left and len(self._given) < AHEAD * self._workers:
+                chunk = self._left[0]
+                self._given[executor.submit(_solve_chunk, chunk)] = chunk
+                self._left.popleft()
+
+    def fatal_rows(self) -> set[int]:
+        """The rows at which processes died by themselves: when one does, the executor terminates the others."""
+        ended = self._processes.values()
+        theirs = {p.pid for p in ended if len(ended) == 1 or p.exitcode != -signal.SIGTERM}
+        rows = {i for chunk in self.lost for i in chunk if self._work.at[i] in theirs}
+        for chunk in self.lost:
+            for i in chunk:
+                self._work.at[i] = 0
+        return rows
+
+
+def _taken_from(file: Path) -> Any:
+    outcomes = pickle.loads(file.read_bytes())
+    file.unlink()
+    return outcomes
+
+
+@contextmanager
+def _no_compilation() -> Iterator[Any]:
+    """While numba compiles in no thread; what it yields is held, and to be released, in a process that is forked here.
+
+    A fork in the middle of another thread's compilation inherits locks that nobody there will release.
+    """
+    module = sys.modules.get("numba.core.compiler_lock")
+    if module is None:
+        yield None
+        return
+    with module.global_compiler_lock:
+        yield module.global_compiler_lock
+
+
+@contextmanager
+def _ctrl_c_later() -> Iterator[None]:
+    """Ctrl-C is heard when the block is over: a hook that runs in a fork would swallow it, and a new process die of it.
+
+    Python runs its handlers in the main thread; elsewhere there is nothing to put off.
+    """
+    usual = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(usual):
+        yield
+        return
+    heard: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+        if heard:
+            usual(*heard[0])
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# In a worker process
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What a worker needs.
+
+    Attributes
+    ----------
+    solve : callable
+        Solves a row.
+    folder : str
+        Where outcomes go. Through the executor's pipe they would be lost, and the reader wait for ever, when a process
+        is killed as it writes; the names of files are short enough to be written at once.
+    at : array
+        at[i] is the process that is at row i, if any.
+    held : lock, optional
+        What the parent held when it forked.
+    """
+
+    solve: Callable[[int], Any]
+    folder: str
+    at: Any
+    held: Any = None
+
+
+_work: _Work  # of this worker
+
+
+def _begin(work: _Work) -> None:
+    """Ctrl-C is for the parent, which kills its workers; a handler of the parent's for SIGTERM is not for them."""
+    global _work
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if work.held is not None:
+        work.held.release()
+    _work = work
+    threading.Thread(target=_end_with_parent, args=(os.getppid(), work.folder), daemon=True).start()
+
+
+def _end_with_parent(pid: int, folder: str) -> None:
+    """Ends this process when its parent has died, by whatever cause."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # this is a worker
+    # Other processes that were forked may keep the sentinel open, but nobody keeps the parent's number.
+    while not wait_for_any([parent.sentinel], INTERVAL) and os.getppid() == pid:
+        pass
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+def _solve_chunk(chunk: range) -> str:
+    """Solves these rows. Returns the file with the outcomes."""
+    outcomes, me = [], os.getpid()
+    for i in chunk:
+        _work.at[i] = me
+        outcomes.append(_work.solve(i))
+        _work.at[i] = 0
+    _work.at[chunk[-1]] = me  # should it be too much for the memory, the last row is tried alone
+    file = Path(_work.folder) / str(chunk.start)
+    file.write_bytes(pickle.dumps(outcomes))
+    _work.at[chunk[-1]] = 0
+    return str(file)

@@ -1,0 +1,116 @@
+"""What describes a problem, validated once."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Self, Unpack
+
+from numpy.typing import ArrayLike
+
+from ._arguments import call_name, extra_arguments, function, interval, state
+from ._options import ProblemArguments
+from ._types import EventsLike, Function, Span
+from .compiled import is_native
+from .events import direction_sign, terminal_count, to_events
+from .invariants import InvariantsLike, to_invariants
+
+__all__ = ["Description", "Matrices"]
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure."""
+
+    jac: Any
+    jac_sparsity: Any
+    lband: Any
+    uband: Any
+    mass: Any
+
+
+class Description:
+    """The data of a `Problem`."""
+
+    def __init__(
+        self,
+        fun: Function,
+        t_span: Span,
+        y0: ArrayLike,
+        *,
+        args: Iterable[Any] | None = (),
+        invariants: InvariantsLike | None = None,
+        events: EventsLike = None,
+        jac: Any = None,
+        jac_sparsity: Any = None,
+        lband: int | None = None,
+        uband: int | None = None,
+        mass: Any = None,
+        name: str | None = None,
+        labels: Sequence[str] | None = None,
+    ) -> None:
+        self.fun = fun if is_native(fun) else function("fun", fun, "f(t, y)")
+        self.t_span = interval(t_span)
+        self.y0 = state(y0)
+        self.args = extra_arguments(args)
+        self.invariants = to_invariants(invariants)
+        self.events = to_events(events)
+        for event in self.events:
+            terminal_count(event), direction_sign(event)
+        self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
+        self.name = call_name(self.fun, "problem") if name is None else name
+        self._title = name
+        self._labels = None if labels is None else list(labels)
+        if self._labels is not None and len(self._labels) != len(self.y0):
+            raise ValueError(f"labels must name the {len(self.y0)} components of y0, got {labels!r}")
+        if self._labels is not None and len(set(self._labels)) < len(self._labels):
+            raise ValueError(f"labels must differ from each other, got {labels!r}")
+
+    def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
+        """A problem that differs from this one in some arguments; this one does not change.
+
+        Parameters
+        ----------
+        **changes
+            Arguments of `Problem` by name, `fun`, `t_span` and `y0` included.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        TypeError, ValueError
+            What `Problem` raises for such arguments; a name that `Problem` does not know.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def decay(t, y, rate):
+        ...     return [-rate * y[0]]
+        >>> slow = iv.Problem(decay, (0, 1), [1.0], args=(1,))
+        >>> fast = slow.replace(args=(10,), name="fast decay")
+        >>> slow, fast
+        (Problem('decay', t_span=(0.0, 1.0), n=1), Problem('fast decay', t_span=(0.0, 1.0), n=1))
+        """
+        now = {
+            "fun": self.fun,
+            "t_span": self.t_span,
+            "y0": self.y0,
+            "args": self.args,
+            "invariants": self.invariants,
+            "events": self.events,
+            **vars(self.matrices),
+            "name": self._title,
+            "labels": self._labels,
+        }
+        for given in changes:
+            if given not in now:
+                near = difflib.get_close_matches(given, now, n=1)
+                hint = f"; did you mean {near[0]!r}?" if near else f"; choose from {', '.join(now)}"
+                raise TypeError(f"Problem has no argument {given!r}{hint}")
+        return type(self)(**{**now, **changes})
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"

@@ -1,0 +1,50 @@
+"""The methods under their own names, `ode45` and the others, made from the registry.
+
+The stub beside this file, for type checkers, is made from it too: ``make stubs``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Unpack
+
+from numpy.typing import ArrayLike
+
+from ._docstrings import documented
+from ._options import AllOptions, table_of
+from ._types import Function, Span
+from .ivp import solve_ivp
+from .methods import METHODS, Method
+from .solution import Solution
+
+
+def _function_of(method: Method) -> Callable[..., Solution]:
+    """`solve_ivp` with the method, and its own number of points per step where the output is not fixed otherwise."""
+
+    def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
+        if options.get("t_eval") is None and "end" not in (options.get("keep"), options.get("save")):
+            options.setdefault("refine", method.refine)
+        return solve_ivp(fun, t_span, y0, method.name, **options)
+
+    solve.__name__ = solve.__qualname__ = method.name
+    solve.__doc__ = f"""`solve_ivp` with {method.summary}.
+
+    Parameters
+    ----------
+    fun, t_span, y0
+        As in `solve_ivp`.
+    {{options}}
+
+    Returns
+    -------
+    Solution
+
+    Notes
+    -----
+    {method.family}. {method.source}.
+    """
+    return documented({"refine": method.refine}, options=table_of(AllOptions))(solve)
+
+
+__all__ = [*METHODS]
+globals().update({name: _function_of(method) for name, method in METHODS.items()})

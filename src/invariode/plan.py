@@ -1,0 +1,291 @@
+"""The plan of a run: a problem with a method and its options, checked, in the form that the core takes.
+
+It is made in four stages: options, functions, linear algebra, invariants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from . import _core
+from ._arguments import Array, distinct, kept, output_times, reals, tolerances, warn
+from ._messages import inconsistent_start, refusal, status_and_message
+from ._options import Options, checked
+from ._types import MethodName, Numbers
+from .compiled import native_parameters, to_native
+from .description import Description
+from .events import EventSpec, event_spec
+from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
+from .methods import Method, find_method
+
+__all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
+
+
+class Tolerances(NamedTuple):
+    """The weights of the error test, max(s_i |y_i|, thr_i), for the reals that make up y."""
+
+    rtol: float  # the smallest
+    threshold: float | Array
+    scale: Array | None
+
+
+class Settings(NamedTuple):
+    """How the core goes from t0 to tf, and what it keeps."""
+
+    t0: float
+    tf: float
+    max_step: float
+    first_step: float  # 0: the method chooses
+    refine: int
+    times: Array | None
+    interpolation: str
+    dense: bool
+    save_all: bool
+    record: bool
+    check: bool
+    fsal: str
+    max_order: int
+    bdf: bool
+    iterations: int  # of the projection of a step
+    negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
+
+    @property
+    def forward(self) -> float:
+        """The direction of integration."""
+        return 1.0 if self.tf >= self.t0 else -1.0
+
+
+class Functions(NamedTuple):
+    """What the core evaluates."""
+
+    n: int  # reals that make up y
+    complex: bool
+    fun: Any
+    args: tuple[Any, ...]
+    parameters: Array  # `args` for native functions
+    linear: _core.Linear | None
+    events: list[EventSpec]
+    callback: Any
+    invariants: list[InvariantSpec]
+    value: Array  # at which they are held
+
+
+class Plan(NamedTuple):
+    """What a run does, and what its messages call things."""
+
+    method: Method
+    tolerances: Tolerances
+    settings: Settings
+    functions: Functions
+    y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
+    moved: bool
+    bound: BoundInvariants
+    names: list[str]  # of the invariants, algebraic equations last
+    demanded: list[bool]  # of the invariants, whether their values were
+    event_names: list[str]
+    rtol: Numbers  # as given
+    atol: Numbers
+    progress: bool
+
+    def holding(self, value: Array) -> Plan:
+        """The same with the invariants held at these values."""
+        functions = self.functions._replace(value=value)
+        return self._replace(functions=functions, bound=replace(self.bound, value=value))
+
+    def verdict(self, run: _core.Run) -> tuple[int, str]:
+        """The status of the run and its message."""
+        return status_and_message(run, self.names, self.demanded, self.functions.complex)
+
+    def exception(self, run: _core.Run) -> ValueError | None:
+        """The exception with which a single solve ends where the run did."""
+        if run.state == "invariant_refused":
+            text = refusal(run, self.names, self.demanded, self.tolerances.rtol, self.functions.complex)
+            return InvariantError(text)
+        if run.state == "event_undefined":
+            return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
+        if run.state == "action_undefined":
+            return ValueError(f"the action of event {self.event_names[run.event]} returned NaN at t = {run.t}")
+        return None
+
+
+def solver(plan: Plan) -> _core.Solver:
+    """The plan handed to the core: a solver with functions of its own."""
+    functions = plan.functions
+    problem = _core.Problem(
+        n=functions.n,
+        complex=functions.complex,
+        fun=functions.fun,
+        args=functions.args,
+        parameters=functions.parameters,
+        linear=functions.linear,
+        events=[_core.Event(*spec) for spec in functions.events],
+        callback=functions.callback,
+        invariants=[_core.Invariant(*spec) for spec in functions.invariants],
+        value=functions.value,
+    )
+    settings = _core.Settings()
+    for name, value in zip(Settings._fields, plan.settings, strict=True):
+        setattr(settings, name, value)
+    return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
+
+
+def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
+    """The plan, with everything that the core needs but y0."""
+    chosen, implied = find_method(method)
+    options = checked(given, chosen)
+    if options["bdf"] is None:
+        options["bdf"] = implied.get("bdf", False)
+    if problem.matrices.mass is not None and "mass" not in chosen.options:
+        raise ValueError(
+            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s, or solve M y' = f for y' in fun"
+        )
+    rtol, atol = options["rtol"], options["atol"]
+    weights = Tolerances(*tolerances(rtol, atol, problem.y0))
+    settings = _settings(problem, chosen, options)
+    parameters, fun = _native_functions(problem)
+    linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
+    bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
+    if bound.specs:
+        iterations = bound.iterations or settings.iterations
+        settings = settings._replace(iterations=iterations, negligible=bound.negligible)
+    return Plan(
+        method=chosen,
+        tolerances=weights,
+        settings=settings,
+        functions=_functions(problem, fun, parameters, linear, bound, options["callback"]),
+        y0=y0,
+        moved=y0 is not problem.y0,
+        bound=bound,
+        names=_names(bound, linear),
+        demanded=bound.demanded,
+        event_names=distinct([event.__name__ for event in problem.events]),
+        rtol=kept(rtol),
+        atol=kept(atol),
+        progress=options["progress"],
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Options
+
+
+def _settings(problem: Description, method: Method, options: Options) -> Settings:
+    t0, tf = problem.t_span
+    span = abs(tf - t0)
+    t_eval = options["t_eval"]
+    times = None if t_eval is None else output_times(t_eval, t0, tf)
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
+    if keep == "end" and (times is not None or options["dense_output"]):
+        raise ValueError('keep="end" keeps the final state only: t_eval and dense_output need keep="outputs" or "all"')
+    if options["refine"] > 1 and (times is not None or keep == "end"):
+        other = "t_eval" if times is not None else 'keep="end"'
+        warn(f"refine has no effect together with {other}")
+    first, largest = options["first_step"], options["max_step"]
+    if first is not None and first > span:
+        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first!r}")
+    return Settings(
+        t0=t0,
+        tf=tf,
+        max_step=span / 10 if largest is None else largest,
+        first_step=0.0 if first is None else first,
+        refine=options["refine"],
+        times=times,
+        interpolation=options["interpolation"],
+        dense=options["dense_output"],
+        save_all=keep != "end",
+        record=keep == "all",
+        check=options["check"],
+        fsal=options["fsal"],
+        max_order=_highest_order(method, options["max_order"]),
+        bdf=bool(options["bdf"]),
+        iterations=method.iterations,
+    )
+
+
+def _highest_order(method: Method, order: int | None) -> int:
+    if order is None or "max_order" not in method.options:
+        return method.order
+    if order > method.order:
+        raise ValueError(f"max_order must be from {method.min_order} to {method.order} for {method.name}, got {order}")
+    return order
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Functions
+
+
+def _native_functions(problem: Description) -> tuple[Array, Any]:
+    """The parameters of native functions, and f as the core calls it."""
+    used = [problem.fun, problem.matrices.jac]
+    used += [f for one in problem.invariants for f in (one.fun, one.jac)]
+    used += [f for event in problem.events for f in (event.fun, event.action)]
+    p = native_parameters(problem.args, used)
+    n = reals(problem.y0)
+    return p, to_native("fun", problem.fun, n, n, p)
+
+
+def _functions(
+    problem: Description,
+    fun: Any,
+    parameters: Array,
+    linear: _core.Linear | None,
+    bound: BoundInvariants,
+    callback: Any,
+) -> Functions:
+    n = reals(problem.y0)
+    return Functions(
+        n=n,
+        complex=problem.y0.dtype.kind == "c",
+        fun=fun,
+        args=problem.args,
+        parameters=parameters,
+        linear=linear,
+        events=[event_spec(event, n, parameters) for event in problem.events],
+        callback=callback,
+        invariants=bound.specs,
+        value=bound.value,
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Linear algebra
+
+
+def _linear_algebra(
+    problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
+) -> tuple[_core.Linear | None, Array]:
+    """What an implicit method knows of its matrices; and y0, moved where the algebraic equations of a singular mass
+    matrix ask for it."""
+    if "jac" not in method.options:
+        return None, problem.y0
+    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
+
+    t0, y0 = problem.t_span[0], problem.y0
+    linear = prepare(problem.matrices, t0, y0, problem.args, parameters)
+    if not linear.algebraic:
+        return linear, y0
+    if any(event.action for event in problem.events):
+        raise ValueError("actions of events are not possible with a singular mass matrix")
+    algebraic = _core.Problem(
+        n=reals(y0),
+        complex=y0.dtype.kind == "c",
+        fun=fun,
+        args=problem.args,
+        parameters=parameters,
+        linear=linear,
+    )
+    y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
+    if verdict in ("index_too_high", "not_found"):
+        raise ValueError(inconsistent_start(verdict, t0))
+    return linear, y.view(y0.dtype) if verdict == "corrected" else y0
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Invariants
+
+
+def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:
+    """Of all that is kept: the invariants, then the algebraic equations."""
+    algebraic = linear.algebraic if linear else 0
+    return [*bound.names, *(f"algebraic equation {i + 1}" for i in range(algebraic))]

@@ -1,0 +1,345 @@
+"""What comes back from a solve, as data."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._arguments import Array
+from ._core import Dense
+from .invariants import BoundInvariants, as_columns
+
+__all__ = ["BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+
+
+class Record(Mapping[str, Any]):
+    """Fields of a dataclass as items too, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
+
+    def __getitem__(self, key: str) -> Any:
+        if key in self.keys():
+            return getattr(self, key)
+        raise KeyError(key)
+
+    def __iter__(self) -> Iterator[str]:
+        return (f.name for f in dataclasses.fields(self) if not f.name.startswith("_"))  # type: ignore[arg-type]  # subclasses are dataclasses
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, key: object) -> bool:
+        return key in list(self)
+
+    __eq__ = object.__eq__  # arrays do not compare to one truth
+    __hash__ = object.__hash__
+
+
+@dataclasses.dataclass(eq=False)
+class Stats(Record):
+    """Counts of a run.
+
+    Attributes
+    ----------
+    steps : int
+        Accepted steps.
+    failed : int
+        Failed attempts.
+    nfev : int
+        Evaluations of f by the method.
+    nfev_check : int
+        Evaluations of f by the tests that an invariant is one; not in `nfev`.
+    njev : int
+        Evaluations of the Jacobian of f.
+    nlu : int
+        Factorisations.
+    nsolve : int
+        Solutions of linear systems.
+    projections : int
+        Projected attempts.
+    skipped : int
+        Attempts whose projection was not needed.
+    ng : int
+        Evaluations of the invariants, output between steps included.
+    ngjac : int
+        Evaluations of their Jacobians, likewise.
+    ngdiff : int
+        Of `ng`, those that Jacobians cost: complex steps and differences, and the choice between them at the start.
+    derivatives : str or None
+        How the Jacobians of the invariants were had: 'given', 'complex step', 'central differences', 'forward
+        differences', several of these, or None.
+    projected_start : bool
+        y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
+        equations of a singular mass matrix, and was moved.
+    """
+
+    steps: int
+    failed: int
+    nfev: int
+    nfev_check: int
+    njev: int
+    nlu: int
+    nsolve: int
+    projections: int
+    skipped: int
+    ng: int
+    ngjac: int
+    ngdiff: int
+    derivatives: str | None
+    projected_start: bool
+
+
+class Steps(Record):
+    """The accepted steps, arrays of one value each.
+
+    Attributes
+    ----------
+    t : ndarray of float
+        Where the step ended.
+    h : ndarray of float
+        Its signed size.
+    order : ndarray of int
+        Its order.
+    error : ndarray of float
+        The estimated error e, ``max_i |e_i| / w_i``, in units of rtol.
+    correction : ndarray of float
+        The size of the correction by projection, in the same norm and unit.
+    """
+
+    def __init__(self, rows: Array) -> None:
+        self._rows = rows  # (n_steps, 5)
+
+    @cached_property
+    def t(self) -> Array:
+        return self._rows[:, 0].copy()
+
+    @cached_property
+    def h(self) -> Array:
+        return self._rows[:, 1].copy()
+
+    @cached_property
+    def order(self) -> Array:
+        return self._rows[:, 2].astype(np.int32)
+
+    @cached_property
+    def error(self) -> Array:
+        return self._rows[:, 3].copy()
+
+    @cached_property
+    def correction(self) -> Array:
+        return self._rows[:, 4].copy()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(("t", "h", "order", "error", "correction"))
+
+    def __repr__(self) -> str:
+        return f"Steps({len(self._rows)} steps)"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Drift(Record):
+    """How the invariants fared; prints as a table. Arrays of one value per invariant.
+
+    Attributes
+    ----------
+    names : list of str
+        The names of the invariants.
+    value : ndarray
+        What was held (at first, if events with actions changed it).
+    residual_before : ndarray
+        Largest ``|g - value|`` of the accepted candidates before projection.
+    distance_before : ndarray
+        The same as a distance from the level set, in units of rtol in the weights of the error test.
+    residual_after : ndarray
+        Largest ``|g - value|`` at the outputs.
+    distance_after : ndarray
+        The same as a distance.
+    correction : float
+        Largest correction of a step, in units of rtol.
+    projections : int
+        Projected attempts.
+    skipped : int
+        Steps that were close enough.
+    """
+
+    names: list[str]
+    value: Array
+    residual_before: Array
+    distance_before: Array
+    residual_after: Array
+    distance_after: Array
+    correction: float
+    projections: int
+    skipped: int
+
+    def __repr__(self) -> str:
+        if not self.names:
+            return "no invariants were imposed"
+        width = max(len("invariant"), *map(len, self.names))
+        lines = [
+            f"{'invariant':<{width}} {'value':>14}  {'residual before, after':>22}  {'distance before, after':>22}",
+            *(
+                f"{name:<{width}} {value:>14.6g}  {before:>11.2e}{after:>11.2e}  {far:>11.2e}{near:>11.2e}"
+                for name, value, before, after, far, near in zip(
+                    self.names,
+                    self.value,
+                    self.residual_before,
+                    self.residual_after,
+                    self.distance_before,
+                    self.distance_after,
+                    strict=True,
+                )
+            ),
+            f"distances in units of the tolerance; largest correction of a step {self.correction:.2e}; "
+            f"{self.projections} projections, {self.skipped} skipped",
+        ]
+        return "\n".join(lines)
+
+
+class BeforeProjection(NamedTuple):
+    """How far from the manifold the accepted candidates of a run were, at most."""
+
+    residual: Array  # of each invariant
+    distance: Array
+    correction: float  # of a step
+
+
+class DenseSolution:
+    """The solution as a continuous function of t.
+
+    ``sol(t)`` has shape (n,) for a number and (n, n_t) for an array t. At the ends of the steps it returns the stored
+    values; between them it does what the option `interpolation` says. Outside [t_min, t_max] it extrapolates the
+    outermost step, as SciPy does.
+
+    Attributes
+    ----------
+    ts : ndarray
+        The ends of the steps, the start first.
+    t_min : float
+        Where the interval begins.
+    t_max : float
+        Where it ends.
+    """
+
+    def __init__(
+        self, dense: Dense, dtype: np.dtype[Any], invariants: BoundInvariants, imposed: Mapping[str, Any] | None = None
+    ):
+        self._dense = dense
+        self._dtype = dtype
+        self._invariants = invariants
+        self._imposed = imposed
+        self.ts: Array = dense.knots()
+        self.t_min = float(min(self.ts[0], self.ts[-1]))
+        self.t_max = float(max(self.ts[0], self.ts[-1]))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_dense": self._dense.parts()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
+
+    def __call__(self, t: ArrayLike) -> Array:
+        times = np.asarray(t, dtype=float)
+        if times.ndim > 1:
+            raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
+        g = self._invariants
+        y = as_columns(g.evaluate(self._dense, np.atleast_1d(times)), self._dtype)
+        if self._imposed is not None and y.shape[1]:
+            y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
+        return y[:, 0] if times.ndim == 0 else y
+
+    def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
+        """The same with its values projected to roundoff."""
+        return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
+
+
+@dataclasses.dataclass
+class Names:
+    """What tables and pictures call things."""
+
+    problem: str
+    title: str | None  # the problem's name, where one was given
+    labels: list[str] | None
+    size: int
+    events: list[str]
+
+    @property
+    def components(self) -> list[str]:
+        return default_labels(self.size) if self.labels is None else self.labels
+
+
+def default_labels(size: int) -> list[str]:
+    """Made when they are asked for: of a large problem they take more memory than the solution."""
+    return [f"y{i}" for i in range(size)]
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class Result(Record):
+    """The data of a `Solution`, and what is computed from them."""
+
+    t: Array
+    y: Array
+    # None or not is known to the caller, who said what to compute: `| Any` spares them a test of it.
+    sol: DenseSolution | Any
+    t_events: list[Array] | Any
+    y_events: list[Array] | Any
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    message: str
+    success: bool
+    stats: Stats
+    steps: Steps | Any
+    t_end: float
+    _invariants: BoundInvariants
+    _rtol: ArrayLike
+    _atol: ArrayLike
+    _drift: BeforeProjection
+    _names: Names
+
+    @cached_property
+    def residual(self) -> Array:
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed when first asked for."""
+        return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
+
+    def drift(self) -> Drift:
+        """What projection kept: for each invariant its value, and its largest residuals before and after projection.
+
+        Those before are of the candidates of the accepted steps; those after are of the output, for which g and its
+        Jacobian are evaluated when this is called.
+        """
+        g = self._invariants
+        after = g.distance(self.t, self.y, self._rtol, self._atol, g.pieces_of_output(len(self.t)))
+        return Drift(
+            names=list(g.names),
+            value=g.value,
+            residual_before=self._drift.residual[: len(g)],
+            distance_before=self._drift.distance[: len(g)],
+            residual_after=np.abs(self.residual).max(axis=1, initial=0),
+            distance_after=after.max(axis=1, initial=0),
+            correction=self._drift.correction,
+            projections=self.stats.projections,
+            skipped=self.stats.skipped,
+        )
+
+    @property
+    def correction(self) -> Array:
+        """The corrections by projection of the accepted steps, (n_steps,), in units of rtol."""
+        if self.steps is None:
+            raise ValueError('the corrections of the steps are kept with keep="all"')
+        return self.steps.correction
+
+    def __repr__(self) -> str:
+        width = max(map(len, self))
+        shown = {name: self[name] for name in self}
+        for name in ("t", "y"):
+            shown[name] = f"array of shape {shown[name].shape}"
+        for name in ("t_events", "y_events"):
+            if shown[name] is not None:
+                shown[name] = "[" + ", ".join(f"array of shape {one.shape}" for one in shown[name]) + "]"
+        shown["sol"] = None if self.sol is None else f"function on [{self.sol.t_min}, {self.sol.t_max}]"
+        return "\n".join(f"{name:>{width}}: {value}" for name, value in shown.items())

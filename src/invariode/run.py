@@ -1,0 +1,260 @@
+"""A run: a plan carried out by the core, its results as a Solution, and the extension of a finished one."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from . import _core
+from ._arguments import Array, kept, number, output_times, warn
+from ._options import ExtensionOptions, Options
+from ._progress import run_bar
+from ._types import MethodName
+from .description import Description
+from .events import terminal_count
+from .invariants import Jump, as_columns
+from .plan import Plan, make_plan, solver
+from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .solution import Solution
+
+__all__ = ["RunOrigin", "solve"]
+
+
+class Resumed(NamedTuple):
+    """Of each event of a run that goes on from another: its occurrences so far, and whether it is at one now."""
+
+    seen: list[int]
+    asleep: list[bool]
+
+
+class Source(NamedTuple):
+    """What a run is made from."""
+
+    problem: Description  # with the whole interval, where the run goes on from another
+    method: MethodName
+    options: Options  # as given
+
+
+@dataclasses.dataclass(eq=False)
+class RunOrigin:
+    """What a solution was made from, and where it ended: what it takes to go on."""
+
+    source: Source
+    t: float
+    y: Array
+    next_h: float | None  # None: the method is to choose
+    imposed: bool = False
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        return type(None), ()  # functions do not travel with a pickled solution
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> RunOrigin:
+        return self
+
+    def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+        return _extended(self, sol, t_end, options)
+
+    def imposing(self) -> RunOrigin:
+        return dataclasses.replace(self, imposed=True)
+
+    @property
+    def forward(self) -> float:
+        """The direction of integration, 0 if there was nothing to integrate."""
+        return float(np.sign(self.source.problem.t_span[1] - self.source.problem.t_span[0]))
+
+
+def solve(problem: Description, method: MethodName, options: Options) -> Solution:
+    """See `Problem.solve`."""
+    plan = make_plan(problem, method, options)
+    given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
+    for name in ("t_eval", "rtol", "atol"):
+        if name in given:
+            given[name] = kept(given[name])
+    return _carried_out(plan, Source(problem, method, given))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# One run
+
+
+def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> Solution:
+    """The solution of a plan."""
+    core = solver(plan)
+    if resumed is not None:
+        core.resume(*resumed)
+    y0 = plan.y0.view(float)
+    if plan.progress:
+        with run_bar(source.problem.name, plan.settings.t0, plan.settings.tf) as told:
+            run = core.integrate(y0, told)
+    else:
+        run = core.integrate(y0, None)
+    if exception := plan.exception(run):
+        raise exception
+    if run.dropped:
+        _warn_dropped(run, plan.names)
+    return _solution(run, plan, source)
+
+
+def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
+    problem, dtype = source.problem, plan.y0.dtype
+    status, message = plan.verdict(run)
+    bound = plan.bound
+    if jumps := run.take_jumps():
+        bound = bound.jumped(jumps, forward=plan.settings.forward)
+    dense = run.take_dense()
+    t, rows, t_end, y_end = run.take_points()
+    y = as_columns(rows, dtype)
+    y_end = y[:, -1].copy() if y_end is None else y_end.view(dtype)
+    happened = run.take_events() if problem.events else None
+    stats = _stats(run, plan)
+    next_h = run.next_h if plan.method.fixed_order and stats.steps else None
+    return Solution(
+        t=t,
+        y=y,
+        sol=None if dense is None else DenseSolution(dense, dtype, bound),
+        t_events=None if happened is None else [times for times, _ in happened],
+        y_events=None if happened is None else [points.view(dtype) for _, points in happened],
+        nfev=stats.nfev,
+        njev=stats.njev,
+        nlu=stats.nlu,
+        status=status,
+        message=message,
+        success=status >= 0,
+        stats=stats,
+        steps=Steps(run.take_steps()) if plan.settings.record else None,
+        t_end=t_end,
+        _invariants=bound,
+        _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
+        _rtol=plan.rtol,
+        _atol=plan.atol,
+        _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
+        _origin=RunOrigin(source, t_end, y_end, next_h),
+    )
+
+
+#: Of a run without invariants.
+_NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
+
+
+def _stats(run: _core.Run, plan: Plan) -> Stats:
+    stats = Stats(
+        *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
+        derivatives=" and ".join(sorted(set(run.derivatives))) or None,
+        projected_start=run.projected_start or plan.moved,
+    )
+    stats.ng += plan.bound.evaluations
+    stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
+    return stats
+
+
+def _warn_dropped(run: _core.Run, names: list[str]) -> None:
+    listed = ", ".join(names[i] for i in run.dropped)
+    several = len(run.dropped) > 1
+    warn(
+        f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
+        f"t = {run.dropped_at:.6g} (dependent on the others to within rtol, or stationary there), and "
+        f"{'were' if several else 'was'} left out there"
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Its extension
+
+
+def _extended(origin: RunOrigin, old: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+    if not old.success:
+        raise ValueError(f"a run that failed cannot be extended: {old.message}")
+    tf = number("t_end", t_end)
+    forward = origin.forward or float(np.sign(tf - origin.t))
+    if not forward * (tf - origin.t) > 0:
+        raise ValueError(f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {t_end!r}")
+    problem, method, options_of_run = origin.source
+    whole = problem.replace(t_span=(problem.t_span[0], tf))
+    rest = problem.replace(t_span=(origin.t, tf), y0=origin.y)
+    given = cast("Options", {**options_of_run, "first_step": None, **options})
+    now = given.copy()
+    if options_of_run.get("t_eval") is not None or options.get("t_eval") is not None:
+        now["t_eval"], given["t_eval"] = _times(origin, options.get("t_eval"), forward, tf)
+    if now.get("max_step") is None:
+        now["max_step"] = abs(whole.t_span[1] - whole.t_span[0]) / 10
+    if now["first_step"] is None and origin.next_h is not None:
+        now["first_step"] = min(origin.next_h, abs(tf - origin.t))
+    given.pop("progress", None)
+
+    plan = make_plan(rest, method, now).holding(old._invariants.last_value)
+    new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
+    points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
+    return _joined(old, new.impose() if origin.imposed else new, points, forward)
+
+
+def _resumed(old: Solution, origin: RunOrigin, rest: Description) -> Resumed:
+    happened = old.t_events or []
+    return Resumed(
+        seen=[_uncounted(len(t), terminal_count(event)) for t, event in zip(happened, rest.events, strict=True)],
+        asleep=[bool(len(t) and t[-1] == origin.t) for t in happened],
+    )
+
+
+def _times(origin: RunOrigin, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
+    """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
+    if origin.source.options.get("t_eval") is None:
+        raise ValueError("the run has output at its steps, so has its extension: t_eval is not possible")
+    times = np.asarray(origin.source.options["t_eval"], dtype=float)
+    beyond = times[forward * (times - tf) > 0]
+    if t_eval is not None:
+        now = output_times(t_eval, origin.t, tf)
+    else:
+        now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
+        if now.size == 0:
+            raise ValueError(f"the run has output at t_eval, which has no times left up to t_end = {tf}: give t_eval")
+    return now, np.concatenate([now, beyond])
+
+
+def _uncounted(seen: int, terminal: int) -> int:
+    """Occurrences that count towards the one that ends the run; one that did ends a count."""
+    return seen % terminal if terminal else 0
+
+
+def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:
+    """One solution of two parts, of which the second starts where the first ended. `points`: outputs of the first."""
+    known = int(points > 0 and len(new.t) > 0 and new.t[0] == old.t[-1])  # the start of the second is there already
+    jumps = tuple(Jump(row + points - known, t, value) for row, t, value in new._invariants.jumps)
+    bound = dataclasses.replace(old._invariants, jumps=old._invariants.jumps + jumps, forward=forward, evaluations=0)
+    sol = None
+    if old.sol is not None and new.sol is not None:
+        sol = DenseSolution(old.sol._dense.joined(new.sol._dense), old.y.dtype, bound, old.sol._imposed)
+    t_events = y_events = None
+    if old.t_events is not None and new.t_events is not None and old.y_events is not None and new.y_events is not None:
+        t_events = [np.concatenate(parts) for parts in zip(old.t_events, new.t_events, strict=True)]
+        y_events = [np.concatenate(parts) for parts in zip(old.y_events, new.y_events, strict=True)]
+    steps = None
+    if old.steps is not None and new.steps is not None:
+        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
+    first, then = old._drift, new._drift
+    return dataclasses.replace(
+        new,
+        t=np.concatenate([old.t[:points], new.t[known:]]),
+        y=np.concatenate([old.y[:, :points], new.y[:, known:]], axis=1),
+        sol=sol,
+        t_events=t_events,
+        y_events=y_events,
+        nfev=old.nfev + new.nfev,
+        njev=old.njev + new.njev,
+        nlu=old.nlu + new.nlu,
+        stats=_summed(old.stats, new.stats),
+        steps=steps,
+        _invariants=bound,
+        _drift=BeforeProjection(
+            np.maximum(first.residual, then.residual),
+            np.maximum(first.distance, then.distance),
+            max(first.correction, then.correction),
+        ),
+    )
+
+
+def _summed(a: Stats, b: Stats) -> Stats:
+    ways = {way for one in (a, b) if one.derivatives for way in one.derivatives.split(" and ")}
+    counts = {name: a[name] + b[name] for name in a if name not in ("derivatives", "projected_start")}
+    return Stats(**counts, derivatives=" and ".join(sorted(ways)) or None, projected_start=a.projected_start)

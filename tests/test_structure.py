@@ -1,0 +1,186 @@
+"""How the package is put together: imports go one way, generated names are there, names that moved still work."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import pickle
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from invariode._moved import MOVED
+
+PACKAGE = Path(iv.__file__).parent
+
+
+def module_name(path):
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+SOURCES = [(module_name(path), path) for path in PACKAGE.rglob("*.py*") if path.suffix in (".py", ".pyi")]
+MODULES = {name for name, _ in SOURCES}
+
+
+def imported(name, path):
+    """All modules of the package that a module names in an import, in functions and for type checkers too."""
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in MODULES)
+        elif isinstance(node, ast.ImportFrom):
+            base = package.rsplit(".", node.level - 1)[0] if node.level else None
+            source = ".".join(filter(None, (base, node.module)))
+            inside = [f"{source}.{alias.name}" for alias in node.names]
+            yield from (one for one in inside if one in MODULES)
+            if source in MODULES and not all(one in MODULES for one in inside):
+                yield source
+
+
+def test_no_module_imports_itself_by_a_detour():
+    graph = {name: set() for name in MODULES}
+    for name, path in SOURCES:
+        graph[name] |= set(imported(name, path)) - {name}
+    assert "invariode.run" in graph["invariode.problem"]  # imports are seen at all
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as circle:
+        pytest.fail(f"a circle of imports: {' <- '.join(circle.args[1])}")
+
+
+class TestFunctionsOfTheMethods:
+    def test_each_method_has_one(self):
+        for name in iv.METHODS:
+            function = getattr(iv, name)
+            assert name in iv.__all__
+            assert function.__name__ == name
+            assert pickle.loads(pickle.dumps(function)) is function
+            assert {"rtol", "atol", "max_step"} <= set(inspect.signature(function).parameters)
+            assert iv.METHODS[name].summary in function.__doc__
+
+    def test_and_a_class_for_scipy(self):
+        module = importlib.import_module("invariode.scipy")
+        assert module.__all__ == [name.upper() for name in iv.METHODS]
+        for name in module.__all__:
+            assert pickle.loads(pickle.dumps(getattr(module, name))) is getattr(module, name)
+
+
+class TestMovedNames:
+    @pytest.mark.parametrize(
+        ("module", "name"),
+        [
+            ("suite", "solve_ivp"),
+            ("suite", "ode45"),
+            ("discovery", "find_invariants"),
+            ("check", "CheckReport"),
+            ("export", "load"),
+        ],
+    )
+    def test_they_work_with_a_warning_that_says_the_new_one(self, module, name):
+        new = MOVED[f"invariode.{module}"]
+        old = importlib.import_module(f"invariode.{module}")
+        with pytest.warns(DeprecationWarning, match=rf"invariode.{module}.{name} has moved.*use {new}.{name}$") as told:
+            found = getattr(old, name)
+        assert found is getattr(importlib.import_module(new), name) is getattr(iv, name)
+        assert told[0].filename == __file__
+
+    def test_as_in_an_import(self):
+        with pytest.warns(DeprecationWarning, match="invariode.suite.ode23 has moved"):
+            from invariode.suite import ode23
+        assert ode23 is iv.ode23
+
+    def test_as_an_expression(self):
+        with pytest.warns(DeprecationWarning, match="invariode.discovery.find_invariants has moved"):
+            assert iv.discovery.find_invariants is iv.find_invariants
+
+    def test_what_never_was_is_an_error(self):
+        with pytest.raises(AttributeError, match=r"module 'invariode.suite' has no attribute 'ode46'"):
+            _ = importlib.import_module("invariode.suite").ode46
+        with pytest.raises(AttributeError, match="module 'invariode' has no attribute 'sweet'"):
+            _ = iv.sweet
+
+
+class TestReplace:
+    def problem(self, **arguments):
+        return iv.Problem(lambda t, y, a: -a * y, (0, 1), [1.0, 2.0], args=(3.0,), **arguments)
+
+    def test_any_argument_by_name(self):
+        """Each argument replaced is that of a problem made with it; the others stay; the old problem stays too."""
+        old = self.problem(
+            name="old", labels=["a", "b"], events=lambda t, y, a: y[0] - 0.5, jac=np.eye(2), mass=np.eye(2)
+        )
+        other = {
+            "fun": lambda t, y, a: -y,
+            "t_span": (0.0, 2.0),
+            "y0": [3.0, 4.0],
+            "args": (5.0,),
+            "invariants": lambda t, y, a: y[0],
+            "events": [],
+            "jac": 2 * np.eye(2),
+            "jac_sparsity": np.eye(2),
+            "lband": 0,
+            "uband": 0,
+            "mass": None,
+            "name": "new",
+            "labels": ["c", "d"],
+        }
+        assert set(other) == set(inspect.signature(iv.Problem).parameters)
+        before = self.seen(old)
+        for name, value in other.items():
+            now = self.seen(old.replace(**{name: value}))
+            changed = {key for key in now if not self.same(now[key], before[key])}
+            assert changed == {name}, name
+            assert self.seen(old) == before
+
+    @staticmethod
+    def seen(problem):
+        return {
+            "fun": problem.fun,
+            "t_span": problem.t_span,
+            "y0": problem.y0.tolist(),
+            "args": problem.args,
+            "invariants": [one.fun for one in problem.invariants],
+            "events": [one.fun for one in problem.events],
+            **{name: None if m is None else np.asarray(m).tolist() for name, m in vars(problem.matrices).items()},
+            "name": problem.name,
+            "labels": problem.labels,
+        }
+
+    @staticmethod
+    def same(a, b):
+        return a == b
+
+    def test_it_is_checked_as_a_new_problem_is(self):
+        with pytest.raises(ValueError, match="labels must name the 3 components"):
+            self.problem(labels=["a", "b"]).replace(y0=[1, 2, 3])
+        with pytest.raises(TypeError, match="Problem has no argument 'tspan'; did you mean 't_span'"):
+            self.problem().replace(tspan=(0, 2))
+        with pytest.raises(TypeError, match="Problem has no argument 'zzz'; choose from fun, t_span"):
+            self.problem().replace(zzz=1)
+
+    def test_it_solves_as_the_problem_made_so(self):
+        replaced = self.problem().replace(y0=[5.0], args=(1.0,)).solve(rtol=1e-6)
+        np.testing.assert_array_equal(
+            replaced.y, iv.ode45(lambda t, y, a: -a * y, (0, 1), [5.0], args=(1.0,), rtol=1e-6, refine=1).y
+        )
+
+
+def test_t_end_is_where_the_run_ended(method, tmp_path):
+    """At the end of the interval, at a terminal event, behind the last output; also from a file."""
+
+    def fall(t, y):
+        return [-1.0]
+
+    hit = iv.Event(lambda t, y: y[0], terminal=True)
+    assert iv.solve_ivp(fall, (0, 3), [1.0], method).t_end == 3
+    ended = iv.solve_ivp(fall, (0, 3), [1.0], method, events=hit, t_eval=[0.25])
+    assert ended["t_end"] == ended.t_end == ended.t_events[0][-1] == pytest.approx(1)
+    assert ended.t[-1] == 0.25
+    ended.save(tmp_path / "ended.npz")
+    assert iv.load(tmp_path / "ended.npz").t_end == ended.t_end
+    assert iv.solve_ivp(fall, (0, 1), [1.0], method).extend(2).t_end == 2
