@@ -59,10 +59,13 @@ native-aarch64: $(VENV)/.installed-test  ## the core's tests, cross-compiled for
 	  -DCMAKE_CXX_COMPILER=$(AARCH64)-g++ "-DCMAKE_CROSSCOMPILING_EMULATOR=qemu-aarch64;-L;/usr/$(AARCH64)")
 endif
 
-sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan
+sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
 	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
+	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=thread
+	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble
+	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble)$$'
 
 lint: $(VENV)/.installed-lint native  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
