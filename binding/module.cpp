@@ -148,6 +148,7 @@ std::optional<int> unless_zero(int count) { return count > 0 ? std::optional(cou
 void define_methods(nb::module_& module) {
   nb::class_<Method>(module, "Method", "A row of the registry.")
       .def_ro("name", &Method::name)
+      .def_ro("summary", &Method::summary, "What it is and what it is for, in a few words.")
       .def_ro("family", &Method::family)
       .def_ro("min_order", &Method::min_order)
       .def_ro("order", &Method::order)

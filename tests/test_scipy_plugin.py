@@ -12,7 +12,7 @@ from scipy.integrate import OdeSolver
 
 import invariode as iv
 import invariode.scipy as plugin
-from problems import PROBLEMS
+from problems import PROBLEMS, blow_up
 
 CLASSES = {cls._method: cls for cls in (getattr(plugin, name) for name in plugin.__all__)}
 
@@ -192,11 +192,8 @@ def test_an_infinite_bound(method):
 
 
 def test_a_step_that_fails_has_our_message(method):
-    def explosion(t, y):
-        return y * y
-
-    sol = scipy.integrate.solve_ivp(explosion, (0, 2), [1.0], method=CLASSES[method])
-    ours = iv.solve_ivp(explosion, (0, 2), [1.0], method)
+    sol = scipy.integrate.solve_ivp(blow_up, (0, 2), [1.0], method=CLASSES[method])
+    ours = iv.solve_ivp(blow_up, (0, 2), [1.0], method)
     assert (sol.status, sol.success, sol.message) == (-1, False, ours.message)
     assert "t = " in sol.message
     nan = scipy.integrate.solve_ivp(lambda t, y: [np.nan], (0, 1), [1.0], method=CLASSES[method])
@@ -204,7 +201,7 @@ def test_a_step_that_fails_has_our_message(method):
 
 
 def test_a_failed_solver_has_no_interpolant(method):
-    solver = CLASSES[method](lambda t, y: y * y, 0, [1.0], 2)
+    solver = CLASSES[method](blow_up, 0, [1.0], 2)
     while solver.status == "running":
         solver.step()
     assert solver.status == "failed"

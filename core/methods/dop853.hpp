@@ -53,6 +53,7 @@ inline constexpr std::array<std::array<double, 16>, 16> dop853_A = {
 /// stages. (200 order conditions are many for a compiler: they are checked by the tests.)
 inline constexpr Tableau<13, 7, 3> dormand_prince_853{
     .name = "dop853",
+    .summary = "the eighth-order pair DOP853, for tight tolerances and cheap f",
     .source =
         "E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer, Berlin, "
         "1993, sections II.5 and II.10; not of the MATLAB ODE Suite",

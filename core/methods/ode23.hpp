@@ -9,6 +9,7 @@ namespace invariode {
 /// interpolant.
 inline constexpr Tableau<4, 3> bogacki_shampine{
     .name = "ode23",
+    .summary = "the Bogacki-Shampine (2,3) pair, for crude tolerances",
     .source = "P. Bogacki, L. F. Shampine, A 3(2) pair of Runge-Kutta formulas, Appl. Math. Lett. 2 (1989) 321-325",
     .scipy_name = "RK23",
     .iterations = 1,

@@ -9,6 +9,7 @@ namespace invariode {
 /// MATLAB ODE Suite (Shampine & Reichelt, SIAM J. Sci. Comput. 18 (1997) 1).
 inline constexpr Tableau<7, 4> dormand_prince{
     .name = "ode45",
+    .summary = "the Dormand-Prince (4,5) pair, the one to try first",
     .source =
         "J. R. Dormand, P. J. Prince, A family of embedded Runge-Kutta formulae, J. Comput. Appl. Math. 6 (1980) "
         "19-26; extension: L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) "

@@ -58,6 +58,7 @@ inline constexpr std::array<std::array<double, 17>, 17> verner_A = {
 /// (Solved with 60 digits from 36 digits of A.)
 inline constexpr Tableau<14, 7, 3> verner_87{
     .name = "ode78",
+    .summary = "Verner's (7,8) pair, for tight tolerances",
     .source =
         "J. H. Verner, Numerically optimal Runge-Kutta pairs with interpolants, Numer. Algorithms 53 (2010) 383-396",
     .iterations = 2,

@@ -76,6 +76,7 @@ inline constexpr std::array<std::array<double, 21>, 21> verner_98_A = {
 /// which satisfy the conditions up to order 7 at their nodes.)
 inline constexpr Tableau<17, 8, 4> verner_98{
     .name = "ode89",
+    .summary = "Verner's (8,9) pair, for very tight tolerances",
     .source =
         "J. H. Verner, Numerically optimal Runge-Kutta pairs with interpolants, Numer. Algorithms 53 (2010) 383-396",
     .iterations = 2,

@@ -41,6 +41,7 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 template <const auto& T, std::size_t I>
 constexpr Method row() {
   Method method{.name = T.name,
+                .summary = T.summary,
                 .family = "explicit Runge-Kutta pair",
                 .source = T.source,
                 .scipy_name = T.scipy_name,
@@ -59,6 +60,7 @@ constexpr Method row() {
 
 constexpr Method others[] = {
     {.name = "ode113",
+     .summary = "Adams PECE formulas of order 1 to 12, for tight tolerances and costly f",
      .family = "Adams PECE, variable order",
      .source = "L. F. Shampine, M. K. Gordon, Computer Solution of Ordinary Differential Equations: The Initial Value "
                "Problem, Freeman, San Francisco, 1975, chapters 5 and 10",
@@ -69,6 +71,7 @@ constexpr Method others[] = {
      .extension = &adams_polynomial,
      .make = make_adams},
     {.name = "ode15s",
+     .summary = "NDFs of order 1 to 5, for stiff problems and M y' = f",
      .family = "NDF (or BDF), variable order, for stiff problems and M y' = f",
      .source = "L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22, section 2",
      .scipy_name = "BDF",

@@ -38,6 +38,7 @@ struct Method {
   static constexpr std::size_t most_options = 8;
 
   const char* name;
+  const char* summary;  ///< what it is and what it is for, in a few words
   const char* family;
   const char* source;
   const char* scipy_name = nullptr;  ///< of the corresponding method of `scipy.integrate.solve_ivp`

@@ -26,6 +26,7 @@ struct Tableau {
   static constexpr std::size_t all_stages = Stages + Extra;
 
   const char* name;                  ///< of the method
+  const char* summary;               ///< what it is and what it is for, in a few words
   const char* source;                ///< where the coefficients come from
   const char* scipy_name = nullptr;  ///< of the same pair in `scipy.integrate.solve_ivp`, if it is there
   int iterations;                    ///< of the projection in a step (paper, section 4)

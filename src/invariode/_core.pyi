@@ -414,6 +414,10 @@ class Method:
     def name(self) -> str: ...
 
     @property
+    def summary(self) -> str:
+        """What it is and what it is for, in a few words."""
+
+    @property
     def family(self) -> str: ...
 
     @property

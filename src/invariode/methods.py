@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+
+from . import _core
 
 __all__ = ["METHODS", "Method", "find_method"]
 
@@ -67,112 +69,13 @@ class Method:
         return self.min_order == self.order
 
 
-#: The methods by name.
-METHODS: Mapping[str, Method] = MappingProxyType(
-    {
-        method.name: method
-        for method in (
-            Method(
-                name="ode23",
-                summary="the Bogacki-Shampine (2,3) pair, for crude tolerances",
-                family="explicit Runge-Kutta pair",
-                min_order=3,
-                order=3,
-                extension_order=3,
-                stages=3,
-                extra=0,
-                iterations=1,
-                refine=1,
-                scipy_name="RK23",
-                source="P. Bogacki, L. F. Shampine, A 3(2) pair of Runge-Kutta formulas, "
-                "Appl. Math. Lett. 2 (1989) 321-325",
-                options=("fsal",),
-            ),
-            Method(
-                name="ode45",
-                summary="the Dormand-Prince (4,5) pair, the one to try first",
-                family="explicit Runge-Kutta pair",
-                min_order=5,
-                order=5,
-                extension_order=4,
-                stages=6,
-                extra=0,
-                iterations=2,
-                refine=4,
-                scipy_name="RK45",
-                source="J. R. Dormand, P. J. Prince, A family of embedded Runge-Kutta formulae, "
-                "J. Comput. Appl. Math. 6 (1980) 19-26; extension: L. F. Shampine, M. W. Reichelt, "
-                "The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22",
-                options=("fsal",),
-            ),
-            Method(
-                name="dop853",
-                summary="the eighth-order pair DOP853, for tight tolerances and cheap f",
-                family="explicit Runge-Kutta pair",
-                min_order=8,
-                order=8,
-                extension_order=7,
-                stages=12,
-                extra=3,
-                iterations=2,
-                refine=1,
-                scipy_name="DOP853",
-                source="E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., "
-                "Springer, Berlin, 1993, sections II.5 and II.10; not of the MATLAB ODE Suite",
-                options=(),
-            ),
-            Method(
-                name="ode78",
-                summary="Verner's (7,8) pair, for tight tolerances",
-                family="explicit Runge-Kutta pair",
-                min_order=8,
-                order=8,
-                extension_order=7,
-                stages=13,
-                extra=3,
-                iterations=2,
-                refine=8,
-                scipy_name=None,
-                source="J. H. Verner, Numerically optimal Runge-Kutta pairs with interpolants, "
-                "Numer. Algorithms 53 (2010) 383-396",
-                options=(),
-            ),
-            Method(
-                name="ode113",
-                summary="Adams PECE formulas of order 1 to 12, for tight tolerances and costly f",
-                family="Adams PECE, variable order",
-                min_order=1,
-                order=12,
-                extension_order=12,
-                stages=None,
-                extra=0,
-                iterations=1,
-                refine=1,
-                scipy_name=None,
-                source="L. F. Shampine, M. K. Gordon, Computer Solution of Ordinary Differential Equations: The "
-                "Initial Value Problem, Freeman, San Francisco, 1975, chapters 5 and 10",
-                options=("max_order",),
-            ),
-            Method(
-                name="ode15s",
-                summary="NDFs of order 1 to 5, for stiff problems and M y' = f",
-                family="NDF (or BDF), variable order, for stiff problems and M y' = f",
-                min_order=1,
-                order=5,
-                extension_order=5,
-                stages=None,
-                extra=0,
-                iterations=1,
-                refine=1,
-                scipy_name="BDF",
-                source="L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22, "
-                "section 2",
-                options=("max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass"),
-                scipy_options=MappingProxyType({"bdf": True}),
-            ),
-        )
-    }
-)
+def _from_core(row: _core.Method) -> Method:
+    given = {field.name: getattr(row, field.name) for field in fields(Method) if field.name != "scipy_options"}
+    return Method(**given, scipy_options=MappingProxyType({"bdf": True} if row.scipy_bdf else {}))
+
+
+#: The methods by name, as the core lists them.
+METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for row in _core.methods()})
 
 #: What to use instead of the methods of SciPy that have no counterpart here.
 _INSTEAD = {
