@@ -240,42 +240,74 @@ void define_description(nb::module_& module) {
           nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none());
 }
 
-/// A row for each setting of the core's structs.
+/// A setting of the core's structs: its name, and how its value gets there and back.
+struct Setting {
+  const char* name;
+  void (*set)(RunSettings&, nb::handle);
+  nb::object (*get)(const RunSettings&);
+};
+
+template <auto member>
+constexpr Setting plain(const char* name) {
+  using Value = std::remove_cvref_t<decltype(std::declval<RunSettings>().*member)>;
+  return {name, [](RunSettings& s, nb::handle value) { s.*member = nb::cast<Value>(value); },
+          [](const RunSettings& s) { return nb::cast(s.*member); }};
+}
+
+void set_times(RunSettings& s, nb::handle times) {
+  s.output_at_times = !times.is_none();
+  s.times = s.output_at_times ? to_vector(nb::cast<ConstVector>(times)) : std::vector<double>{};
+}
+nb::object get_times(const RunSettings& s) {
+  if (!s.output_at_times) return nb::none();
+  return nb::cast(to_array<Vector>(std::vector<double>(s.times), s.times.size()), nb::rv_policy::move);
+}
+
+/// In the order of `Settings` in plan.py, which tests/test_binding.py compares.
+constexpr Setting settings[] = {
+    plain<&RunSettings::t0>("t0"),
+    plain<&RunSettings::tf>("tf"),
+    plain<&RunSettings::hmax>("max_step"),
+    plain<&RunSettings::first_step>("first_step"),
+    plain<&RunSettings::refine>("refine"),
+    {"times", set_times, get_times},
+    {"interpolation",
+     [](RunSettings& s, nb::handle name) {
+       s.interpolation = choose(interpolation_names, nb::cast<std::string>(name), "interpolation");
+     },
+     [](const RunSettings& s) { return nb::cast(name_of(s.interpolation)); }},
+    plain<&RunSettings::dense>("dense"),
+    plain<&RunSettings::save_all>("save_all"),
+    plain<&RunSettings::record>("record"),
+    plain<&RunSettings::check>("check"),
+    {"fsal", [](RunSettings& s, nb::handle name) { s.fsal = choose(fsal_names, nb::cast<std::string>(name), "fsal"); },
+     [](const RunSettings& s) { return nb::cast(name_of(s.fsal)); }},
+    plain<&RunSettings::max_order>("max_order"),
+    plain<&RunSettings::bdf>("bdf"),
+    plain<&RunSettings::iterations>("iterations"),
+    plain<&RunSettings::negligible>("negligible"),
+};
+
 void define_settings(nb::module_& module) {
-  nb::class_<RunSettings>(module, "Settings", "What a run is asked for, beyond the problem and the method.")
-      .def(nb::init<>())
-      .def_rw("t0", &RunSettings::t0)
-      .def_rw("tf", &RunSettings::tf)
-      .def_rw("max_step", &RunSettings::hmax)
-      .def_rw("first_step", &RunSettings::first_step)
-      .def_rw("iterations", &RunSettings::iterations)
-      .def_rw("refine", &RunSettings::refine)
-      .def_rw("dense", &RunSettings::dense)
-      .def_rw("save_all", &RunSettings::save_all)
-      .def_rw("record", &RunSettings::record)
-      .def_rw("check", &RunSettings::check)
-      .def_rw("negligible", &RunSettings::negligible)
-      .def_rw("max_order", &RunSettings::max_order)
-      .def_rw("bdf", &RunSettings::bdf)
-      .def_prop_rw(
-          "fsal", [](const RunSettings& s) { return name_of(s.fsal); },
-          [](RunSettings& s, const std::string& name) { s.fsal = choose(fsal_names, name, "fsal"); })
-      .def_prop_rw(
-          "interpolation", [](const RunSettings& s) { return name_of(s.interpolation); },
-          [](RunSettings& s, const std::string& name) {
-            s.interpolation = choose(interpolation_names, name, "interpolation");
-          })
-      .def_prop_rw(
-          "times",
-          [](const RunSettings& s) -> std::optional<Vector> {
-            if (!s.output_at_times) return {};
-            return to_array<Vector>(std::vector<double>(s.times), s.times.size());
-          },
-          [](RunSettings& s, const OptionalVector& times) {
-            s.output_at_times = times.has_value();
-            s.times = times ? to_vector(*times) : std::vector<double>{};
-          },
-          nb::for_getter(nb::rv_policy::move), nb::for_setter(nb::arg("times").none()), "None: output at the steps.");
+  nb::class_<RunSettings> defined(module, "Settings", "What a run is asked for, beyond the problem and the method.");
+  defined.def(nb::init<>());
+  defined.def(
+      "__init__",
+      [](RunSettings* self, const nb::tuple& values) {
+        if (values.size() != std::size(settings)) throw nb::value_error("not one value for each of Settings.FIELDS");
+        RunSettings given;
+        for (std::size_t i = 0; i < std::size(settings); ++i) settings[i].set(given, values[i]);
+        new (self) RunSettings(std::move(given));
+      },
+      nb::arg("values"), "All of them, in the order of FIELDS.");
+  std::vector<const char*> names;
+  for (const Setting& one : settings) {
+    names.push_back(one.name);
+    defined.def_prop_rw(
+        one.name, [get = one.get](const RunSettings& s) { return get(s); },
+        [set = one.set](RunSettings& s, const nb::object& value) { set(s, value); });
+  }
+  defined.attr("FIELDS") = nb::tuple(nb::cast(names));
 }
 
 }  // namespace

@@ -135,7 +135,7 @@ def test_any_number_of_arguments_is_handed_over(extra: int) -> None:
 
 def test_settings_are_what_they_were_set_to() -> None:
     settings = _core.Settings()
-    for name in [name for name in dir(settings) if not name.startswith("_")]:
+    for name in _core.Settings.FIELDS:
         before = getattr(settings, name)
         if isinstance(before, bool):
             after: Any = not before
@@ -149,6 +149,14 @@ def test_settings_are_what_they_were_set_to() -> None:
         assert np.array_equal(getattr(settings, name), after)
     with pytest.raises(AttributeError):
         settings.max_stp = 1  # type: ignore[attr-defined]
+
+
+def test_a_plan_hands_over_every_setting_in_its_place() -> None:
+    from invariode.plan import Settings
+
+    assert _core.Settings.FIELDS == Settings._fields
+    with pytest.raises(ValueError, match="not one value for each"):
+        _core.Settings((0.0, 1.0))
 
 
 def test_an_event_that_never_occurs_has_empty_arrays() -> None:

@@ -377,7 +377,7 @@ def contents(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import pandas
 
     if path.suffix == ".csv":  # by default pandas reads numbers to a few ulp
-        frame = pandas.read_csv(path, index_col="t", float_precision="round_trip")
+        frame = pandas.read_csv(path, dtype=str).astype(float).set_index("t")  # pandas rounds what it reads itself
     else:
         frame = pandas.read_parquet(path)
     return frame.index.to_numpy(), frame[labels].to_numpy().T

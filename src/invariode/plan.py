@@ -124,9 +124,7 @@ def solver(plan: Plan) -> _core.Solver:
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
         value=functions.value,
     )
-    settings = _core.Settings()
-    for name, value in zip(Settings._fields, plan.settings, strict=True):
-        setattr(settings, name, value)
+    settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
 
 
