@@ -60,7 +60,7 @@ class Invariants:
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
     iterations : int, optional
-        Projection iterations per step. Default: that of the method, 1, or 2 for ode45, dop853 and ode78 (paper,
+        Projection iterations per step. Default: that of the method, 1, or 2 for the pairs of order 5 and more (paper,
         section 4).
     when : {'always', 'needed'}, default 'always'
         Project after every step (paper, section 4), or leave alone what is closer to the manifold than 0.01 of the
