@@ -831,6 +831,7 @@ struct Run {
   std::vector<const char*> derivatives;
   std::vector<int> dropped;
   double dropped_at = 0;
+  Harm harm = {};
   double t_end = 0;
   std::optional<std::vector<double>> y_end = {};  // nothing: it is the last of the points
   double next_h = 0;
@@ -1060,9 +1061,11 @@ Run Course::result() {
       if (!block.certain) run.derivatives.push_back(name_of(block.derivative));
     run.projected_start = integration.guard()->projected_start();
     const Projector& projector = *integration.projector();
-    for (std::size_t i = 0; i < projector.dropped().size(); ++i)
-      if (projector.dropped()[i] != 0) run.dropped.push_back(static_cast<int>(i));
+    const std::vector<char> dropped = projector.dropped();
+    for (std::size_t i = 0; i < dropped.size(); ++i)
+      if (dropped[i] != 0) run.dropped.push_back(static_cast<int>(i));
     run.dropped_at = projector.dropped_at();
+    run.harm = integration.harm();
   }
   run.t_end = integration.t();
   if (output_at_times_ || run.points.t.empty()) run.y_end.emplace(integration.y(), integration.y() + run.n);
@@ -1438,9 +1441,9 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
   const Callback f = functions.state_valued(fun, "fun(t, y)");
   Invariants g = bound(n, functions, invariants, value, weights);
   ExplicitSlope slope(f);
-  Guard guard(g, weights, slope);
+  Guard guard(g, weights, slope, 0);
   std::vector<Guard::Examination> found;
-  switch (guard.examine(t, y.data(), 1, found)) {
+  switch (guard.examine(t, y.data(), found)) {
     case Outcome::stop: throw nb::python_error();
     case Outcome::not_finite: return nb::none();
     case Outcome::ok: break;
@@ -1461,6 +1464,7 @@ nb::object examine(const nb::object& fun, const nb::tuple& args, double t, const
   result["rate"] = column(&Guard::Examination::rate);
   result["angle"] = column(&Guard::Examination::angle);
   result["redundant"] = column(&Guard::Examination::redundant);
+  result["detectable"] = column(&Guard::Examination::detectable);
   result["conserved"] = column(&Guard::Examination::conserved);
   result["wrong_jacobian"] = nb::none();
   if (jacobian.kind == Finding::Kind::wrong_jacobian)
@@ -1616,7 +1620,9 @@ NB_MODULE(_core, module) {
       .def_ro("projected_start", &Run::projected_start)
       .def_ro("derivatives", &Run::derivatives)
       .def_ro("dropped", &Run::dropped)
-      .def_ro("dropped_at", &Run::dropped_at);
+      .def_ro("dropped_at", &Run::dropped_at)
+      .def_prop_ro("harmed", [](const Run& r) { return r.harm.component; })
+      .def_prop_ro("harm", [](const Run& r) { return r.harm.ratio; });
 
   using Bytes = nb::ndarray<std::int8_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
   using Indices = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;

@@ -126,6 +126,12 @@ class Run:
     @property
     def dropped_at(self) -> float: ...
 
+    @property
+    def harmed(self) -> int: ...
+
+    @property
+    def harm(self) -> float: ...
+
 class EnsembleRun:
     """
     Results of `integrate_all`. Arrays are handed over: each `take_…` works once.
