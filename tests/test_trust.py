@@ -45,10 +45,9 @@ def test_right_invariants_are_never_accused_in_random_runs():
 
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
 def test_what_is_not_found_costs_little():
-    """In random runs with derivatives that are exact, and errors of the invariant from 1e-9 to 1e-2 of its terms."""
-    lost = [(campaign.loss(case), str(case)) for case in campaign.cases(60, 6, right=False) if case.jac is None]
-    assert len(lost) > 20
-    assert sum(loss is None for loss, _ in lost) > 5  # found
+    """In random runs with derivatives of all kinds, and errors of a coefficient from 1e-9 to 1e-2 of it."""
+    lost = [(campaign.loss(case), str(case)) for case in campaign.cases(60, 6, right=False)]
+    assert sum(loss is None for loss, _ in lost) > 20  # found
     assert [case for loss, case in lost if loss is not None and loss > 30] == []
 
 

@@ -197,6 +197,7 @@ Finding Guard::start_rate(double t, const double* y, const double* f, double h) 
 }
 
 Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
+  if (const Finding seen = look_along_flow(at, t, f, h, steps); seen.kind != Finding::Kind::none) return seen;
   if (steps < std::min(quiet_until_, patient_until_)) return {};
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
@@ -431,6 +432,67 @@ double Guard::noise_in_time(const Linearization& at, std::size_t i, double t, do
   return (roundoff + roundoff_in_t * std::abs(t * gt_[i])) / Invariants::time_increment(t, h);
 }
 
+/// Whether a rate of invariant i counts, in a step or in the whole interval.
+bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h) const {
+  const double tolerated = weights_.rtol() * at.row_norm[i];
+  return std::abs(h * rate) > suspicious_drift * tolerated ||
+         (std::isfinite(interval_) && std::abs(interval_ * rate) > harmful_drift * tolerated);
+}
+
+/// Whether the derivatives of invariant i hide rates that count, though g itself does not.
+bool Guard::blind(const Linearization& at, std::size_t i, double t, const double* f, double h) {
+  if (invariants_.certain(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
+  const double hidden = limit(i) * at.row_norm[i] * weighted_norm(f, at.weights.data(), at.n()) +
+                        invariants_.roundoff_of_rate(i, at.y.data(), at.jacobian.data(), f) +
+                        noise_in_time(at, i, t, h);
+  return drifts(at, i, hidden, h);
+}
+
+/// The test of `suspect` at the point, for those whose derivatives are blind, by g along the flow.
+Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
+  const double* f = f_value_.data();
+  const double speed = weighted_norm(f, at.weights.data(), at.n());
+  Finding worst;
+  for (std::size_t i = 0; i < invariants_.m(); ++i) {
+    if (!blind(at, i, t, f, h)) continue;
+    const FlowRate flow = flow_rate(i, t, point_.data(), f, h);
+    if (flow.outcome == Outcome::stop) return stopped();
+    if (flow.outcome != Outcome::ok || !(std::abs(flow.rate) > uncertainty * flow.error)) continue;
+    const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
+    if (angle > std::max(suspicious_angle, worst.distance) && drifts(at, i, flow.rate, h))
+      worst = {.kind = Finding::Kind::not_conserved,
+               .invariant = static_cast<int>(i),
+               .t = t,
+               .size = flow.rate,
+               .distance = angle};
+  }
+  return worst;
+}
+
+/// In steps 1, 4, 16, …, where derivatives are blind: g along the flow where the linearization is, and what is then
+/// suspected, on the manifold.
+Finding Guard::look_along_flow(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
+  if (steps < next_flow_) return {};
+  next_flow_ = 4 * steps;
+  bool any = false;
+  for (std::size_t i = 0; i < invariants_.m(); ++i) any = any || blind(at, i, t, f, h);
+  if (!any) return {};
+  std::copy(at.y.begin(), at.y.end(), point_.begin());
+  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return stopped();
+  if (!all_finite(f_value_.data(), f_value_.size())) return {};
+  if (const Finding first = suspect_along_flow(at, t, h); first.kind != Finding::Kind::not_conserved) return first;
+  const Imposed imposed = projector_.approach(t, point_.data());
+  const Outcome outcome = imposed.outcome == Outcome::ok ? evaluate_rates(t, h) : imposed.outcome;
+  if (outcome == Outcome::stop) return stopped();
+  if (outcome == Outcome::not_finite || !imposed.converged) return {};
+  const Finding found = suspect_along_flow(projector_.linearization(), t, h);
+  if (found.kind != Finding::Kind::not_conserved) return found;
+  bool persistent = false;
+  if (persists(static_cast<std::size_t>(found.invariant), t, h, found.size, persistent) == Outcome::stop)
+    return stopped();
+  return persistent ? found : Finding{};
+}
+
 /// The invariant with the largest angle ρ_i = |g_t + J_i f| / (|g_t| + ‖J_i W‖ ‖W⁻¹ f‖) among those whose drift
 /// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too, in a step or in the whole interval, and is not what roundoff makes of
 /// differences.
@@ -443,9 +505,7 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
     if (invariants_.certain(i)) continue;
     const double rate = gt_[i] + dot(J + i * n, f, n);
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
-    const double tolerated = weights_.rtol() * at.row_norm[i];
-    const bool drifts = std::abs(h * rate) > suspicious_drift * tolerated ||
-                        (std::isfinite(interval_) && std::abs(interval_ * rate) > harmful_drift * tolerated);
+    const bool drifts = this->drifts(at, i, rate, h);
     const bool suspicious = angle > limit(i) && drifts && angle > worst.distance;
     if (!suspicious) continue;
     if (std::abs(rate) > invariants_.roundoff_of_rate(i, y, J, f) + noise_in_time(at, i, t, h))

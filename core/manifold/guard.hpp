@@ -68,6 +68,10 @@ class Guard {
   Finding suspect(const Linearization& at, double t, const double* f, double h);
   [[nodiscard]] double noise_in_time(const Linearization& at, std::size_t i, double t, double h) const;
   [[nodiscard]] double limit(std::size_t i) const;
+  [[nodiscard]] bool drifts(const Linearization& at, std::size_t i, double rate, double h) const;
+  bool blind(const Linearization& at, std::size_t i, double t, const double* f, double h);
+  Finding suspect_along_flow(const Linearization& at, double t, double h);
+  Finding look_along_flow(const Linearization& at, double t, const double* f, double h, std::int64_t steps);
   Finding acquitted_here(const Linearization& at, double t, double h, bool& acquitted);
   Finding confirm_at_point(double t, double h);
   Finding worst_entry(double t, const double* y);
@@ -97,6 +101,7 @@ class Guard {
   std::int64_t quiet_until_ = 0;      // step before which `rate` does not look at large angles again
   std::int64_t patient_until_ = 0;    // and at small ones
   std::int64_t unworried_until_ = 0;  // and `corrected`
+  std::int64_t next_flow_ = 1;        // step in which derivatives that are blind are made up for
   std::int64_t next_look_ = 1;        // step in which g_t is formed although it has been 0
 };
 

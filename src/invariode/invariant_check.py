@@ -37,8 +37,8 @@ class CheckReport:
     angle : ndarray
         That in units of the size of its terms: roundoff for invariants.
     detectable : ndarray
-        The smallest angle that is told from roundoff and from errors of the derivatives: what is wrong by less is not
-        seen.
+        The smallest angle that the check tells from roundoff and from errors of the derivatives. (A run sees smaller
+        ones, where its tolerance asks for it.)
     redundant : ndarray of bool
         Dependent on the others.
     stationary : ndarray of bool
