@@ -118,6 +118,7 @@ void define_examination(nb::module_& module) {
   column(examination, "rate", &One::rate, "d/dt along f, on the manifold.");
   column(examination, "angle", &One::angle, "The rate in units of the size of its terms.");
   column(examination, "redundant", &One::redundant, "1 where the others imply it.");
+  column(examination, "detectable", &One::detectable, "The smallest angle that tells from roundoff.");
   column(examination, "conserved", &One::conserved, "1 where f conserves it, as far as can be told.");
   examination.def_prop_ro(
       "wrong_jacobian",

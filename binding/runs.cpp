@@ -338,6 +338,8 @@ void define_summary_of_run(RunClass& run) {
   });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
+  property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
+  property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 

@@ -33,12 +33,14 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
 }
 
 void Invariants::note_kinds() {
+  derivative_error_ = 0;
   increment_.clear();
   certain_.clear();
   for (const InvariantBlock& block : blocks_) {
     const double increment = block.derivative == Derivative::central   ? cbrt_eps
                              : block.derivative == Derivative::forward ? sqrt_eps
                                                                        : 0;
+    if (increment > 0) derivative_error_ = std::max(derivative_error_, eps / increment);
     increment_.insert(increment_.end(), block.m, increment);
     certain_.insert(certain_.end(), block.m, block.certain);
   }
@@ -207,6 +209,13 @@ double Invariants::roundoff_of_rate(std::size_t i, const double* y, const double
   double sum = 0;
   for (std::size_t j = 0; j < n_; ++j) sum += std::abs(f[j]) / size[j];
   return sum * roundoff(i, y, J) / increment_[i];
+}
+
+double Invariants::resolution(std::size_t i, const double* y, const double* J) {
+  const double* size = sizes(y);
+  double change = 0;
+  for (std::size_t j = 0; j < n_; ++j) change += std::abs(J[i * n_ + j]) * size[j];
+  return roundoff_units * eps * change;
 }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {

@@ -195,6 +195,11 @@ Step::Attempt Ndf::attempt(double h, double t1) {
   return {Outcome::ok, error_, candidate_.data()};
 }
 
+bool Ndf::errors(double* out) const {
+  for (std::size_t i = 0; i < n(); ++i) out[i] = d_[i] * error_constant(order_);
+  return true;
+}
+
 /// p = y + Σ D_j and ψ = invGa_k Σ γ_j D_j of c f(t₁, p + d) = M (ψ + d), where d = ∇^{k+1} y₁; the weights of the
 /// step.
 void Ndf::predict() {

@@ -13,7 +13,7 @@ from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ens
 from .events import Event
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
-from .invariants import ImposeResult, InvariantError, Invariants, impose
+from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
 from .ivp import solve_ivp
 from .loading import load
 from .methods import METHODS, Method
@@ -23,6 +23,7 @@ from .solution import DenseSolution, Drift, Solution, Stats, Steps
 
 __all__ = [
     "METHODS",
+    "AccuracyWarning",
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",

@@ -29,14 +29,14 @@ _quiet = ContextVar("quiet", default=False)
 PACKAGE = os.path.dirname(__file__) + os.sep
 
 
-def warn(message: str) -> None:
-    """A UserWarning that points at the line of the caller of this package."""
+def warn(message: str, category: type[UserWarning] = UserWarning) -> None:
+    """A warning that points at the line of the caller of this package."""
     if _quiet.get():
         return
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, UserWarning, stacklevel=level)
+    warnings.warn(message, category, stacklevel=level)
 
 
 @contextmanager

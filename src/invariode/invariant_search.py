@@ -167,6 +167,7 @@ class _Search:
     def __init__(self, fun: Callable[..., Any], t_span: tuple[float, float], y0: Array, args: tuple[Any, ...]) -> None:
         self._fun, self._t_span, self._args = fun, t_span, args
         self._random = np.random.default_rng(20260)
+        self._largest = np.abs(y0).max(initial=0) or 1.0
         first = self._trajectory(y0, 1e-6)
         self._size = np.abs(first[1]).max(axis=1) if first else np.abs(y0)
         self._size[self._size == 0] = 1.0
@@ -185,7 +186,11 @@ class _Search:
         def labours(t: float, y: Array) -> bool:
             return next(steps) > _MOST_STEPS
 
-        options: dict[str, Any] = {"args": self._args, "rtol": rtol, "atol": 1e-4 * rtol * np.maximum(np.abs(y0), 1e-4)}
+        options: dict[str, Any] = {
+            "args": self._args,
+            "rtol": rtol,
+            "atol": 1e-4 * rtol * np.maximum(np.abs(y0), 1e-4 * self._largest),
+        }
         try:
             sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
             if not sol.success or sol.status == 2:

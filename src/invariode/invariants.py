@@ -28,7 +28,7 @@ from ._arguments import (
 from ._types import Function, JacobianKind, Numbers
 from .compiled import is_native, native_parameters, to_native
 
-__all__ = ["ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
+__all__ = ["AccuracyWarning", "ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
 
 
 #: How a Jacobian can be had without a function for it.
@@ -105,6 +105,10 @@ class Invariants:
     def __repr__(self) -> str:
         held = "" if self.value is None else f", value={self.value.tolist()}"
         return f"{type(self).__name__}({', '.join(self.names or [call_name(self.fun, 'g')])}{held})"
+
+
+class AccuracyWarning(UserWarning):
+    """Projection moves a component of the solution by much more than its estimated error: it may do harm there."""
 
 
 #: Invariants as arguments: a function, an `Invariants`, or several of these.
