@@ -140,6 +140,8 @@ def find_invariants(
     start, extra = state(y0), extra_arguments(args)
     if not np.isfinite(tf):
         raise ValueError(f"t_span must be finite for find_invariants, got {t_span!r}")
+    if not len(start):
+        raise ValueError("find_invariants needs at least one component, got an empty y0")
     if np.iscomplexobj(start):
         raise ValueError("find_invariants is for real problems; write a complex y0 as its real and imaginary parts")
     degree, n = positive_integer("degree", degree), len(start)
