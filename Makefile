@@ -14,23 +14,58 @@ INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
-.PHONY: paper test native sanitize lint format stubs bench docs dist clean
+# Other compilers and processors; what is not installed is skipped, with a message.
+CLANG ?= clang++
+AARCH64 ?= aarch64-linux-gnu
+LOWEST := .venv-lowest
+
+.PHONY: paper test test-lowest native native-clang native-aarch64 sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/invariode paper --output paper-report.html
 
 test: $(VENV)/.installed-test native  ## every test: the core's own, then Python's
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n 2
+
+test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
+	$(LOWEST)/bin/python -m pytest -q -n 2 -W ignore::DeprecationWarning
 
 native: $(VENV)/.installed-test
 	$(CMAKE) -S . -B $(NATIVE)
 	$(BIN)/cmake --build $(NATIVE)
 	$(BIN)/ctest --test-dir $(NATIVE) --output-on-failure
 
-sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan
+# $(call native_with,NAME,OPTIONS): the native tests in a build directory of their own.
+define native_with
+	$(CMAKE) -S . -B $(NATIVE)-$(1) $(2)
+	$(BIN)/cmake --build $(NATIVE)-$(1)
+	$(BIN)/ctest --test-dir $(NATIVE)-$(1) --output-on-failure
+endef
+
+ifeq ($(shell command -v $(CLANG)),)
+native-clang:
+	@echo "native-clang skipped: there is no $(CLANG) here; on Debian, apt-get install clang"
+else
+native-clang: $(VENV)/.installed-test  ## the core's tests, compiled by clang
+	$(call native_with,clang,-DCMAKE_CXX_COMPILER=$(CLANG))
+endif
+
+ifeq ($(and $(shell command -v $(AARCH64)-g++),$(shell command -v qemu-aarch64)),)
+native-aarch64:
+	@echo "native-aarch64 skipped: on Debian, apt-get install g++-aarch64-linux-gnu qemu-user"
+else
+native-aarch64: $(VENV)/.installed-test  ## the core's tests, cross-compiled for 64-bit ARM and emulated
+	$(call native_with,aarch64,-DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
+	  -DCMAKE_CXX_COMPILER=$(AARCH64)-g++ "-DCMAKE_CROSSCOMPILING_EMULATOR=qemu-aarch64;-L;/usr/$(AARCH64)")
+endif
+
+sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
 	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
+	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=thread
+	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble
+	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble)$$'
 
 lint: $(VENV)/.installed-lint native  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
@@ -71,7 +106,7 @@ docs: $(VENV)/.installed-docs  ## the documentation, in build/docs: every cell a
 	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs
 
 clean:
-	rm -rf build dist $(VENV) paper-report.html docs/gallery docs/generated docs/sg_execution_times.rst
+	rm -rf build dist $(VENV) $(LOWEST) paper-report.html docs/gallery docs/generated docs/sg_execution_times.rst
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -80,4 +115,14 @@ $(VENV)/bin/python:
 comma := ,
 $(VENV)/.installed-%: $(VENV)/bin/python $(SOURCES)
 	$(INSTALL) ".[$(subst -,$(comma),$*)]"
+	@touch $@
+
+# Built against the lowest build requirements, installed with the lowest requirements; then the tests run from the sources.
+$(LOWEST)/.installed: $(SOURCES) tests/lowest.py
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python tests/lowest.py --build > $(LOWEST)/build.txt
+	$(LOWEST)/bin/python tests/lowest.py > $(LOWEST)/run.txt
+	$(LOWEST)/bin/python -m pip install -q --disable-pip-version-check -r $(LOWEST)/build.txt ninja cmake
+	$(LOWEST)/bin/python -m pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w $(LOWEST) .
+	$(LOWEST)/bin/python -m pip install -q --disable-pip-version-check -r $(LOWEST)/run.txt $(LOWEST)/invariode-*.whl
 	@touch $@

@@ -202,7 +202,7 @@ def _diffusion():
     line[0, 1] = line[-1, -2] = 2
     eye = sparse.eye_array(SIDE)
     matrix = sparse.kron(sparse.kron(line, eye) + sparse.kron(eye, line), DIFFUSION_2D * sparse.eye_array(2)).tocoo()
-    return *matrix.coords, matrix.data
+    return matrix.row, matrix.col, matrix.data
 
 
 ROWS, COLUMNS, DIFFUSIVE = _diffusion()

@@ -74,10 +74,19 @@ CALLS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_refused(method, name):
+def test_refused(name):
+    """These checks come before the method starts: one method is enough."""
     changed, error, message = CALLS[name]
     with pytest.raises(error, match=message):
-        iv.solve_ivp(**{"fun": decay, "t_span": (0, 2), "y0": [1, 2], "method": method} | changed)
+        iv.solve_ivp(**{"fun": decay, "t_span": (0, 2), "y0": [1, 2]} | changed)
+
+
+@pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("invariant ")])
+def test_values_of_invariants_are_refused_in_every_method(method, name):
+    """What g returns shows when it is called."""
+    changed, error, message = CALLS[name]
+    with pytest.raises(error, match=message):
+        iv.solve_ivp(decay, (0, 2), [1, 2], method, **changed)
 
 
 @pytest.mark.parametrize(

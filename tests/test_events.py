@@ -30,10 +30,10 @@ def run(method, events, t_span=(0, 10), **options):
 def test_roots_are_found_to_a_few_ulp(method):
     times = [0.3, 1.7, 4.00001, 9.99]
     sol = run(method, [at(s) for s in times])
-    for s, found in zip(times, sol.t_events, strict=True):
-        assert len(found) == 1
+    for s, found, states in zip(times, sol.t_events, sol.y_events, strict=True):
+        assert len(found) == len(states) == 1
         assert abs(found[0] - s) <= 8 * np.spacing(10.0)
-        np.testing.assert_allclose(sol.y_events[0][0][0], sol.t_events[0][0], rtol=1e-14)
+        np.testing.assert_allclose(states[0][0], found[0], rtol=1e-14)
 
 
 def test_several_roots_in_one_step_are_all_found_in_order(method):
@@ -144,6 +144,7 @@ def test_raw_and_corrected_event_states_are_on_their_interpolants(method):
     problem = PROBLEMS["Kepler"]
     for mode in ("corrected", "raw"):
         sol = problem.solve(method, events=lambda t, y: y[1], interpolation=mode, dense_output=True)
+        assert len(sol.t_events[0]) > 0
         for t, y in zip(sol.t_events[0], sol.y_events[0], strict=True):
             np.testing.assert_allclose(sol.sol(t), y, rtol=1e-12, atol=1e-12)
 

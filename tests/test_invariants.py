@@ -23,15 +23,18 @@ def references():
 
 
 @pytest.mark.parametrize("name", GALLERY)
-@pytest.mark.parametrize("kind", [None, "3-point", "2-point"])
-def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, kind, references):
+def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, references):
     p = GALLERY[name]
-    options = {"method": method, "rtol": 1e-6, "atol": 1e-9}
-    errors = [
-        np.abs(iv.solve_ivp(p.fun, p.t_span, p.y0, invariants=g, **options).y[:, -1] - references[name]).max()
-        for g in (iv.Invariants(p.g, p.jac, p.value), iv.Invariants(p.g, kind, p.value))
-    ]
-    assert errors[1] <= 3 * errors[0]
+    rtol = 1e-6 if iv.METHODS[method].order > 3 else 1e-4  # below order 4, steps are many
+
+    def error(jac):
+        invariants = iv.Invariants(p.g, jac, p.value)
+        sol = iv.solve_ivp(p.fun, p.t_span, p.y0, method, invariants=invariants, rtol=rtol, atol=1e-3 * rtol)
+        return np.abs(sol.y[:, -1] - references[name]).max()
+
+    given = error(p.jac)
+    for kind in (None, "3-point", "2-point"):
+        assert error(kind) <= 3 * given, kind
 
 
 @pytest.mark.parametrize("name", GALLERY)

@@ -105,8 +105,31 @@ def test_pictures_can_be_drawn_without_warnings_and_keep_their_legends_inside_th
     assert ax.get_title() == "Circle"
 
 
-def test_every_picture_of_every_problem(problem, draw, method):
-    draw(problem.solve(method), axes())
+#: What each drawing shows, one (x, y) for each of its curves.
+SHOWN = {
+    "plot": lambda sol: [(sol.t, y) for y in sol.y],
+    "phase": lambda sol: [(sol.y[0], sol.y[1])],
+    "drift": lambda sol: [(sol.t, np.abs(r)) for r in sol.residual],
+    "steps": lambda sol: [(sol.t, np.abs(sol.steps.h[[0, *range(sol.stats.steps)]]))],
+}
+
+
+def below(sol):
+    """Residuals so small, a unit of roundoff of what is compared, are drawn higher: zeros have no logarithm."""
+    drift = sol.drift()
+    return np.finfo(float).eps * max(1, np.abs(drift.value).max(), drift.residual_before.max())
+
+
+@pytest.mark.parametrize("drawing", DRAWINGS)
+def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method):
+    sol = problem.solve(method)
+    ax = axes()
+    DRAWINGS[drawing](sol, ax)
+    curves = [line for line in ax.lines if len(line.get_xdata()) > 2]  # the others mark ends and bounds
+    for line, (x, y) in zip(curves, SHOWN[drawing](sol), strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), x)
+        visible = y > below(sol) if drawing == "drift" else slice(None)
+        np.testing.assert_array_equal(line.get_ydata()[visible], y[visible])
 
 
 def test_names_are_those_of_the_problem():
@@ -136,7 +159,9 @@ def test_lines_are_the_points_of_the_output_marked_where_they_are_few():
 
 def test_lines_are_the_dense_output_where_there_is_one():
     sol = turning().solve(dense_output=True, t_eval=[0, 20])
-    for k, line in enumerate(shown(sol.plot(ax=axes()))):
+    curves = shown(sol.plot(ax=axes()))
+    assert len(curves) == len(sol.y)
+    for k, line in enumerate(curves):
         t, y = line.get_data()
         assert len(t) > 30 * sol.stats.steps
         assert set(sol.sol.ts) <= set(t)

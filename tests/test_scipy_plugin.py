@@ -76,6 +76,7 @@ def test_events_of_scipy_are_ours(method, t_span):
     ours = iv.solve_ivp(problem.fun, t_span, problem.y0, method, **about)
     sol = theirs(problem, method, t_span, **about)
     for a, b, ya, yb in zip(sol.t_events, ours.t_events, sol.y_events, ours.y_events, strict=True):
+        assert len(a) > 0
         assert len(a) > 2
         np.testing.assert_allclose(a, b, atol=1e-13)
         np.testing.assert_allclose(ya, yb, atol=1e-12)

@@ -6,6 +6,7 @@ import ast
 import importlib
 import inspect
 import pickle
+import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import invariode as iv
 from invariode._moved import MOVED
 
 PACKAGE = Path(iv.__file__).parent
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def module_name(path):
@@ -51,6 +53,30 @@ def test_no_module_imports_itself_by_a_detour():
         TopologicalSorter(graph).prepare()
     except CycleError as circle:
         pytest.fail(f"a circle of imports: {' <- '.join(circle.args[1])}")
+
+
+LONGEST = 60  # lines of a function, without its docstring
+
+
+def test_no_function_is_longer_than_a_screen():
+    """Python's by their syntax; those of the core and the binding from the line at the margin that opens them."""
+    found = {}
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
+                lines = first.lineno - node.body[0].lineno if ast.get_docstring(node) else 0
+                found[f"{path.name}:{node.name}"] = node.end_lineno - node.lineno + 1 - lines
+    for path in sorted(p for room in ("core", "binding") for p in (ROOT / room).rglob("*.?pp")):
+        start = None
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            if line.endswith("{") and re.match(r"(?!namespace|class|struct|enum|union|template|extern|\})[\w:~]", line):
+                start = None if " = {" in line or re.match(r"(inline |static )?const", line) else number
+            elif line == "}" and start is not None:
+                found[f"{path.name}:{start}"] = number - start + 1
+                start = None
+    assert {name: lines for name, lines in found.items() if lines > LONGEST} == {}
+    assert len(found) > 500
 
 
 class TestFunctionsOfTheMethods:

@@ -1,115 +1,79 @@
 #pragma once
-// Many independent tasks of unequal cost on several threads.
+// Many runs of one problem, from different initial values and with different parameters, on several threads.
 
-#include <algorithm>
-#include <atomic>
-#include <chrono>
-#include <condition_variable>
+#include <cstddef>
 #include <cstdint>
-#include <exception>
+#include <functional>
 #include <memory>
 #include <mutex>
-#include <thread>
+#include <span>
 #include <vector>
+
+#include "run/problem.hpp"
+#include "run/run.hpp"
 
 namespace invariode {
 
-/// The indices that a worker has still to do. The owner takes from the front; a worker with nothing left takes the
-/// back half. Both ends are in one word, so that each is one compare-and-swap.
-class alignas(64) Share {
+/// What the trajectories came to: one row for each.
+class EnsembleResult {
  public:
-  void assign(std::uint32_t begin, std::uint32_t end) { ends_.store(pack(begin, end)); }
+  /// Occurrences of one event: in which trajectory, when and where.
+  struct Occurrences {
+    std::vector<std::int64_t> trajectory;
+    Trajectory points;
+  };
+  /// Why a trajectory ended early.
+  struct Failure {
+    std::size_t trajectory;
+    State state;
+    Report report;
+  };
+  /// In place of a State, of a trajectory that could not start: its initial value is not finite, or not consistent.
+  static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3;
+  static constexpr std::size_t counts = RunResult::count_size;
 
-  /// The next index; false: none is left.
-  bool take(std::uint32_t& index) {
-    std::uint64_t ends = ends_.load();
-    do {
-      if (begin(ends) >= end(ends)) return false;
-      index = begin(ends);
-    } while (!ends_.compare_exchange_weak(ends, pack(index + 1, end(ends))));
-    return true;
-  }
+  EnsembleResult(std::size_t size, const Solver& solver);
 
-  /// Moves the back half, at least one index, to `thief`, which must be empty; false: there is nothing.
-  bool steal(Share& thief) {
-    std::uint64_t ends = ends_.load();
-    std::uint32_t middle;
-    do {
-      if (begin(ends) >= end(ends)) return false;
-      middle = begin(ends) + (end(ends) - begin(ends)) / 2;
-    } while (!ends_.compare_exchange_weak(ends, pack(begin(ends), middle)));
-    thief.assign(middle, end(ends));
-    return true;
-  }
+  // Several threads may call these, for different trajectories i.
+
+  /// It cannot start.
+  void refuse(std::size_t i, std::int8_t why, double t0, const double* y0);
+  /// Its invariants are held at their present values.
+  void hold(std::size_t i, Run& run);
+  /// Keeps what it did; ng gets `uncounted` more. The times of y that it did not reach stay NaN.
+  void keep(std::size_t i, Run& run, std::int64_t uncounted);
+
+  std::size_t size, n, parts, m, n_t;
+  std::vector<double> t, y_end;
+  std::vector<double> y;  ///< (size, n / parts, n_t, parts): numbers of one or two reals
+  /// Of each invariant the value held, and the largest residual before and after projection; the largest correction.
+  std::vector<double> value, before, after, correction;
+  std::vector<std::int64_t> count;  ///< (size, counts)
+  std::vector<std::int8_t> state;   ///< a State, or why it could not start
+  std::vector<Occurrences> occurrences;
+  std::vector<Failure> failures;
 
  private:
-  static std::uint64_t pack(std::uint32_t begin, std::uint32_t end) { return std::uint64_t{begin} << 32 | end; }
-  static std::uint32_t begin(std::uint64_t ends) { return static_cast<std::uint32_t>(ends >> 32); }
-  static std::uint32_t end(std::uint64_t ends) { return static_cast<std::uint32_t>(ends); }
+  void keep_outputs(std::size_t i, const RunResult& run);
+  void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants);
+  void keep_happenings(std::size_t i, const RunResult& run);
 
-  std::atomic<std::uint64_t> ends_ = 0;
+  std::mutex shared_;  // for occurrences and failures
 };
 
-/// Calls work(worker, index, cancelled) for each index < count, on `workers` threads; meanwhile, every `patience` and
-/// at the end, watch(done) on the calling thread, which cancels what is left by returning false. True: all were done.
-/// `cancelled` is for work that takes long. What work throws first cancels the others and is thrown again.
-template <class Work, class Watch>
-bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work,
-                    Watch watch) {
-  std::vector<Share> shares(workers);
-  for (std::size_t w = 0; w < workers; ++w)
-    shares[w].assign(static_cast<std::uint32_t>(std::uint64_t{count} * w / workers),
-                     static_cast<std::uint32_t>(std::uint64_t{count} * (w + 1) / workers));
-  std::atomic<bool> cancelled = false;
-  std::atomic<std::uint32_t> done = 0;
-  std::mutex mutex;
-  std::condition_variable ended;
-  std::size_t running = workers;
-  std::exception_ptr error;
+/// What is integrated: `size` rows of y0 (n doubles each) and of parameters (`parameters` doubles each).
+struct Ensemble {
+  std::size_t size;
+  const double* y0;
+  const double* rows;  ///< of parameters
+  std::size_t n, parameters;
+};
 
-  const auto labour = [&](std::size_t own) {
-    const auto steal = [&] {
-      for (std::size_t k = 1; k < workers; ++k)
-        if (shares[(own + k) % workers].steal(shares[own])) return true;
-      return false;
-    };
-    do {
-      for (std::uint32_t index; !cancelled.load(std::memory_order_relaxed) && shares[own].take(index);) {
-        try {
-          work(own, index, cancelled);
-        } catch (...) {
-          const std::lock_guard lock(mutex);
-          if (!error) error = std::current_exception();
-          cancelled = true;
-        }
-        done.fetch_add(1, std::memory_order_relaxed);
-      }
-    } while (!cancelled.load(std::memory_order_relaxed) && steal());
-    const std::lock_guard lock(mutex);
-    --running;
-    ended.notify_one();
-  };
-
-  std::vector<std::thread> threads;
-  threads.reserve(workers);
-  try {
-    for (std::size_t w = 0; w < workers; ++w) threads.emplace_back(labour, w);
-  } catch (...) {  // no more threads to be had: those that run take the others' shares
-    if (threads.empty()) throw;
-    const std::lock_guard lock(mutex);
-    running -= workers - threads.size();
-  }
-  {
-    std::unique_lock lock(mutex);
-    while (!ended.wait_for(lock, patience, [&] { return running == 0; })) {
-      lock.unlock();
-      if (!watch(done.load())) cancelled = true;
-      lock.lock();
-    }
-  }
-  for (std::thread& thread : threads) thread.join();
-  if (error) std::rethrow_exception(error);
-  return watch(done.load()) && !cancelled;
-}
+/// Integrates from each row, on as many threads as there are solvers: one for each, all of the same problem, with
+/// functions that need no interpreter. Every `patience`, and at the end, watch(done) is called on this thread; by
+/// returning false it cancels the rest, and there is no result. Throws std::invalid_argument where sizes do not match
+/// or where solvers share the place of their parameters.
+std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
+                                              const std::function<bool(std::uint32_t done)>& watch);
 
 }  // namespace invariode

@@ -7,22 +7,6 @@ import numpy
 from numpy.typing import NDArray
 
 
-class Dense:
-    @staticmethod
-    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool) -> Dense:
-        """What `parts` gave, put together again."""
-
-    def parts(self) -> dict:
-        """What it consists of: arrays, numbers and names."""
-
-    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
-        """y at each t: (len(t), n)."""
-
-    def joined(self, next: Dense) -> Dense:
-        """This and then `next`, which starts where this ends."""
-
-    def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
-
 class Native:
     """Machine code of the user, and what keeps it alive."""
 
@@ -30,6 +14,16 @@ class Native:
 
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
+
+class Invariant:
+    """An invariant, for the core."""
+
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool) -> None: ...
+
+class Event:
+    """An event, for the core."""
+
+    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool) -> None: ...
 
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
@@ -41,6 +35,145 @@ class Linear:
         """
         Number of algebraic equations: the dimension of the left null space of M.
         """
+
+class Problem:
+    """What is to be solved, but for the initial value. n: reals in a state."""
+
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
+
+class Tolerances:
+    """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
+
+    def __init__(self, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None) -> None: ...
+
+class Settings:
+    """What a run is asked for, beyond the problem and the method."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def t0(self) -> float: ...
+
+    @t0.setter
+    def t0(self, arg: float, /) -> None: ...
+
+    @property
+    def tf(self) -> float: ...
+
+    @tf.setter
+    def tf(self, arg: float, /) -> None: ...
+
+    @property
+    def max_step(self) -> float: ...
+
+    @max_step.setter
+    def max_step(self, arg: float, /) -> None: ...
+
+    @property
+    def first_step(self) -> float: ...
+
+    @first_step.setter
+    def first_step(self, arg: float, /) -> None: ...
+
+    @property
+    def iterations(self) -> int: ...
+
+    @iterations.setter
+    def iterations(self, arg: int, /) -> None: ...
+
+    @property
+    def refine(self) -> int: ...
+
+    @refine.setter
+    def refine(self, arg: int, /) -> None: ...
+
+    @property
+    def dense(self) -> bool: ...
+
+    @dense.setter
+    def dense(self, arg: bool, /) -> None: ...
+
+    @property
+    def save_all(self) -> bool: ...
+
+    @save_all.setter
+    def save_all(self, arg: bool, /) -> None: ...
+
+    @property
+    def record(self) -> bool: ...
+
+    @record.setter
+    def record(self, arg: bool, /) -> None: ...
+
+    @property
+    def check(self) -> bool: ...
+
+    @check.setter
+    def check(self, arg: bool, /) -> None: ...
+
+    @property
+    def negligible(self) -> float: ...
+
+    @negligible.setter
+    def negligible(self, arg: float, /) -> None: ...
+
+    @property
+    def max_order(self) -> int: ...
+
+    @max_order.setter
+    def max_order(self, arg: int, /) -> None: ...
+
+    @property
+    def bdf(self) -> bool: ...
+
+    @bdf.setter
+    def bdf(self, arg: bool, /) -> None: ...
+
+    @property
+    def fsal(self) -> str: ...
+
+    @fsal.setter
+    def fsal(self, arg: str, /) -> None: ...
+
+    @property
+    def interpolation(self) -> str: ...
+
+    @interpolation.setter
+    def interpolation(self, arg: str, /) -> None: ...
+
+    @property
+    def times(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None:
+        """None: output at the steps."""
+
+    @times.setter
+    def times(self, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None) -> None: ...
+
+class Dense:
+    """The continuous solution of a run."""
+
+    @staticmethod
+    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool) -> Dense:
+        """What `parts` gave, put together again."""
+
+    def parts(self) -> dict:
+        """What it consists of: arrays, numbers and names."""
+
+    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem | None) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """
+        y at each t: (len(t), n); projected, where it projects, onto the invariants of `problem`.
+        """
+
+    def joined(self, next: Dense) -> Dense:
+        """This and then `next`, which starts where this ends."""
+
+    @property
+    def n(self) -> int:
+        """Reals in a state."""
+
+    @property
+    def complex(self) -> bool: ...
+
+    def knots(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
 class Run:
     """
@@ -59,9 +192,6 @@ class Run:
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
 
     def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
-
-    @property
-    def next_h(self) -> float: ...
 
     def take_dense(self) -> Dense | None: ...
 
@@ -82,6 +212,12 @@ class Run:
 
     @property
     def pure_relative(self) -> bool: ...
+
+    @property
+    def singular(self) -> bool: ...
+
+    @property
+    def undefined_jacobian(self) -> bool: ...
 
     @property
     def event(self) -> int: ...
@@ -109,12 +245,6 @@ class Run:
         """Numbers, in the order of COUNTS."""
 
     @property
-    def singular(self) -> bool: ...
-
-    @property
-    def undefined_jacobian(self) -> bool: ...
-
-    @property
     def projected_start(self) -> bool: ...
 
     @property
@@ -125,6 +255,9 @@ class Run:
 
     @property
     def dropped_at(self) -> float: ...
+
+    @property
+    def next_h(self) -> float: ...
 
 class EnsembleRun:
     """
@@ -148,10 +281,6 @@ class EnsembleRun:
     def failures(self) -> list[tuple[int, Run]]:
         """(trajectory, Run that tells why it ended) of those that failed."""
 
-COUNTS: tuple = ...
-
-STATES: list = ...
-
 def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None) -> EnsembleRun:
     """
     Integrates from each row of y0, on as many threads as there are solvers.
@@ -160,7 +289,7 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
 class Solver:
     """A problem with a method: all that is known before the initial value."""
 
-    def __init__(self, *, method: str, n: int, fun: object, args: tuple, t0: float, tf: float, complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, max_step: float, first_step: float, fsal: str, max_order: int, bdf: bool, linear: Linear | None, interpolation: str, refine: int, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, dense: bool, save_all: bool, record: bool, check: bool, events: Sequence[tuple[object, int, int, str, object, bool]], callback: object | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], iterations: int, negligible: float, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
+    def __init__(self, method: str, problem: Problem, tolerances: Tolerances, settings: Settings) -> None: ...
 
     @property
     def native(self) -> bool:
@@ -216,23 +345,112 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-def consistent_start(*, fun: object, args: tuple, t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, linear: Linear, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
-    """
-    y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
-    """
+STATES: list = ...
 
-def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
-    """
-    Projects each row of y to roundoff: (y, converged, residual, iterations).
-    """
+COUNTS: tuple = ...
 
-def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: Problem) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """g(t, y) - value of each row of y: (len(t), m)."""
+
+def distance(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     Distances of each row of y from the level sets, in units of rtol: (len(t), m).
     """
 
-def examine(*, fun: object, args: tuple, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], complex: bool, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> object:
-    """How each invariant stands at one point."""
+def impose(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]]:
+    """
+    Projects each row of y to roundoff: (y, converged, residual, iterations).
+    """
 
-def residual(t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, complex: bool, invariants: Sequence[tuple[object, object, int, str, bool]], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
-    """g(t, y) - value of each row of y: (len(t), m)."""
+def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> Examination | None:
+    """
+    How each invariant stands at one point; None where g, its Jacobian or f is not finite there.
+    """
+
+def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
+    """
+    y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
+    """
+
+class Examination:
+    """How invariants stand at a point: arrays (m,)."""
+
+    @property
+    def residual(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """g - value."""
+
+    @property
+    def distance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """From the level set, in units of rtol."""
+
+    @property
+    def gradient(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Weighted norm of the gradient; 0: stationary."""
+
+    @property
+    def rate(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """d/dt along f, on the manifold."""
+
+    @property
+    def angle(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """The rate in units of the size of its terms."""
+
+    @property
+    def redundant(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """1 where the others imply it."""
+
+    @property
+    def conserved(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """1 where f conserves it, as far as can be told."""
+
+    @property
+    def wrong_jacobian(self) -> tuple[int, int, float, float] | None:
+        """(invariant, component, entry, difference quotient), or None."""
+
+class Method:
+    """A row of the registry."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def family(self) -> str: ...
+
+    @property
+    def min_order(self) -> int: ...
+
+    @property
+    def order(self) -> int: ...
+
+    @property
+    def extension_order(self) -> int: ...
+
+    @property
+    def stages(self) -> int | None:
+        """Evaluations of f per step; None: no fixed number."""
+
+    @property
+    def extra(self) -> int: ...
+
+    @property
+    def iterations(self) -> int: ...
+
+    @property
+    def refine(self) -> int: ...
+
+    @property
+    def source(self) -> str: ...
+
+    @property
+    def scipy_name(self) -> str | None:
+        """Of the corresponding method of `scipy.integrate.solve_ivp`, or None."""
+
+    @property
+    def scipy_bdf(self) -> bool:
+        """That name implies the option bdf."""
+
+    @property
+    def options(self) -> tuple: ...
+
+def methods() -> list[Method]:
+    """The registry of methods."""

@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.process import BaseProcess
@@ -39,7 +39,7 @@ AHEAD = 2
 MOST_WORKERS = 61 if sys.platform == "win32" else sys.maxsize
 #: Seconds between two looks of a worker at whether its parent is alive.
 INTERVAL = 0.5
-#: How often in a row processes may die before any of them comes to a row.
+#: So many times in a row a process may die before it comes to a row: a few may be killed by accident.
 PATIENCE = 5
 
 NOTHING_SOLVED = (
@@ -86,9 +86,10 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
             # Where it is not clear who dies, one worker shows it.
             crew: _Crew[T] = _Crew(context, _Work(solve, folder, at), left, 1 if fruitless else workers)
             solved = 0
-            for outcomes in crew.outcomes():
-                solved += len(outcomes)
-                yield outcomes
+            with closing(crew.outcomes()) as found:
+                for outcomes in found:
+                    solved += len(outcomes)
+                    yield outcomes
             fatal = crew.fatal_rows()
             fruitless = 0 if solved or fatal else fruitless + 1
             if fruitless == PATIENCE:
@@ -176,8 +177,8 @@ class _Crew(Generic[T]):
             warnings.simplefilter("ignore", DeprecationWarning)  # fork beside the threads of a BLAS
             work = replace(self._work, held=lock)
             executor = self._executor = ProcessPoolExecutor(self._workers, self._context, _begin, (work,))
-            self._give(executor)
             self._processes = executor._processes
+            self._give(executor)
         return executor
 
     def _give(self, executor: ProcessPoolExecutor) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
-from ._arguments import Array, extra_arguments, function, number, state, tolerances
+from ._arguments import Array, extra_arguments, function, number, reals, state, tolerances
 from ._messages import wrong_jacobian
 from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
@@ -134,48 +134,47 @@ def check_invariants(
         raise ValueError("check_invariants needs at least one invariant")
     bound = bind(listed, at, point, extra, threshold)
     p = native_parameters(extra, [fun, *(f for one in listed for f in (one.fun, one.jac))])
-    found: Any = _core.examine(
-        fun=to_native("fun", fun, point.view(float).size, point.view(float).size, p),
-        args=extra,
-        t=at,
-        y=point.view(float),
+    n = reals(point)
+    problem = _core.Problem(
+        n=n,
         complex=np.iscomplexobj(point),
-        rtol=least,
-        threshold=threshold,
-        scale=scale,
-        invariants=bound.specs,
-        value=bound.value,
+        fun=to_native("fun", fun, n, n, p),
+        args=extra,
         parameters=p,
+        invariants=[_core.Invariant(*spec) for spec in bound.specs],
+        value=bound.value,
     )
+    found = _core.examine(at, point.view(float), problem, _core.Tolerances(least, threshold, scale))
     if found is None:
         raise ValueError(f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}")
-    stationary = found["gradient"] == 0
-    flags = {name: found[name].astype(bool) for name in ("redundant", "conserved")}
-    on_manifold = found["distance"] <= 1
+    stationary = found.gradient == 0
+    redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
+    on_manifold = found.distance <= 1
     kinds = [one.jac if isinstance(one.jac, str) else "given" for one in bound.specs for _ in range(one.m)]
     findings = [
-        *_each(bound.names, ~flags["conserved"], "{} is not conserved by fun"),
+        *_each(bound.names, ~conserved, "{} is not conserved by fun"),
         *_each(bound.names, ~on_manifold, "the point is not on the manifold of {}"),
         *_each(bound.names, stationary, "{} is stationary here: it holds nothing"),
-        *_each(bound.names, flags["redundant"] & ~stationary, "{} is redundant here: the others imply it"),
+        *_each(bound.names, redundant & ~stationary, "{} is redundant here: the others imply it"),
     ]
-    wrong = found["wrong_jacobian"]
+    wrong = found.wrong_jacobian
     if wrong is not None:
         i, j, entry, quotient = wrong
         findings.append(wrong_jacobian(bound.names[i], at, j, entry, quotient, np.iscomplexobj(point)))
     return CheckReport(
         names=list(bound.names),
         value=bound.value,
-        residual=found["residual"],
-        distance=found["distance"],
-        rate=found["rate"],
-        angle=found["angle"],
+        residual=found.residual,
+        distance=found.distance,
+        rate=found.rate,
+        angle=found.angle,
         stationary=stationary,
+        redundant=redundant,
+        conserved=conserved,
         on_manifold=on_manifold,
         derivatives=kinds,
         findings=findings,
-        ok=bool(flags["conserved"].all() and on_manifold.all() and wrong is None),
-        **flags,
+        ok=bool(conserved.all() and on_manifold.all() and wrong is None),
     )
 
 

@@ -223,7 +223,7 @@ class BoundInvariants:
         residual = np.zeros((len(self.value), len(t)))
         if self.specs:
             for here, value in self._each(pieces, len(t)):
-                residual[:, here] = _core.residual(t[here], _as_rows(y[:, here]), **self._about(y), value=value).T
+                residual[:, here] = _core.residual(t[here], _as_rows(y[:, here]), self._problem_of(y, value)).T
         return residual
 
     def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
@@ -231,8 +231,7 @@ class BoundInvariants:
         distance = np.zeros((len(self.value), len(t)))
         weights = _weights(y, rtol, atol)
         for here, value in self._each(pieces, len(t)):
-            rows = _as_rows(y[:, here])
-            distance[:, here] = _core.distance(t[here], rows, **self._about(y), **weights, value=value).T
+            distance[:, here] = _core.distance(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights).T
         return distance
 
     def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> ImposeResult:
@@ -242,29 +241,33 @@ class BoundInvariants:
         points, converged = y.copy(), np.zeros(size, dtype=bool)
         residual, iterations = np.zeros((len(self.value), size)), np.zeros(size, dtype=np.int64)
         for here, value in self._each(pieces, size):
-            rows, done, left, spent = _core.impose(
-                t[here], _as_rows(y[:, here]), **self._about(y), **weights, value=value
-            )
+            rows, done, left, spent = _core.impose(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights)
             points[:, here] = as_columns(rows, y.dtype)
             converged[here], residual[:, here], iterations[here] = done, left.T, spent
         return ImposeResult(points, converged, residual, iterations)
 
     def evaluate(self, dense: _core.Dense, t: Array) -> Array:
         """The rows of a continuous solution of the core at t, projected between the steps where it is to be."""
-        return dense.evaluate(t, invariants=self.specs, value=self.value, args=self.args, parameters=self.parameters)
+        return dense.evaluate(t, self._problem(dense.n, dense.complex, self.value))
 
-    def _about(self, y: Array) -> dict[str, Any]:
-        return {
-            "complex": y.dtype.kind == "c",
-            "invariants": self.specs,
-            "args": self.args,
-            "parameters": self.parameters,
-        }
+    def _problem_of(self, y: Array, value: Array) -> _core.Problem:
+        return self._problem(reals(y), y.dtype.kind == "c", value)
+
+    def _problem(self, n: int, is_complex: bool, value: Array) -> _core.Problem:
+        """The invariants alone, for the core; n: reals in a state."""
+        return _core.Problem(
+            n=n,
+            complex=is_complex,
+            fun=None,
+            args=self.args,
+            parameters=self.parameters,
+            invariants=[_core.Invariant(*spec) for spec in self.specs],
+            value=value,
+        )
 
 
-def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> dict[str, Any]:
-    smallest, threshold, scale = tolerances(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype))
-    return {"rtol": smallest, "threshold": threshold, "scale": scale}
+def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> _core.Tolerances:
+    return _core.Tolerances(*tolerances(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype)))
 
 
 def _as_rows(y: Array) -> Array:
@@ -331,15 +334,8 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> t
         raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
     m = max(told)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
-    at_start = _core.residual(
-        np.array([t]),
-        y.view(float)[None],
-        complex=y.dtype.kind == "c",
-        invariants=[InvariantSpec(fun, "3-point", m, name, held=False)],
-        value=np.zeros(m),
-        args=(),
-        parameters=p,
-    )[0]
+    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], (), p, None)
+    at_start = alone.residual(np.array([t]), y[:, None])[:, 0]
     if not all(map(math.isfinite, at_start.tolist())):
         raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
     return fun, at_start

@@ -110,10 +110,24 @@ class Plan(NamedTuple):
 
 
 def solver(plan: Plan) -> _core.Solver:
-    """The plan handed to the core."""
-    return _core.Solver(
-        method=plan.method.name, **plan.tolerances._asdict(), **plan.settings._asdict(), **plan.functions._asdict()
+    """The plan handed to the core: a solver with functions of its own."""
+    functions = plan.functions
+    problem = _core.Problem(
+        n=functions.n,
+        complex=functions.complex,
+        fun=functions.fun,
+        args=functions.args,
+        parameters=functions.parameters,
+        linear=functions.linear,
+        events=[_core.Event(*spec) for spec in functions.events],
+        callback=functions.callback,
+        invariants=[_core.Invariant(*spec) for spec in functions.invariants],
+        value=functions.value,
     )
+    settings = _core.Settings()
+    for name, value in zip(Settings._fields, plan.settings, strict=True):
+        setattr(settings, name, value)
+    return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
 
 
 def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
@@ -253,16 +267,15 @@ def _linear_algebra(
         return linear, y0
     if any(event.action for event in problem.events):
         raise ValueError("actions of events are not possible with a singular mass matrix")
-    y, verdict = _core.consistent_start(
+    algebraic = _core.Problem(
+        n=reals(y0),
+        complex=y0.dtype.kind == "c",
         fun=fun,
         args=problem.args,
-        t0=t0,
-        y0=y0.view(float),
-        complex=y0.dtype.kind == "c",
-        **weights._asdict(),
-        linear=linear,
         parameters=parameters,
+        linear=linear,
     )
+    y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
     if verdict in ("index_too_high", "not_found"):
         raise ValueError(inconsistent_start(verdict, t0))
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0

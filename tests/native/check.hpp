@@ -27,7 +27,8 @@ struct Case {
 
 inline void fail(const char* file, int line, const auto&... parts) {
   ++failures;
-  (std::cout << file << ":" << line << ": " << ... << parts);
+  std::cout << file << ":" << line << ": ";
+  (std::cout << ... << parts);
   for (const std::string& c : cases) std::cout << " | " << c;
   std::cout << "\n";
 }

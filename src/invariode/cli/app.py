@@ -8,15 +8,8 @@ import typer
 from rich.console import Console
 
 from .. import __version__
-from .check import EXAMPLES as CHECK_EXAMPLES
-from .check import check
-from .compare import EXAMPLES as COMPARE_EXAMPLES
-from .compare import compare
-from .methods import methods
-from .paper import paper
+from . import check, compare, methods, paper, solve
 from .session import paragraphs
-from .solve import EXAMPLES as SOLVE_EXAMPLES
-from .solve import solve
 
 __all__ = ["app"]
 
@@ -27,14 +20,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command, epilog in (
-    (solve, SOLVE_EXAMPLES),
-    (compare, COMPARE_EXAMPLES),
-    (check, CHECK_EXAMPLES),
-    (methods, None),
-    (paper, None),
-):
-    app.command(help=paragraphs(command), epilog=epilog)(command)
+for module in (solve, compare, check, methods, paper):  # a command is the function with the name of its module
+    command = getattr(module, module.__name__.rpartition(".")[2])
+    app.command(help=paragraphs(command), epilog=getattr(module, "EXAMPLES", None))(command)
 
 
 def _print_version(wanted: bool) -> None:

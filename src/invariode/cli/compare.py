@@ -104,19 +104,27 @@ def compare(
     _print_notes(console, rows, limit)
     if not any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run):
         raise stop("No run reached the end.", code=1)
+    _print_answer(console, problem, rows, truth)
+    if plot is not None:
+        _draw(rows, truth, problem, plot)
+        console.print("Wrote", Text(str(plot), style="bold"), soft_wrap=True)
+
+
+def _print_answer(console: Console, problem: Problem, rows: list[Row], truth: Reference) -> None:
     if problem.invariants:
         _print_ratios(console, judgements(rows, truth.floor))
         console.print(Text(answer(best(rows, truth.floor)), style="bold"))
     else:
         console.print(Text(_without_invariants(problem, rows, truth.floor), style="bold"))
-    if plot is not None:
-        from .figure import draw
 
-        try:
-            draw(rows, truth, problem.name, plot)
-        except OSError as error:
-            raise stop(f"{plot} cannot be written: {error.strerror or error}", code=1) from None
-        console.print("Wrote", Text(str(plot), style="bold"), soft_wrap=True)
+
+def _draw(rows: list[Row], truth: Reference, problem: Problem, path: Path) -> None:
+    from .figure import draw
+
+    try:
+        draw(rows, truth, problem.name, path)
+    except OSError as error:
+        raise stop(f"{path} cannot be written: {error.strerror or error}", code=1) from None
 
 
 def _rtols(decades: str) -> list[float]:

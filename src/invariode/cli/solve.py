@@ -103,21 +103,14 @@ def solve(
         writable(plot, PICTURES, "--plot", "plot", force)
     with guarded():
         problem = load(file)
-        options: dict[str, Any] = {"rtol": rtol, "atol": atol, "dense_output": dense or plot is not None}
-        if t_eval is not None:
-            options["t_eval"] = _times(problem, t_eval)
-        if dense:
-            options["refine"] = DENSE
+        options = _options(problem, rtol, atol, t_eval, dense, plot is not None)
         shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
             sol = run.solve(method, progress=shown, **options)
             seconds = perf_counter() - start
-    if output is not None:  # first of all: what is printed may get lost
-        write_to(output, lambda: _save(sol, output))
-    if plot is not None:
-        write_to(plot, lambda: _draw(sol, problem.name, plot))
+    _write(sol, problem.name, output, plot)  # first of all: what is printed may get lost
     if not quiet:
         with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
@@ -129,6 +122,26 @@ def solve(
             console.print("Wrote", Text(str(path), style="bold"), soft_wrap=True)
     if not sol.success:
         raise stop(sol.message, code=1) if quiet else typer.Exit(1)
+
+
+def _options(
+    problem: Problem, rtol: float, atol: float, points: int | None, dense: bool, pictured: bool
+) -> dict[str, Any]:
+    """Those of the solve: output at so many points, or between the steps; a picture needs the dense output."""
+    return {
+        "rtol": rtol,
+        "atol": atol,
+        "t_eval": None if points is None else _times(problem, points),
+        "refine": DENSE if dense else 1,
+        "dense_output": dense or pictured,
+    }
+
+
+def _write(sol: Solution, name: str, output: Path | None, plot: Path | None) -> None:
+    if output is not None:
+        write_to(output, lambda: _save(sol, output))
+    if plot is not None:
+        write_to(plot, lambda: _draw(sol, name, plot))
 
 
 def _times(problem: Problem, size: int) -> Array:

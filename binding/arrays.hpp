@@ -1,0 +1,48 @@
+#pragma once
+// Arrays between NumPy and the core.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <cstdint>
+#include <cstdlib>
+#include <utility>
+#include <vector>
+
+#include "buffer.hpp"
+
+namespace nb = nanobind;
+
+namespace invariode::binding {
+
+using Vector = nb::ndarray<double, nb::numpy, nb::ndim<1>, nb::c_contig>;
+using Table = nb::ndarray<double, nb::numpy, nb::ndim<2>, nb::c_contig>;
+using Block = nb::ndarray<double, nb::numpy, nb::ndim<3>, nb::c_contig>;
+using Integers = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+using IntegerTable = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<2>, nb::c_contig>;
+using Bytes = nb::ndarray<std::int8_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
+
+using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using ConstOffsets = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using ConstIndices = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+inline std::vector<double> to_vector(const ConstVector& a) { return {a.data(), a.data() + a.size()}; }
+
+/// Hands a vector over to NumPy without copying it.
+template <class Array, class T, class... Size>
+Array to_array(std::vector<T>&& values, Size... shape) {
+  auto* owner = new std::vector<T>(std::move(values));
+  const nb::capsule free(owner, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return Array(owner->data(), {static_cast<std::size_t>(shape)...}, free);
+}
+
+template <class Array, class T, class... Size>
+Array to_array(Buffer<T>&& values, Size... shape) {
+  void* block = values.release();
+  if (block == nullptr) return to_array<Array>(std::vector<T>(), shape...);  // a capsule must not hold null
+  const nb::capsule free(block, [](void* p) noexcept { std::free(p); });
+  return Array(block, {static_cast<std::size_t>(shape)...}, free);
+}
+
+}  // namespace invariode::binding

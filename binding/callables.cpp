@@ -1,0 +1,506 @@
+#define NPY_NO_DEPRECATED_API NPY_1_22_API_VERSION
+#include "callables.hpp"
+
+#include <Python.h>
+#include <nanobind/stl/tuple.h>
+#include <numpy/arrayobject.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <cstring>
+#include <new>
+#include <stdexcept>
+#include <tuple>
+#include <utility>
+
+#include "arrays.hpp"
+
+namespace invariode::binding {
+
+/// What a Python function is to return.
+struct Returns {
+  enum class Kind { values, truth } kind = Kind::values;
+  npy_intp rows = 1;  // (rows, columns) numbers; vectors have one column
+  npy_intp columns = 1;
+  bool matrix = false;
+  bool complex = false;
+
+  [[nodiscard]] npy_intp size() const { return rows * columns; }
+};
+
+namespace {
+
+/// A Python callable as a core callback. y is handed over in an array that the callee may keep: it is used again only
+/// if nobody else holds it or a view of it. Results are copied at once. The first exception stays set, and the callback
+/// says `stop`.
+class PythonFunction final : public Callable {
+ public:
+  PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, npy_intp n, bool complex,
+                 Returns returns)
+      : callable_(nb::borrow(callable)),
+        args_(args),
+        name_(std::move(name)),
+        looks_for_signals_(PyFunction_Check(callable.ptr())),
+        n_(n),
+        complex_(complex),
+        returns_(returns) {}
+  ~PythonFunction() override { Py_XDECREF(reinterpret_cast<PyObject*>(spare_)); }
+
+  [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
+  int visit(visitproc visit, void* arg) const override {
+    Py_VISIT(callable_.ptr());
+    Py_VISIT(args_.ptr());
+    return 0;
+  }
+
+ private:
+  static Status entry(void* self, double t, const double* y, double* out) noexcept {
+    return static_cast<PythonFunction*>(self)->call(t, y, out) ? Status::ok : Status::stop;
+  }
+
+  bool call(double t, const double* y, double* out) noexcept;
+  PyObject* call_with_tuple(PyObject* time, PyArrayObject* y) const noexcept;
+  PyArrayObject* array_for(const double* y) noexcept;
+  [[nodiscard]] bool reusable(PyArrayObject* a) const noexcept;
+  bool read(PyObject* result, double* out) noexcept;
+  [[nodiscard]] bool read_sequence(PyObject* result, double* out) const noexcept;
+  bool read_array(PyArrayObject* array, double* out) noexcept;
+  bool read_objects(PyArrayObject* array, double* out) const noexcept;
+  [[nodiscard]] bool fits(PyArrayObject* array) const noexcept;
+  void complain(PyObject* returned) const noexcept;
+
+  nb::object callable_;
+  nb::tuple args_;
+  std::string name_;
+  bool looks_for_signals_;  // a function written in Python does so itself when it is entered
+  npy_intp n_;
+  bool complex_;
+  Returns returns_;
+  PyArrayObject* spare_ = nullptr;  // the array of the last call, if no call is under way
+};
+
+bool PythonFunction::reusable(PyArrayObject* a) const noexcept {
+  constexpr int flags =
+      NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
+  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == 1 && PyArray_DIM(a, 0) == n_ &&
+         PyArray_FLAGS(a) == flags && PyArray_TYPE(a) == (complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
+}
+
+PyArrayObject* PythonFunction::array_for(const double* y) noexcept {
+  PyArrayObject* a = std::exchange(spare_, nullptr);
+  if (!reusable(a)) {
+    Py_XDECREF(reinterpret_cast<PyObject*>(a));
+    a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, &n_, complex_ ? NPY_CDOUBLE : NPY_DOUBLE));
+    if (a == nullptr) return nullptr;
+  }
+  std::memcpy(PyArray_DATA(a), y, static_cast<std::size_t>(n_) * (complex_ ? 2 : 1) * sizeof(double));
+  return a;
+}
+
+bool PythonFunction::call(double t, const double* y, double* out) noexcept {
+  if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
+  PyArrayObject* array = array_for(y);
+  if (array == nullptr) return false;
+  PyObject* time = PyFloat_FromDouble(t);
+  PyObject* result = nullptr;
+  if (time != nullptr) {
+    constexpr std::size_t few = 8;
+    const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
+    if (extra <= few) {
+      PyObject* arguments[few + 3];
+      arguments[1] = time;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
+      arguments[2] = reinterpret_cast<PyObject*>(array);
+      for (std::size_t i = 0; i < extra; ++i)
+        arguments[i + 3] = PyTuple_GET_ITEM(args_.ptr(), static_cast<Py_ssize_t>(i));
+      result =
+          PyObject_Vectorcall(callable_.ptr(), arguments + 1, (2 + extra) | PY_VECTORCALL_ARGUMENTS_OFFSET, nullptr);
+    } else {
+      result = call_with_tuple(time, array);
+    }
+    Py_DECREF(time);
+  }
+  const bool done = result != nullptr && read(result, out);
+  Py_XDECREF(result);
+  if (spare_ == nullptr)  // else a nested call of this function has left its own
+    spare_ = array;
+  else
+    Py_DECREF(reinterpret_cast<PyObject*>(array));
+  return done;
+}
+
+/// The call with arguments that are too many for the stack.
+PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* y) const noexcept {
+  const Py_ssize_t extra = PyTuple_GET_SIZE(args_.ptr());
+  PyObject* arguments = PyTuple_New(2 + extra);
+  if (arguments == nullptr) return nullptr;
+  PyTuple_SET_ITEM(arguments, 0, Py_NewRef(time));
+  PyTuple_SET_ITEM(arguments, 1, Py_NewRef(reinterpret_cast<PyObject*>(y)));
+  for (Py_ssize_t i = 0; i < extra; ++i)
+    PyTuple_SET_ITEM(arguments, 2 + i, Py_NewRef(PyTuple_GET_ITEM(args_.ptr(), i)));
+  PyObject* result = PyObject_Call(callable_.ptr(), arguments, nullptr);
+  Py_DECREF(arguments);
+  return result;
+}
+
+/// Copies what was returned into out, the common kinds without NumPy's generic paths.
+bool PythonFunction::read(PyObject* result, double* out) noexcept {
+  if (returns_.kind == Returns::Kind::truth) {
+    const int truth = PyObject_IsTrue(result);
+    out[0] = truth;
+    return truth >= 0;
+  }
+  if ((!returns_.matrix || returns_.rows == 1) && read_sequence(result, out)) return true;
+  if (PyArray_Check(result)) return read_array(reinterpret_cast<PyArrayObject*>(result), out);
+  PyObject* array = result == Py_None ? nullptr : PyArray_FromAny(result, nullptr, 0, 0, 0, nullptr);
+  if (array == nullptr) {
+    if (PyErr_Occurred() != nullptr && PyErr_ExceptionMatches(PyExc_ValueError) == 0) return false;
+    complain(result);
+    return false;
+  }
+  auto* values = reinterpret_cast<PyArrayObject*>(array);
+  const bool something_else = PyArray_NDIM(values) == 0 && PyArray_ISOBJECT(values);  // a generator, a dict
+  if (something_else) complain(result);
+  const bool done = !something_else && read_array(values, out);
+  Py_DECREF(array);
+  return done;
+}
+
+/// Lists and tuples of Python or NumPy floats and ints, and a bare float where one number is expected. False: try as an
+/// array.
+bool PythonFunction::read_sequence(PyObject* result, double* out) const noexcept {
+  const auto number = [this](PyObject* item, double* to) {
+    if (PyFloat_Check(item)) {
+      to[0] = PyFloat_AS_DOUBLE(item);
+      if (returns_.complex) to[1] = 0;
+      return true;
+    }
+    if (returns_.complex && PyComplex_Check(item)) {
+      const Py_complex z = PyComplex_AsCComplex(item);
+      to[0] = z.real;
+      to[1] = z.imag;
+      return true;
+    }
+    if (PyLong_CheckExact(item)) {
+      to[0] = PyLong_AsDouble(item);
+      if (returns_.complex) to[1] = 0;
+      if (to[0] != -1.0 || PyErr_Occurred() == nullptr) return true;
+      PyErr_Clear();
+    }
+    return false;
+  };
+  const npy_intp size = returns_.size();
+  const npy_intp stride = returns_.complex ? 2 : 1;
+  const bool list = PyList_CheckExact(result);
+  if (!list && !PyTuple_CheckExact(result)) return size == 1 && number(result, out);
+  if ((list ? PyList_GET_SIZE(result) : PyTuple_GET_SIZE(result)) != size) return false;
+  for (npy_intp i = 0; i < size; ++i)
+    if (!number(list ? PyList_GET_ITEM(result, i) : PyTuple_GET_ITEM(result, i), out + i * stride)) return false;
+  return true;
+}
+
+bool PythonFunction::fits(PyArrayObject* array) const noexcept {
+  const int nd = PyArray_NDIM(array);
+  const npy_intp* shape = PyArray_DIMS(array);
+  if (PyArray_SIZE(array) != returns_.size()) return false;
+  if (returns_.size() == 1) return true;
+  if (returns_.matrix && nd == 2) return shape[0] == returns_.rows && shape[1] == returns_.columns;
+  return nd == 1 && (!returns_.matrix || returns_.rows == 1);
+}
+
+bool PythonFunction::read_array(PyArrayObject* array, double* out) noexcept {
+  const int type = returns_.complex ? NPY_CDOUBLE : NPY_DOUBLE;
+  if (!fits(array)) {
+    complain(reinterpret_cast<PyObject*>(array));
+    return false;
+  }
+  const std::size_t bytes = static_cast<std::size_t>(returns_.size()) * (returns_.complex ? 2 : 1) * sizeof(double);
+  if (PyArray_TYPE(array) == type && PyArray_ISCARRAY_RO(array)) {
+    std::memcpy(out, PyArray_DATA(array), bytes);
+    return true;
+  }
+  const bool numeric = PyArray_ISNUMBER(array) || PyArray_ISBOOL(array) || PyArray_ISOBJECT(array);
+  if (!numeric || (PyArray_ISCOMPLEX(array) && !returns_.complex)) {
+    PyErr_Format(PyExc_TypeError, "%s returned values of type %S, expected %s numbers%s", name_.c_str(),
+                 reinterpret_cast<PyObject*>(PyArray_DESCR(array)), returns_.complex ? "complex" : "real",
+                 PyArray_ISCOMPLEX(array) && !complex_ ? " (for a complex problem give a complex y0)" : "");
+    return false;
+  }
+  if (PyArray_ISOBJECT(array)) return read_objects(array, out);
+  PyObject* converted = PyArray_FromAny(reinterpret_cast<PyObject*>(array), PyArray_DescrFromType(type), 0, 0,
+                                        NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST, nullptr);
+  if (converted == nullptr) return false;
+  std::memcpy(out, PyArray_DATA(reinterpret_cast<PyArrayObject*>(converted)), bytes);
+  Py_DECREF(converted);
+  return true;
+}
+
+/// float() of each item, or complex(): what has neither (None) is an error, which NumPy would read as NaN.
+bool PythonFunction::read_objects(PyArrayObject* array, double* out) const noexcept {
+  PyObject* flat = PyArray_Ravel(array, NPY_CORDER);
+  PyObject* items = flat == nullptr ? nullptr : PyArray_ToList(reinterpret_cast<PyArrayObject*>(flat));
+  Py_XDECREF(flat);
+  if (items == nullptr) return false;
+  for (Py_ssize_t i = 0; i < PyList_GET_SIZE(items) && PyErr_Occurred() == nullptr; ++i) {
+    if (returns_.complex) {
+      const Py_complex z = PyComplex_AsCComplex(PyList_GET_ITEM(items, i));
+      *out++ = z.real;
+      *out++ = z.imag;
+    } else {
+      *out++ = PyFloat_AsDouble(PyList_GET_ITEM(items, i));
+    }
+  }
+  Py_DECREF(items);
+  return PyErr_Occurred() == nullptr;
+}
+
+/// ValueError: the name of the function, the shape returned, the shape expected; with the exception that is set as its
+/// cause.
+void PythonFunction::complain(PyObject* returned) const noexcept {
+  PyObject *type = nullptr, *cause = nullptr, *traceback = nullptr;
+  PyErr_Fetch(&type, &cause, &traceback);
+  if (type != nullptr) PyErr_NormalizeException(&type, &cause, &traceback);
+
+  char expected[96];
+  const auto rows = static_cast<long long>(returns_.rows), columns = static_cast<long long>(returns_.columns);
+  if (returns_.matrix)
+    std::snprintf(expected, sizeof expected, rows == 1 ? "shape (%lld, %lld) or (%lld,)" : "shape (%lld, %lld)", rows,
+                  columns, columns);
+  else
+    std::snprintf(expected, sizeof expected, returns_.size() == 1 ? "a number or shape (1,)" : "shape (%lld,)", rows);
+  if (PyArray_Check(returned)) {
+    PyObject* shape = PyObject_GetAttrString(returned, "shape");
+    PyErr_Format(PyExc_ValueError, "%s returned shape %S, expected %s", name_.c_str(), shape, expected);
+    Py_XDECREF(shape);
+  } else if (returned == Py_None) {
+    PyErr_Format(PyExc_ValueError, "%s returned None (is a `return` missing?), expected %s", name_.c_str(), expected);
+  } else {
+    PyErr_Format(PyExc_ValueError, "%s returned a %s that is no array of numbers, expected %s", name_.c_str(),
+                 Py_TYPE(returned)->tp_name, expected);
+  }
+  if (cause != nullptr) {
+    PyObject *t = nullptr, *error = nullptr, *tb = nullptr;
+    PyErr_Fetch(&t, &error, &tb);
+    PyErr_NormalizeException(&t, &error, &tb);
+    PyException_SetCause(error, Py_NewRef(cause));
+    PyErr_Restore(t, error, tb);
+  }
+  Py_XDECREF(type);
+  Py_XDECREF(cause);
+  Py_XDECREF(traceback);
+}
+
+/// Machine code as a core callback, with the arguments it gets. It needs no interpreter.
+class NativeFunction final : public Callable {
+ public:
+  NativeFunction(const Native& native, const double* parameters) : native_(native), parameters_(parameters) {}
+
+  [[nodiscard]] Callback callback() { return {native_.event ? &event_entry : &vector_entry, this}; }
+  [[nodiscard]] MatrixFunction matrix() { return {&matrix_entry, this}; }
+  int visit(visitproc visit, void* arg) const override {
+    Py_VISIT(native_.owner.ptr());
+    return 0;
+  }
+
+ private:
+  using VectorCode = void(double t, const double* y, double* out, const double* p);
+  using EventCode = double(double t, const double* y, const double* p);
+
+  static Status vector_entry(void* self, double t, const double* y, double* out) noexcept {
+    const auto& me = *static_cast<NativeFunction*>(self);
+    reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, me.parameters_);
+    return Status::ok;
+  }
+  static Status event_entry(void* self, double t, const double* y, double* out) noexcept {
+    const auto& me = *static_cast<NativeFunction*>(self);
+    out[0] = reinterpret_cast<EventCode*>(me.native_.address)(t, y, me.parameters_);
+    return Status::ok;
+  }
+  static Status matrix_entry(void* self, double t, const double* y, Matrix& out) noexcept {
+    return vector_entry(self, t, y, out.values.data());
+  }
+
+  Native native_;
+  const double* parameters_;
+};
+
+void require(bool right, const char* what) {
+  if (!right) throw std::invalid_argument(what);
+}
+
+/// Compressed columns of an n × n matrix, as whoever reads them takes for granted.
+void require_columns(const ConstIndices& starts, const ConstIndices& rows, const ConstVector& values, std::size_t n) {
+  require(starts.size() == n + 1 && rows.size() == values.size(), "the lengths of a sparse matrix do not match");
+  const auto count = static_cast<int>(rows.size());
+  require(starts.data()[0] == 0 && starts.data()[n] == count, "the columns of a sparse matrix do not match its values");
+  for (std::size_t j = 0; j < n; ++j) {
+    const int begin = starts.data()[j], end = starts.data()[j + 1];
+    require(begin <= end && end <= count, "the columns of a sparse matrix overlap");
+    for (int p = begin; p < end; ++p)
+      require(rows.data()[p] >= 0 && rows.data()[p] < static_cast<int>(n) &&
+                  (p == begin || rows.data()[p - 1] < rows.data()[p]),
+              "the rows of a sparse matrix are not ascending or out of range");
+  }
+}
+
+/// A Python function of (t, y), or of t alone, as a core function that fills a matrix. It returns what `read_matrix`
+/// takes: Python's own layer has brought what the user's function returned into this form.
+class PythonMatrix final : public Callable {
+ public:
+  PythonMatrix(nb::handle function, bool complex) : function_(nb::borrow(function)), complex_(complex) {}
+
+  [[nodiscard]] MatrixFunction callback() { return {&PythonMatrix::entry, this}; }
+  int visit(visitproc visit, void* arg) const override {
+    Py_VISIT(function_.ptr());
+    return 0;
+  }
+
+ private:
+  static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
+    auto* me = static_cast<PythonMatrix*>(self);
+    try {
+      read_matrix(y == nullptr ? me->function_(t) : me->function_(t, me->state(y, out.n())), out);
+      return Status::ok;
+    } catch (nb::python_error& error) {
+      error.restore();
+    } catch (const std::bad_alloc&) {
+      PyErr_NoMemory();
+    } catch (const std::invalid_argument& error) {
+      PyErr_SetString(PyExc_ValueError, error.what());
+    } catch (const std::exception& error) {
+      PyErr_SetString(PyExc_RuntimeError, error.what());
+    }
+    return Status::stop;
+  }
+
+  [[nodiscard]] nb::object state(const double* y, std::size_t size) const {
+    auto n = static_cast<npy_intp>(complex_ ? size / 2 : size);
+    PyObject* array = PyArray_SimpleNew(1, &n, complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
+    if (array == nullptr) throw nb::python_error();
+    std::memcpy(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array)), y, size * sizeof(double));
+    return nb::steal(array);
+  }
+
+  nb::object function_;
+  bool complex_;
+};
+
+}  // namespace
+
+void read_matrix(nb::handle values, Matrix& out) {
+  if (out.structure.kind == Structure::Kind::sparse) {
+    const auto [starts, rows, entries] = nb::cast<std::tuple<ConstIndices, ConstIndices, ConstVector>>(values);
+    require_columns(starts, rows, entries, out.n());
+    out.starts.assign(starts.data(), starts.data() + starts.size());
+    out.rows.assign(rows.data(), rows.data() + rows.size());
+    out.values.assign(entries.data(), entries.data() + entries.size());
+    return;
+  }
+  const auto entries = nb::cast<ConstMatrix>(values);
+  const auto& [kind, n, lower, upper] = out.structure;
+  require(entries.shape(0) == (kind == Structure::Kind::dense ? n : lower + upper + 1) && entries.shape(1) == n,
+          "a matrix is not of the shape of its structure");
+  out.values.assign(entries.data(), entries.data() + entries.size());
+}
+
+Functions::Functions(Space space, nb::tuple args, std::vector<double> parameters)
+    : space_(space), args_(std::move(args)), parameters_(std::move(parameters)) {}
+
+int Functions::visit(visitproc visit, void* arg) const {
+  Py_VISIT(args_.ptr());
+  for (const auto& one : owned_)
+    if (const int stop = one->visit(visit, arg); stop != 0) return stop;
+  return 0;
+}
+
+Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
+                        bool complex_state) {
+  if (nb::isinstance<Native>(f)) {
+    const double* p = parameters_.empty() ? nullptr : parameters_.data();
+    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), p);
+    const Callback callback = owner->callback();
+    owned_.push_back(std::move(owner));
+    return callback;
+  }
+  native_ = false;
+  auto owner = std::make_unique<PythonFunction>(f, args, name, static_cast<npy_intp>(space_.components()),
+                                                complex_state, returns);
+  const Callback callback = owner->callback();
+  owned_.push_back(std::move(owner));
+  return callback;
+}
+
+Callback Functions::state_valued(nb::handle f, const std::string& name) {
+  return add(f, args_, name, {.rows = static_cast<npy_intp>(space_.components()), .complex = space_.complex},
+             space_.complex);
+}
+
+Callback Functions::scalar(nb::handle f, const std::string& name) { return add(f, args_, name, {}, space_.complex); }
+
+Callback Functions::truth(nb::handle f, const std::string& name) {
+  return add(f, nb::tuple(), name, {.kind = Returns::Kind::truth}, space_.complex);
+}
+
+Callback Functions::vector(nb::handle f, const std::string& name, std::size_t m) {
+  return add(f, args_, name, {.rows = static_cast<npy_intp>(m)}, space_.complex);
+}
+
+Callback Functions::complex_vector(nb::handle f, const std::string& name, std::size_t m) {
+  return add(f, args_, name, {.rows = static_cast<npy_intp>(m), .complex = true}, true);
+}
+
+Callback Functions::rows(nb::handle f, const std::string& name, std::size_t m) {
+  return add(f, args_, name,
+             {.rows = static_cast<npy_intp>(m),
+              .columns = static_cast<npy_intp>(space_.components()),
+              .matrix = true,
+              .complex = space_.complex},
+             space_.complex);
+}
+
+MatrixFunction Functions::matrix(nb::handle f) {
+  if (nb::isinstance<Native>(f)) {
+    const double* p = parameters_.empty() ? nullptr : parameters_.data();
+    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), p);
+    const MatrixFunction function = owner->matrix();
+    owned_.push_back(std::move(owner));
+    return function;
+  }
+  native_ = false;
+  auto owner = std::make_unique<PythonMatrix>(f, space_.complex);
+  const MatrixFunction function = owner->callback();
+  owned_.push_back(std::move(owner));
+  return function;
+}
+
+namespace {
+
+int traverse_native(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<Native>(self)->owner.ptr());
+  return 0;
+}
+PyType_Slot native_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_native)}, {0, nullptr}};
+
+}  // namespace
+
+void define_callables(nb::module_& module) {
+  if (_import_array() < 0) throw nb::python_error();
+  nb::class_<Native>(module, "Native", nb::type_slots(native_slots),
+                     "Machine code of the user, and what keeps it alive.")
+      .def(
+          "__init__",
+          [](Native* self, std::uintptr_t address, bool event, nb::object owner) {
+            new (self) Native{address, event, std::move(owner)};
+          },
+          nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none());
+  module.def(
+      "capsule_address",
+      [](const nb::object& capsule) {
+        void* pointer = PyCapsule_GetPointer(capsule.ptr(), PyCapsule_GetName(capsule.ptr()));
+        if (pointer == nullptr) throw nb::python_error();
+        return reinterpret_cast<std::uintptr_t>(pointer);
+      },
+      nb::arg("capsule"), "The pointer in a capsule.");
+}
+
+}  // namespace invariode::binding

@@ -1,0 +1,93 @@
+#pragma once
+// User functions as callbacks of the core: Python callables, machine code, functions that fill matrices.
+
+#include <nanobind/nanobind.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "callback.hpp"
+#include "linear/matrix.hpp"
+
+namespace nb = nanobind;
+
+namespace invariode::binding {
+
+/// Describes the state: `size` doubles, which are that many reals or half as many complex numbers.
+struct Space {
+  std::size_t size;
+  bool complex;
+
+  [[nodiscard]] std::size_t components() const { return complex ? size / 2 : size; }
+};
+
+/// A user's machine code: its address, and what keeps it alive.
+struct Native {
+  std::uintptr_t address;
+  bool event;
+  nb::object owner;
+};
+
+/// What keeps a user function for as long as the core may call it.
+class Callable {
+ public:
+  Callable() = default;
+  Callable(const Callable&) = delete;
+  Callable& operator=(const Callable&) = delete;
+  virtual ~Callable() = default;
+
+  /// Shows what it owns to the garbage collector.
+  virtual int visit(visitproc visit, void* arg) const = 0;
+};
+
+struct Returns;  // what a Python function is to return
+
+/// Owns the functions of a problem and makes callbacks of them. Names are for messages.
+class Functions {
+ public:
+  /// `args`: what Python functions get after (t, y); `parameters`: what native ones get as p.
+  Functions(Space space, nb::tuple args, std::vector<double> parameters);
+
+  /// f(t, y) -> state
+  Callback state_valued(nb::handle f, const std::string& name);
+  /// f(t, y) -> number
+  Callback scalar(nb::handle f, const std::string& name);
+  /// f(t, y), without args, -> true or false
+  Callback truth(nb::handle f, const std::string& name);
+  /// f(t, y) -> (m,); the same of a complex y, though the problem is real
+  Callback vector(nb::handle f, const std::string& name, std::size_t m);
+  Callback complex_vector(nb::handle f, const std::string& name, std::size_t m);
+  /// f(t, y) -> (m, n)
+  Callback rows(nb::handle f, const std::string& name, std::size_t m);
+  /// f(t, y), or f(t), without args, -> what `read_matrix` takes
+  MatrixFunction matrix(nb::handle f);
+
+  /// Whether no function needs the interpreter.
+  [[nodiscard]] bool native() const { return native_; }
+  /// What native functions read: it may be written between their calls.
+  [[nodiscard]] std::span<double> parameters() { return parameters_; }
+  /// Shows all that is owned to the garbage collector: a function may well own what owns this.
+  int visit(visitproc visit, void* arg) const;
+
+ private:
+  Callback add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
+               bool complex_state);
+
+  Space space_;
+  nb::tuple args_;
+  std::vector<double> parameters_;
+  std::vector<std::unique_ptr<Callable>> owned_;
+  bool native_ = true;
+};
+
+/// Reads values in the matrix's layout: a float64 array, for a sparse one (starts, rows, values). Throws
+/// std::invalid_argument where they do not fit it.
+void read_matrix(nb::handle values, Matrix& out);
+
+void define_callables(nb::module_& module);
+
+}  // namespace invariode::binding

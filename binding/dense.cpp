@@ -1,0 +1,141 @@
+#include "dense.hpp"
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/variant.h>
+
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "manifold/projection.hpp"
+#include "methods/registry.hpp"
+#include "run/names.hpp"
+
+namespace invariode::binding {
+namespace {
+
+void require(bool right, const char* what) {
+  if (!right) throw std::invalid_argument(what);
+}
+
+Vector copied(const std::vector<double>& values) {
+  return to_array<Vector>(std::vector<double>(values), values.size());
+}
+
+/// Adds the segments one by one. They may be of a file that anyone wrote: each is checked to be one that can be
+/// evaluated.
+void add_segments(Dense& dense, const ConstVector& t, const ConstMatrix& y, const ConstVector& end,
+                  const ConstOffsets& offset, const ConstVector& data, std::size_t overhead, const Extension& raw) {
+  const std::size_t n = y.shape(1), segments = end.size();
+  dense.output.start(t.data()[0], y.data());
+  for (std::size_t s = 0; s < segments; ++s) {
+    const auto begin = static_cast<std::size_t>(offset.data()[s]);
+    const std::size_t stop = s + 1 < segments ? static_cast<std::size_t>(offset.data()[s + 1]) : data.size();
+    require((s > 0 || begin == 0) && begin <= stop && stop <= data.size(), "segments do not match");
+    const double t0 = t.data()[s], t1 = end.data()[s];
+    const double* next = y.data() + (s + 1) * n;
+    if (t1 == t0) {  // a jump
+      require(s > 0 && begin == stop && t.data()[s + 1] == t0, "jumps do not match");
+      dense.output.start(t0, next);
+      continue;
+    }
+    const std::size_t size = stop - begin;
+    require(size >= overhead && raw.fits(size - overhead, n), "segments do not match");
+    dense.output.add({t0, t1, data.data() + begin, size}, t.data()[s + 1], next);
+  }
+}
+
+Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& end, const ConstOffsets& offset,
+                 const ConstVector& data, std::size_t m, const std::string& interpolation, const std::string& extension,
+                 double rtol, const std::variant<double, ConstVector>& threshold,
+                 const std::optional<ConstVector>& scale, bool complex) {
+  const std::size_t n = y.shape(1), segments = end.size();
+  const std::optional<Interpolation> mode = find_in(interpolation_names, interpolation);
+  const Extension* raw = find_extension(std::string_view(extension));
+  require(raw != nullptr, "unknown extension");
+  require(mode.has_value(), "unknown interpolation");
+  require(n > 0 || segments == 0, "there is nothing to interpolate");
+  require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
+  const auto* each = std::get_if<ConstVector>(&threshold);
+  require((!each || each->size() == n) && (!scale || scale->size() == n), "weights do not match");
+  Dense dense{DenseOutput(n, m, *mode, raw->evaluate),
+              Weights(rtol, each ? to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
+                      scale ? to_vector(*scale) : std::vector<double>{}),
+              complex};
+  const std::size_t overhead = Interpolant(n, m, *mode, raw->evaluate, nullptr).overhead();
+  add_segments(dense, t, y, end, offset, data, overhead, *raw);
+  return dense;
+}
+
+}  // namespace
+
+Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
+  std::optional<BoundProblem> bound;
+  std::optional<Invariants> invariants;
+  std::optional<Projector> projector;
+  if (output.projects() && problem && !problem->invariants.empty()) {
+    require(problem->value.size() == output.parts().m, "not the number of invariants of the run");
+    bound.emplace(*problem);
+    require_sizes(bound->problem(), weights);
+    invariants.emplace(output.n(), bound->problem().invariants, bound->problem().value, weights);
+    projector.emplace(*invariants, weights, 1);
+  }
+  std::vector<double> y(t.size() * output.n());
+  Status status = Status::ok;
+  {
+    const Unlocked unlocked(!bound || bound->native());
+    status = output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr);
+  }
+  if (status == Status::stop) throw nb::python_error();
+  return to_array<Table>(std::move(y), t.size(), output.n());
+}
+
+Dense Dense::joined(const Dense& next) const {
+  const DenseOutput::Parts a = output.parts(), b = next.output.parts();
+  require(output.n() == next.output.n() && complex == next.complex && a.m == b.m && a.mode == b.mode && a.raw == b.raw,
+          "continuous solutions of different kinds");
+  Dense both{DenseOutput(output.n(), a.m, a.mode, a.raw), weights, complex};
+  both.output.append(output);
+  both.output.append(next.output);
+  return both;
+}
+
+nb::dict Dense::parts() const {
+  const DenseOutput::Parts all = output.parts();
+  const std::vector<std::int64_t> offset(all.offset.begin(), all.offset.end());
+  nb::dict d;
+  d["t"] = copied(all.knots.t.copy());
+  d["y"] = to_array<Table>(all.knots.y.copy(), all.knots.t.size(), output.n());
+  d["end"] = copied(all.end);
+  d["offset"] = to_array<Integers>(std::vector<std::int64_t>(offset), offset.size());
+  d["data"] = copied(all.data.copy());
+  d["m"] = all.m;
+  d["interpolation"] = name_of(all.mode);
+  d["extension"] = find_extension(all.raw)->name;
+  d["rtol"] = weights.rtol();
+  d["threshold"] = copied(weights.threshold());
+  d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));
+  d["complex"] = complex;
+  return d;
+}
+
+void define_dense(nb::module_& module) {
+  nb::class_<Dense>(module, "Dense", "The continuous solution of a run.")
+      .def_static("from_parts", &from_parts, nb::kw_only(), nb::arg("t"), nb::arg("y"), nb::arg("end"),
+                  nb::arg("offset"), nb::arg("data"), nb::arg("m"), nb::arg("interpolation"), nb::arg("extension"),
+                  nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("complex"),
+                  "What `parts` gave, put together again.")
+      .def("parts", &Dense::parts, "What it consists of: arrays, numbers and names.")
+      .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::arg("problem").none(),
+           "y at each t: (len(t), n); projected, where it projects, onto the invariants of `problem`.")
+      .def("joined", &Dense::joined, nb::arg("next"), "This and then `next`, which starts where this ends.")
+      .def_prop_ro(
+          "n", [](const Dense& d) { return d.output.n(); }, "Reals in a state.")
+      .def_ro("complex", &Dense::complex)
+      .def("knots", [](const Dense& d) { return copied(d.output.knots().copy()); });
+}
+
+}  // namespace invariode::binding

@@ -1,0 +1,32 @@
+#pragma once
+// The continuous solution: evaluated, joined, taken apart for files and put together again.
+
+#include <nanobind/nanobind.h>
+
+#include <vector>
+
+#include "arrays.hpp"
+#include "output/output.hpp"
+#include "problem.hpp"
+#include "weights.hpp"
+
+namespace invariode::binding {
+
+/// The continuous solution, with the tolerances that its projections use.
+struct Dense {
+  DenseOutput output;
+  Weights weights;
+  bool complex;
+
+  /// y at each t: (len(t), n). Where the mode projects, onto the invariants of `problem`; without it values are
+  /// corrected only.
+  [[nodiscard]] Table evaluate(const ConstVector& t, const ProblemSpec* problem) const;
+  /// This and then `next`, which starts where this ends.
+  [[nodiscard]] Dense joined(const Dense& next) const;
+  /// Everything, as the arguments of `from_parts`.
+  [[nodiscard]] nb::dict parts() const;
+};
+
+void define_dense(nb::module_& module);
+
+}  // namespace invariode::binding

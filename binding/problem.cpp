@@ -1,0 +1,290 @@
+#include "problem.hpp"
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/variant.h>
+#include <nanobind/stl/vector.h>
+
+#include <stdexcept>
+#include <tuple>
+#include <utility>
+
+#include "arrays.hpp"
+#include "run/names.hpp"
+
+namespace invariode::binding {
+namespace {
+
+using ThresholdArgument = std::variant<double, ConstVector>;
+using OptionalVector = std::optional<ConstVector>;
+
+template <class Value, std::size_t count>
+Value choose(const Named<Value> (&table)[count], const std::string& name, const char* what) {
+  if (const std::optional<Value> found = find_in(table, name)) return *found;
+  throw std::invalid_argument(std::string("unknown ") + what + " '" + name + "'");
+}
+
+/// By complex steps, until g does not take one.
+constexpr const char* choose_derivative = "complex-step or 3-point";
+/// What may stand in place of a Jacobian of g.
+constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::complex_step},
+                                             {"complex-step", Derivative::complex_step},
+                                             {"3-point", Derivative::central},
+                                             {"2-point", Derivative::forward}};
+
+InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
+  const std::string name = "invariant " + spec.name;
+  InvariantBlock block;
+  block.g = functions.vector(spec.fun, name, spec.m);
+  block.m = spec.m;
+  block.held = spec.held;
+  if (!nb::isinstance<nb::str>(spec.jac)) {
+    block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
+    return block;
+  }
+  const auto substitute = nb::cast<std::string>(spec.jac);
+  block.derivative = choose(substitutes, substitute, "kind of derivative");
+  if (block.derivative != Derivative::complex_step) return block;
+  nb::object at_complex = spec.fun;
+  if (substitute == choose_derivative)
+    at_complex = nb::module_::import_("invariode.invariants").attr("at_complex")(spec.fun, spec.m);
+  block.complex_g = functions.complex_vector(at_complex, name, spec.m);
+  return block;
+}
+
+EventFunction make_event(const EventSpec& spec, Functions& functions) {
+  EventFunction event;
+  event.function = functions.scalar(spec.fun, "event " + spec.name);
+  event.terminal = spec.terminal;
+  event.direction = spec.direction;
+  if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of event " + spec.name);
+  event.rehold = spec.rehold;
+  return event;
+}
+
+Mass::Basis read_basis(const nb::object& basis, std::size_t n) {
+  const auto [starts, rows, values] = nb::cast<std::tuple<ConstIndices, ConstIndices, ConstVector>>(basis);
+  bool right = starts.size() > 0 && rows.size() == values.size();
+  for (std::size_t j = 0; right && j + 1 < starts.size(); ++j) right = starts.data()[j] <= starts.data()[j + 1];
+  right = right && starts.data()[0] == 0 && starts.data()[starts.size() - 1] == static_cast<int>(rows.size());
+  for (std::size_t p = 0; right && p < rows.size(); ++p)
+    right = rows.data()[p] >= 0 && rows.data()[p] < static_cast<int>(n);
+  if (!right) throw std::invalid_argument("null_basis does not consist of compressed columns of length n");
+  return Eigen::Map<const Mass::Basis>(static_cast<Eigen::Index>(n), static_cast<Eigen::Index>(starts.size()) - 1,
+                                       static_cast<Eigen::Index>(values.size()), starts.data(), rows.data(),
+                                       values.data());
+}
+
+Lapack read_lapack(const nb::object& capsules) {
+  Lapack lapack;
+  const auto take = [&](const char* name, auto*& routine) {
+    const nb::object capsule(capsules[name]);
+    void* pointer = PyCapsule_GetPointer(capsule.ptr(), PyCapsule_GetName(capsule.ptr()));
+    if (pointer == nullptr) throw nb::python_error();
+    routine = reinterpret_cast<std::remove_reference_t<decltype(routine)>>(pointer);
+  };
+  take("dgetrf", lapack.dgetrf);
+  take("dgetrs", lapack.dgetrs);
+  take("dgbtrf", lapack.dgbtrf);
+  take("dgbtrs", lapack.dgbtrs);
+  return lapack;
+}
+
+LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
+  LinearTerms linear{.kind = spec.kind, .jacobian = Matrix(spec.structure), .function = {}, .mass = {}, .lapack = {}};
+  nb::object known = spec.jacobian;  // values or pattern
+  if (spec.kind == Jacobian::Kind::function) {
+    nb::object code = std::exchange(known, nb::none());
+    if (nb::isinstance<nb::tuple>(code)) std::tie(code, known) = nb::cast<std::pair<nb::object, nb::object>>(code);
+    linear.function = functions.matrix(code);
+  }
+  if (!known.is_none()) read_matrix(known, linear.jacobian);
+  if (!spec.lapack.is_none()) linear.lapack = read_lapack(spec.lapack);
+  if (spec.mass.is_none()) return linear;
+  Matrix mass(spec.structure);
+  MatrixFunction function;
+  if (PyCallable_Check(spec.mass.ptr()) != 0)
+    function = functions.matrix(spec.mass);
+  else
+    read_matrix(spec.mass, mass);
+  linear.mass.emplace(std::move(mass), function, read_basis(spec.null_basis, spec.structure.n));
+  return linear;
+}
+
+}  // namespace
+
+Weights Tolerances::for_size(std::size_t n) const {
+  const auto* each = std::get_if<std::vector<double>>(&threshold);
+  return {rtol, each ? *each : std::vector<double>(n, std::get<double>(threshold)), scale};
+}
+
+BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.complex}, spec.args, spec.parameters) {
+  problem_.n = spec.n;
+  problem_.complex = spec.complex;
+  if (!spec.fun.is_none()) problem_.f = functions_.state_valued(spec.fun, "fun(t, y)");
+  if (!spec.callback.is_none()) problem_.callback = functions_.truth(spec.callback, "callback(t, y)");
+  for (const InvariantSpec& one : spec.invariants) problem_.invariants.push_back(make_block(one, functions_));
+  problem_.value = spec.value;
+  if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
+  for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
+  problem_.parameters = functions_.parameters();
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// What Python sees. None of these objects changes the objects that it holds: a cycle through one is broken elsewhere.
+
+namespace {
+
+int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held) {
+  for (const nb::handle one : held) Py_VISIT(one.ptr());
+  return 0;
+}
+int visit(const InvariantSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.jac}); }
+int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
+int visit(const LinearSpec& s, visitproc visit, void* arg) {
+  return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack});
+}
+int visit(const ProblemSpec& s, visitproc visitor, void* arg) {
+  int stop = visit_all(visitor, arg, {s.fun, s.args, s.callback});
+  if (stop == 0 && s.linear) stop = visit(*s.linear, visitor, arg);
+  for (const EventSpec& one : s.events)
+    if (stop == 0) stop = visit(one, visitor, arg);
+  for (const InvariantSpec& one : s.invariants)
+    if (stop == 0) stop = visit(one, visitor, arg);
+  return stop;
+}
+
+template <class Spec>
+int traverse(PyObject* self, visitproc visitor, void* arg) {
+  if (const int stop = visit_all(visitor, arg, {nb::handle(reinterpret_cast<PyObject*>(Py_TYPE(self)))}); stop != 0)
+    return stop;
+  return nb::inst_ready(self) ? visit(*nb::inst_ptr<Spec>(self), visitor, arg) : 0;
+}
+template <class Spec>
+PyType_Slot slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse<Spec>)}, {0, nullptr}};
+
+void define_functions(nb::module_& module) {
+  nb::class_<InvariantSpec>(module, "Invariant", nb::type_slots(slots<InvariantSpec>), "An invariant, for the core.")
+      .def(
+          "__init__",
+          [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held) {
+            new (self) InvariantSpec{std::move(fun), std::move(jac), m, std::move(name), held};
+          },
+          nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"));
+  nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")
+      .def(
+          "__init__",
+          [](EventSpec* self, nb::object fun, std::int64_t terminal, int direction, std::string name, nb::object action,
+             bool rehold) {
+            new (self) EventSpec{std::move(fun), terminal, direction, std::move(name), std::move(action), rehold};
+          },
+          nb::arg("fun"), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
+          nb::arg("rehold"));
+}
+
+void define_linear(nb::module_& module) {
+  nb::class_<LinearSpec>(module, "Linear", nb::type_slots(slots<LinearSpec>),
+                         "What is known of the Jacobian of f and of the mass matrix.")
+      .def(
+          "__init__",
+          [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
+             const std::string& kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack) {
+            new (self) LinearSpec{{choose(structure_names, structure, "structure"), n, lower, upper},
+                                  choose(jacobian_names, kind, "kind of Jacobian"),
+                                  std::move(jacobian),
+                                  std::move(mass),
+                                  std::move(null_basis),
+                                  std::move(lapack)};
+          },
+          nb::kw_only(), nb::arg("structure"), nb::arg("n"), nb::arg("lower"), nb::arg("upper"), nb::arg("kind"),
+          nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none())
+      .def_prop_ro(
+          "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },
+          "Number of algebraic equations: the dimension of the left null space of M.");
+}
+
+void define_description(nb::module_& module) {
+  nb::class_<ProblemSpec>(module, "Problem", nb::type_slots(slots<ProblemSpec>),
+                          "What is to be solved, but for the initial value. n: reals in a state.")
+      .def(
+          "__init__",
+          [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
+             const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
+             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value) {
+            new (self) ProblemSpec{n,
+                                   complex,
+                                   std::move(fun),
+                                   std::move(args),
+                                   to_vector(parameters),
+                                   std::move(linear),
+                                   std::move(events),
+                                   std::move(callback),
+                                   std::move(invariants),
+                                   value ? to_vector(*value) : std::vector<double>{}};
+          },
+          nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
+          nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
+          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none());
+  nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
+      .def(
+          "__init__",
+          [](Tolerances* self, double rtol, const ThresholdArgument& threshold, const OptionalVector& scale) {
+            new (self) Tolerances{rtol, {}, scale ? to_vector(*scale) : std::vector<double>{}};
+            if (const auto* each = std::get_if<ConstVector>(&threshold))
+              self->threshold = to_vector(*each);
+            else
+              self->threshold = std::get<double>(threshold);
+          },
+          nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none());
+}
+
+/// A row for each setting of the core's structs.
+void define_settings(nb::module_& module) {
+  nb::class_<RunSettings>(module, "Settings", "What a run is asked for, beyond the problem and the method.")
+      .def(nb::init<>())
+      .def_rw("t0", &RunSettings::t0)
+      .def_rw("tf", &RunSettings::tf)
+      .def_rw("max_step", &RunSettings::hmax)
+      .def_rw("first_step", &RunSettings::first_step)
+      .def_rw("iterations", &RunSettings::iterations)
+      .def_rw("refine", &RunSettings::refine)
+      .def_rw("dense", &RunSettings::dense)
+      .def_rw("save_all", &RunSettings::save_all)
+      .def_rw("record", &RunSettings::record)
+      .def_rw("check", &RunSettings::check)
+      .def_rw("negligible", &RunSettings::negligible)
+      .def_rw("max_order", &RunSettings::max_order)
+      .def_rw("bdf", &RunSettings::bdf)
+      .def_prop_rw(
+          "fsal", [](const RunSettings& s) { return name_of(s.fsal); },
+          [](RunSettings& s, const std::string& name) { s.fsal = choose(fsal_names, name, "fsal"); })
+      .def_prop_rw(
+          "interpolation", [](const RunSettings& s) { return name_of(s.interpolation); },
+          [](RunSettings& s, const std::string& name) {
+            s.interpolation = choose(interpolation_names, name, "interpolation");
+          })
+      .def_prop_rw(
+          "times",
+          [](const RunSettings& s) -> std::optional<Vector> {
+            if (!s.output_at_times) return {};
+            return to_array<Vector>(std::vector<double>(s.times), s.times.size());
+          },
+          [](RunSettings& s, const OptionalVector& times) {
+            s.output_at_times = times.has_value();
+            s.times = times ? to_vector(*times) : std::vector<double>{};
+          },
+          nb::for_getter(nb::rv_policy::move), nb::for_setter(nb::arg("times").none()), "None: output at the steps.");
+}
+
+}  // namespace
+
+void define_problem(nb::module_& module) {
+  define_functions(module);
+  define_linear(module);
+  define_description(module);
+  define_settings(module);
+}
+
+}  // namespace invariode::binding

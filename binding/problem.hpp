@@ -1,0 +1,104 @@
+#pragma once
+// Problems, tolerances and settings as Python describes them, and the core's problem made of them.
+
+#include <nanobind/nanobind.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "callables.hpp"
+#include "integrate.hpp"
+#include "methods/registry.hpp"
+#include "run/problem.hpp"
+#include "weights.hpp"
+
+namespace invariode::binding {
+
+/// An invariant: g, its Jacobian or the name of what takes its place, number and name of its values, and whether they
+/// are held, not demanded.
+struct InvariantSpec {
+  nb::object fun, jac;
+  std::size_t m;
+  std::string name;
+  bool held;
+};
+
+struct EventSpec {
+  nb::object fun;
+  std::int64_t terminal;
+  int direction;
+  std::string name;
+  nb::object action;
+  bool rehold;
+};
+
+/// What is known of ∂f/∂y and M.
+struct LinearSpec {
+  Structure structure;
+  Jacobian::Kind kind;
+  nb::object jacobian;  // its values, its function (with its pattern if native), or for sparse differences its pattern
+  nb::object mass;      // None, the values of a constant one, or M(t)
+  nb::object null_basis;  // (starts, rows, values) of Z
+  nb::object lapack;      // None, or capsules by name
+};
+
+struct ProblemSpec {
+  std::size_t n;
+  bool complex;
+  nb::object fun;
+  nb::tuple args;
+  std::vector<double> parameters;
+  std::optional<LinearSpec> linear;
+  std::vector<EventSpec> events;
+  nb::object callback;
+  std::vector<InvariantSpec> invariants;
+  std::vector<double> value;
+};
+
+/// rtol, thr of all components or of each, and the scales of a vector rtol, if it was one.
+struct Tolerances {
+  double rtol;
+  std::variant<double, std::vector<double>> threshold;
+  std::vector<double> scale;
+
+  [[nodiscard]] Weights for_size(std::size_t n) const;
+};
+
+/// All that a run can be told, for the loop and for the method.
+struct RunSettings : Settings, MethodOptions {};
+
+/// The core's problem of a description, with the functions that it calls.
+class BoundProblem {
+ public:
+  explicit BoundProblem(const ProblemSpec& spec);
+  BoundProblem(const BoundProblem&) = delete;
+  BoundProblem& operator=(const BoundProblem&) = delete;
+
+  [[nodiscard]] const Problem& problem() const { return problem_; }
+  /// Whether no function needs the interpreter.
+  [[nodiscard]] bool native() const { return functions_.native(); }
+  int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
+
+ private:
+  Functions functions_;
+  Problem problem_;
+};
+
+/// Lets other threads run the interpreter where nothing here needs it.
+class Unlocked {
+ public:
+  explicit Unlocked(bool possible) {
+    if (possible) released_.emplace();
+  }
+
+ private:
+  std::optional<nb::gil_scoped_release> released_;
+};
+
+void define_problem(nb::module_& module);
+
+}  // namespace invariode::binding

@@ -1,0 +1,176 @@
+#include "run/ensemble.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <utility>
+
+#include "run/threads.hpp"
+#include "run/watch.hpp"
+
+namespace invariode {
+namespace {
+
+constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
+
+bool failed(State state) {
+  return state != State::reached_end && state != State::terminal_event && state != State::stopped_by_callback;
+}
+
+/// A single solve has in ng, before its run, each invariant once; `prepare` has evaluated those that are held, for the
+/// steps and for the output between them. The difference makes ng that of a single solve.
+std::int64_t uncounted_starts(const Problem& problem) {
+  const std::vector<InvariantBlock>& blocks = problem.invariants;
+  const bool twice = problem.linear && problem.linear->mass && problem.linear->mass->singular();
+  return static_cast<std::int64_t>(blocks.size()) -
+         (twice ? 2 : 1) * std::ranges::count_if(blocks, &InvariantBlock::held);
+}
+
+void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
+  const auto require = [](bool right, const char* what) {
+    if (!right) throw std::invalid_argument(what);
+  };
+  require(!solvers.empty(), "an ensemble needs at least one solver");
+  require(ensemble.size < std::numeric_limits<std::uint32_t>::max(), "too many trajectories");
+  const Problem& first = solvers.front()->problem();
+  for (const Solver* solver : solvers) {
+    const Problem& problem = solver->problem();
+    require(problem.n == ensemble.n, "rows of y0 are not of the size of the problem");
+    require(problem.parameters.size() == ensemble.parameters, "rows of parameters are not as long as the problem's");
+    require(problem.value.size() == first.value.size() && problem.events.size() == first.events.size() &&
+                solver->settings().times.size() == solvers.front()->settings().times.size(),
+            "solvers of an ensemble must be of one problem");
+  }
+  std::vector<const double*> places;
+  for (const Solver* solver : solvers) places.push_back(solver->problem().parameters.data());
+  std::ranges::sort(places);
+  require(ensemble.parameters == 0 || std::ranges::adjacent_find(places) == places.end(),
+          "solvers of an ensemble must have parameters of their own");
+}
+
+/// Trajectory i, on a thread that has the solver to itself.
+void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+                   EnsembleResult& result) {
+  const double* row = ensemble.rows + i * ensemble.parameters;
+  std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
+  const double t0 = solver.settings().t0;
+  const double* given = ensemble.y0 + i * ensemble.n;
+  if (!all_finite(given, ensemble.n)) return result.refuse(i, EnsembleResult::not_finite, t0, given);
+  std::vector<double> y0(given, given + ensemble.n);
+  Run run(solver);
+  switch (run.prepare(t0, y0.data())) {
+    case Consistency::not_found: return result.refuse(i, EnsembleResult::not_found, t0, given);
+    case Consistency::index_too_high: return result.refuse(i, EnsembleResult::index_too_high, t0, given);
+    case Consistency::consistent:
+    case Consistency::corrected:
+    case Consistency::undefined:  // the run says so
+    case Consistency::stop: break;
+  }
+  result.hold(i, run);
+  State state = run.integration().start(y0.data());
+  while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = run.integration().advance();
+  result.keep(i, run, uncounted_starts(solver.problem()));
+}
+
+}  // namespace
+
+EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
+    : size(size_),
+      n(solver.problem().n),
+      parts(solver.problem().complex ? 2 : 1),
+      m(solver.problem().value.size()),
+      n_t(solver.settings().times.size()),
+      t(size),
+      y_end(size * n),
+      y(size * n * n_t, undefined),
+      value(size * m, undefined),
+      before(size * m),
+      after(size * m),
+      correction(size),
+      count(size * counts),
+      state(size),
+      occurrences(solver.problem().events.size()) {}
+
+void EnsembleResult::refuse(std::size_t i, std::int8_t why, double t0, const double* y0) {
+  state[i] = why;
+  t[i] = t0;
+  std::copy(y0, y0 + n, &y_end[i * n]);
+}
+
+void EnsembleResult::hold(std::size_t i, Run& run) {
+  if (const Invariants* g = run.invariants()) std::ranges::copy(g->value(), &value[i * m]);
+}
+
+void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
+  RunResult one = run.take_result();
+  one.ng += uncounted;
+  t[i] = one.t_end;
+  std::copy(one.end(), one.end() + n, &y_end[i * n]);
+  state[i] = static_cast<std::int8_t>(one.state);
+  std::ranges::copy(one.counted(), &count[i * counts]);
+  keep_outputs(i, one);
+  if (m > 0) measure_drift(i, one, *run.invariants());
+  keep_happenings(i, one);
+}
+
+void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
+  if (n_t == 0) return;
+  for (std::size_t j = 0; j < run.points.t.size(); ++j)
+    for (std::size_t c = 0; c < n; ++c)
+      y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = run.points.y[j * n + c];
+}
+
+/// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them.
+void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invariants& invariants) {
+  std::copy_n(run.drift.residual.begin(), m, &before[i * m]);
+  correction[i] = run.drift.correction;
+  std::vector<double> held(&value[i * m], &value[i * m] + m), g(m);
+  const auto measure = [&](double at, const double* point) {
+    if (invariants.evaluate(at, point, g.data()) == Status::stop) return;
+    for (std::size_t k = 0; k < m; ++k) {
+      double& largest = after[i * m + k];
+      const double residual = std::abs(g[k] - held[k]);
+      if (residual > largest || std::isnan(residual)) largest = residual;  // NaN, where g was NaN, stays
+    }
+  };
+  auto jump = run.jumps.begin();
+  const auto pass_jumps = [&](std::size_t row) {
+    for (; jump != run.jumps.end() && jump->row <= row; ++jump)
+      held.assign(jump->value.begin(), jump->value.begin() + static_cast<std::ptrdiff_t>(m));
+  };
+  for (std::size_t j = 0; j < run.points.t.size() && n_t > 0; ++j) {
+    pass_jumps(j);
+    measure(run.points.t[j], &run.points.y[j * n]);
+  }
+  pass_jumps(std::numeric_limits<std::size_t>::max());
+  measure(t[i], &y_end[i * n]);
+}
+
+void EnsembleResult::keep_happenings(std::size_t i, const RunResult& run) {
+  const bool failure = failed(run.state);
+  const bool happened = std::ranges::any_of(run.occurrences, [](const Trajectory& one) { return !one.t.empty(); });
+  if (!failure && !happened) return;
+  const std::lock_guard lock(shared_);
+  if (failure) failures.push_back({i, run.state, run.report});
+  for (std::size_t e = 0; e < run.occurrences.size(); ++e) {
+    const Trajectory& found = run.occurrences[e];
+    occurrences[e].trajectory.insert(occurrences[e].trajectory.end(), found.t.size(), static_cast<std::int64_t>(i));
+    occurrences[e].points.t.append(found.t.data(), found.t.size());
+    occurrences[e].points.y.append(found.y.data(), found.y.size());
+  }
+}
+
+std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
+                                              const std::function<bool(std::uint32_t done)>& watch) {
+  require_alike(solvers, ensemble);
+  auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
+  const auto work = [&](std::size_t worker, std::uint32_t i, const std::atomic<bool>& cancelled) {
+    integrate_one(*solvers[worker], ensemble, i, cancelled, *result);
+  };
+  if (!for_each_index(static_cast<std::uint32_t>(ensemble.size), solvers.size(), patience, work, watch)) return {};
+  return result;
+}
+
+}  // namespace invariode

@@ -1,0 +1,66 @@
+#include "run/problem.hpp"
+
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+void require(bool right, const std::string& what) {
+  if (!right) throw std::invalid_argument(what);
+}
+
+void require_settings(const Settings& settings) {
+  require(settings.hmax > 0 || settings.t0 == settings.tf, "max_step must be positive: infinity for no cap");
+  require(settings.refine >= 1, "refine must be at least 1");
+  require(settings.output_at_times || settings.times.empty(), "times are given and not asked for");
+}
+
+}  // namespace
+
+void require_sizes(const Problem& problem, const Weights& weights) {
+  require(weights.size() == problem.n, "tolerances for " + std::to_string(weights.size()) +
+                                           " components do not fit a problem of " + std::to_string(problem.n));
+  require(weights.scale().empty() || weights.scale().size() == problem.n, "scale and threshold differ in length");
+  require(!problem.complex || problem.n % 2 == 0, "a complex state is an even number of reals");
+  std::size_t m = 0;
+  for (const InvariantBlock& block : problem.invariants) m += block.m;
+  require(m == problem.value.size(), std::to_string(m) + " invariants and " + std::to_string(problem.value.size()) +
+                                         " values: give one value for each invariant");
+  if (!problem.linear) return;
+  const LinearTerms& linear = *problem.linear;
+  require(linear.jacobian.n() == problem.n, "the Jacobian is not of the size of the problem");
+  require(!linear.mass || linear.mass->matrix().n() == problem.n, "the mass matrix is not of the size of the problem");
+}
+
+Jacobian make_jacobian(const LinearTerms& linear, const Weights& weights) {
+  return {linear.kind, linear.jacobian, linear.function, weights};
+}
+
+Solver::Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options)
+    : method_(method),
+      problem_(std::move(problem)),
+      weights_(std::move(weights)),
+      settings_(std::move(settings)),
+      options_(options) {
+  require_sizes(problem_, weights_);
+  require_settings(settings_);
+  require(static_cast<bool>(problem_.f), "the problem has no f");
+  require(!method_.implicit() || problem_.linear,
+          std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
+  options_.projected = !problem_.invariants.empty();
+  if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
+}
+
+void Solver::resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep) {
+  require(seen.size() == problem_.events.size() && asleep.size() == problem_.events.size(),
+          "resume must be told of each event how often it has occurred, and whether it sleeps");
+  settings_.resumed = true;
+  for (std::size_t e = 0; e < seen.size(); ++e) {
+    problem_.events[e].seen = seen[e];
+    problem_.events[e].asleep = asleep[e];
+  }
+}
+
+}  // namespace invariode

@@ -1,0 +1,82 @@
+#pragma once
+// The problem as the core sees it, and a solver: a problem with a method, tolerances and settings.
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "callback.hpp"
+#include "integrate.hpp"
+#include "linear/jacobian.hpp"
+#include "linear/mass.hpp"
+#include "linear/matrix.hpp"
+#include "manifold/invariants.hpp"
+#include "methods/registry.hpp"
+#include "output/events.hpp"
+#include "weights.hpp"
+
+namespace invariode {
+
+/// What is known of ∂f/∂y and of the mass matrix, which has the structure of `jacobian`.
+struct LinearTerms {
+  Jacobian::Kind kind = Jacobian::Kind::differences;
+  Matrix jacobian;          ///< the values of a constant one, else the structure
+  MatrixFunction function;  ///< of that kind
+  std::optional<Mass> mass;
+  std::optional<Lapack> lapack;
+};
+
+/// An initial value problem but for the initial value. Whoever makes it keeps what its callbacks point to.
+struct Problem {
+  std::size_t n = 0;     ///< doubles in a state
+  bool complex = false;  ///< these are pairs: n / 2 complex numbers
+  Callback f;
+  Callback callback;  ///< asked after each accepted step whether to stop; may be empty
+  std::vector<EventFunction> events;
+  std::vector<InvariantBlock> invariants;
+  std::vector<double> value;  ///< of the invariants, one block after the other
+  std::optional<LinearTerms> linear;
+  /// Where the functions read their parameters, if they have any that can be changed from run to run.
+  std::span<double> parameters;
+};
+
+/// Throws std::invalid_argument where sizes do not match: a mistake of whoever called, which would read past an array.
+void require_sizes(const Problem& problem, const Weights& weights);
+
+/// All that is known before the initial value. A solver serves any number of runs, one after the other or together, as
+/// long as its functions may be called by several threads and its parameters stay. Its members do not change but by
+/// `resume`, and by what is written to the parameters.
+class Solver {
+ public:
+  /// Throws std::invalid_argument where sizes do not match, or the method needs linear algebra that is not there.
+  Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options);
+  Solver(const Solver&) = delete;
+  Solver& operator=(const Solver&) = delete;
+
+  /// Its runs go on from where another one ended, with so many occurrences `seen` of each event; those `asleep`
+  /// occurred right there.
+  void resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep);
+
+  [[nodiscard]] const Method& method() const { return method_; }
+  [[nodiscard]] const Problem& problem() const { return problem_; }
+  [[nodiscard]] const Weights& weights() const { return weights_; }
+  [[nodiscard]] const Settings& settings() const { return settings_; }
+  [[nodiscard]] const MethodOptions& options() const { return options_; }
+  /// To be copied, since each run has increments of its own. Null: the problem has no linear terms.
+  [[nodiscard]] const Jacobian* jacobian() const { return jacobian_ ? &*jacobian_ : nullptr; }
+
+ private:
+  const Method& method_;
+  Problem problem_;
+  Weights weights_;
+  Settings settings_;
+  MethodOptions options_;
+  std::optional<Jacobian> jacobian_;
+};
+
+/// The Jacobian that the terms describe. The weights belong to the caller and outlive it.
+Jacobian make_jacobian(const LinearTerms& linear, const Weights& weights);
+
+}  // namespace invariode

@@ -1,0 +1,104 @@
+#pragma once
+// One run of a solver: how it is assembled, and what it comes to.
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <iterator>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "callback.hpp"
+#include "integrate.hpp"
+#include "linear/jacobian.hpp"
+#include "linear/mass.hpp"
+#include "manifold/invariants.hpp"
+#include "run/problem.hpp"
+#include "slope.hpp"
+
+namespace invariode {
+
+/// What a run was, with arrays that have one row per point, counts, and why it ended.
+struct RunResult {
+  std::size_t n = 0;
+  Trajectory points;
+  std::vector<Trajectory> occurrences;  ///< of each event
+  Buffer<AcceptedStep> record;
+  Drift drift;
+  std::vector<Jump> jumps;
+  std::optional<DenseOutput> dense;
+  State state = State::created;
+  Report report;
+  Counts counts;
+  LinearWork linear;
+  std::int64_t nfev = 0;
+  std::int64_t nfev_check = 0;  ///< evaluations of f by the tests that invariants are some
+  std::int64_t ng = 0, ngjac = 0;
+  std::int64_t ngdiff = 0;  ///< of ng, those for Jacobians
+  bool projected_start = false;
+  std::vector<Derivative> derivatives;  ///< of each block of invariants: where its Jacobian came from
+  std::vector<int> dropped;             ///< redundant invariants, and the t at which the first was seen
+  double dropped_at = 0;
+  double t_end = 0;
+  std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
+  double next_h = 0;
+
+  static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
+                                                "nlu",   "nsolve", "projections", "skipped",    "ng",
+                                                "ngjac", "ngdiff", "dropped"};
+  static constexpr std::size_t count_size = std::size(count_names);
+  /// In the order of `count_names`.
+  [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
+  [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
+};
+
+/// Everything that changes while a solver integrates. The solver outlives it.
+class Run {
+ public:
+  explicit Run(const Solver& solver);
+  Run(const Run&) = delete;
+  Run& operator=(const Run&) = delete;
+
+  /// Holds the invariants whose values are not demanded at those of the initial value, which is moved before where the
+  /// algebraic equations of a singular mass matrix ask for it. For a run whose solver was made for another y0.
+  Consistency prepare(double t0, double* y0);
+
+  [[nodiscard]] Integration& integration() { return *integration_; }
+  [[nodiscard]] const Integration& integration() const { return *integration_; }
+  /// The user's invariants; null: there are none.
+  [[nodiscard]] Invariants* invariants() { return users_invariants_; }
+  /// Evaluations of f by the method.
+  [[nodiscard]] std::int64_t evaluations() const { return f_.calls(); }
+
+  /// What the run did, when it has ended. Arrays are moved out: once only.
+  RunResult take_result();
+
+ private:
+  void copy_linear_terms();
+  void derive_slope();
+  void bind_invariants();
+  Invariants with_algebraic_equations();
+  void start_loop();
+  void count_evaluations(RunResult& result) const;
+  void describe_invariants(RunResult& result) const;
+  LinearAlgebra linear_algebra();
+
+  const Solver& solver_;
+  Callback f_;
+
+  // Of its own, since evaluating them changes them.
+  std::optional<Jacobian> jacobian_;
+  std::optional<Mass> mass_;
+
+  std::unique_ptr<Slope> slope_;
+  std::optional<AlgebraicConstraints> algebraic_;
+  std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too
+  std::optional<Invariants> between_;  // where those differ, the user's invariants alone
+  Invariants* users_invariants_ = nullptr;
+  Integration::Manifold manifold_;
+
+  std::optional<Integration> integration_;
+};
+
+}  // namespace invariode

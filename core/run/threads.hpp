@@ -1,0 +1,146 @@
+#pragma once
+// Many independent tasks of unequal cost on several threads.
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <exception>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace invariode {
+
+/// The indices that a worker has still to do. The owner takes from the front; a worker with nothing left takes the
+/// back half. Both ends are in one word, so that each is one compare-and-swap.
+class alignas(64) Share {
+ public:
+  void assign(std::uint32_t begin, std::uint32_t end) { ends_.store(pack(begin, end)); }
+
+  /// The next index; false: none is left.
+  bool take(std::uint32_t& index) {
+    std::uint64_t ends = ends_.load();
+    do {
+      if (begin(ends) >= end(ends)) return false;
+      index = begin(ends);
+    } while (!ends_.compare_exchange_weak(ends, pack(index + 1, end(ends))));
+    return true;
+  }
+
+  /// Moves the back half, at least one index, to `thief`, which must be empty; false: there is nothing.
+  bool steal(Share& thief) {
+    std::uint64_t ends = ends_.load();
+    std::uint32_t middle;
+    do {
+      if (begin(ends) >= end(ends)) return false;
+      middle = begin(ends) + (end(ends) - begin(ends)) / 2;
+    } while (!ends_.compare_exchange_weak(ends, pack(begin(ends), middle)));
+    thief.assign(middle, end(ends));
+    return true;
+  }
+
+ private:
+  static std::uint64_t pack(std::uint32_t begin, std::uint32_t end) { return std::uint64_t{begin} << 32 | end; }
+  static std::uint32_t begin(std::uint64_t ends) { return static_cast<std::uint32_t>(ends >> 32); }
+  static std::uint32_t end(std::uint64_t ends) { return static_cast<std::uint32_t>(ends); }
+
+  std::atomic<std::uint64_t> ends_ = 0;
+};
+
+/// Workers that share indices out among themselves, and what they have come to.
+class Crew {
+ public:
+  Crew(std::uint32_t count, std::size_t workers) : shares_(workers), running_(workers) {
+    for (std::size_t w = 0; w < workers; ++w)
+      shares_[w].assign(static_cast<std::uint32_t>(std::uint64_t{count} * w / workers),
+                        static_cast<std::uint32_t>(std::uint64_t{count} * (w + 1) / workers));
+  }
+
+  /// What worker number `own` does on its thread: its share, then parts of the others'.
+  template <class Work>
+  void labour(std::size_t own, Work& work) {
+    do {
+      for (std::uint32_t index; !cancelled() && shares_[own].take(index);) {
+        guarded([&] { work(own, index, std::as_const(cancelled_)); });
+        done_.fetch_add(1, std::memory_order_relaxed);
+      }
+    } while (!cancelled() && steal(own));
+    leave(1);
+  }
+  /// The first of these to throw cancels the rest; `rethrow` throws it again.
+  template <class Act>
+  void guarded(Act act) noexcept {
+    try {
+      act();
+    } catch (...) {
+      const std::lock_guard lock(mutex_);
+      if (!error_) error_ = std::current_exception();
+      cancelled_ = true;
+    }
+  }
+  void rethrow() {
+    if (error_) std::rethrow_exception(error_);
+  }
+
+  void cancel() { cancelled_ = true; }
+  [[nodiscard]] bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
+  [[nodiscard]] std::uint32_t done() const { return done_.load(); }
+  /// So many workers have ended, or never began.
+  void leave(std::size_t workers) {
+    const std::lock_guard lock(mutex_);
+    running_ -= workers;
+    ended_.notify_one();
+  }
+  /// Waits as long as that. True: all have left.
+  bool wait(std::chrono::milliseconds patience) {
+    std::unique_lock lock(mutex_);
+    return ended_.wait_for(lock, patience, [&] { return running_ == 0; });
+  }
+
+ private:
+  bool steal(std::size_t own) {
+    for (std::size_t k = 1; k < shares_.size(); ++k)
+      if (shares_[(own + k) % shares_.size()].steal(shares_[own])) return true;
+    return false;
+  }
+
+  std::vector<Share> shares_;
+  std::atomic<bool> cancelled_ = false;
+  std::atomic<std::uint32_t> done_ = 0;
+  std::mutex mutex_;  // of the last three
+  std::condition_variable ended_;
+  std::size_t running_;
+  std::exception_ptr error_;
+};
+
+/// Calls work(worker, index, cancelled) for each index < count, on `workers` threads; meanwhile, every `patience` and
+/// at the end, watch(done) on the calling thread, which cancels what is left by returning false. True: all were done.
+/// `cancelled` is for work that takes long. What work or watch throws first cancels the rest, and is thrown again when
+/// all threads have ended.
+template <class Work, class Watch>
+bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work,
+                    Watch watch) {
+  Crew crew(count, workers);
+  std::vector<std::thread> threads;
+  threads.reserve(workers);
+  try {
+    for (std::size_t w = 0; w < workers; ++w) threads.emplace_back([&, w] { crew.labour(w, work); });
+  } catch (...) {  // no more threads to be had: those that run take the others' shares
+    if (threads.empty()) throw;
+    crew.leave(workers - threads.size());
+  }
+  const auto look = [&] {
+    if (!watch(crew.done())) crew.cancel();
+  };
+  while (!crew.wait(patience)) crew.guarded(look);
+  for (std::thread& thread : threads) thread.join();
+  crew.rethrow();
+  look();
+  return !crew.cancelled();
+}
+
+}  // namespace invariode

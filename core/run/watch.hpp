@@ -1,0 +1,37 @@
+#pragma once
+// Long runs that somebody looks after: for interrupts, and to tell how far they are.
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "integrate.hpp"
+
+namespace invariode {
+
+/// How long native code runs before it is looked after.
+inline constexpr std::chrono::milliseconds patience(50);
+
+/// Starts the integration at y0 and runs it to its end. Whenever `patience` has passed, watch() may stop it by
+/// returning false. True: it has ended by itself.
+template <class Watch>
+bool run_watched(Integration& integration, const double* y0, Watch watch) {
+  using Clock = std::chrono::steady_clock;
+  constexpr int most = 16;  // steps from one look at the clock to the next: more of those that are fast
+  int steps = 1;
+  auto watched = Clock::now(), looked = watched;
+  State state = integration.start(y0);
+  for (int step = 0; state == State::running;) {
+    state = integration.advance();
+    if (++step < steps) continue;
+    step = 0;
+    const auto now = Clock::now(), before = std::exchange(looked, now);
+    steps = now - before < patience / most ? std::min(2 * steps, most) : 1;
+    if (now - watched < patience) continue;
+    if (!watch()) return false;
+    watched = now;
+  }
+  return true;
+}
+
+}  // namespace invariode

@@ -1,0 +1,191 @@
+"""The private core: what it is handed is of the right size, or refused."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from invariode import METHODS, _core
+
+n, m = 2, 1
+NOTHING = np.zeros(0)
+
+
+def f(t: float, y: Any) -> list[float]:
+    return [y[1], -y[0]]
+
+
+def energy(t: float, y: Any) -> float:
+    return float(y[0] ** 2 + y[1] ** 2)
+
+
+def problem(**changed: Any) -> _core.Problem:
+    given: dict[str, Any] = dict(
+        n=n,
+        complex=False,
+        fun=f,
+        args=(),
+        parameters=NOTHING,
+        invariants=[_core.Invariant(energy, "3-point", m, "energy", True)],
+        value=np.ones(m),
+    )
+    return _core.Problem(**{**given, **changed})
+
+
+def tolerances(size: int = n) -> _core.Tolerances:
+    return _core.Tolerances(1e-6, np.full(size, 1e-3), None)
+
+
+def solver(settings: dict[str, Any] | None = None, method: str = "ode45", **changed: Any) -> _core.Solver:
+    told = _core.Settings()
+    for name, value in {"tf": 1.0, "max_step": 0.1, **(settings or {})}.items():
+        setattr(told, name, value)
+    return _core.Solver(method, problem(**changed), tolerances(), told)
+
+
+def linear(**changed: Any) -> _core.Linear:
+    empty = np.zeros(1, np.int32), np.zeros(0, np.int32), NOTHING
+    given: dict[str, Any] = dict(
+        structure="dense", n=n, lower=0, upper=0, kind="differences", jacobian=None, mass=None, null_basis=empty,
+        lapack=None,
+    )  # fmt: skip
+    return _core.Linear(**{**given, **changed})
+
+
+def columns(starts: list[int], rows: list[int]) -> tuple[Any, Any, Any]:
+    return np.array(starts, np.int32), np.array(rows, np.int32), np.ones(len(rows))
+
+
+t, y = np.zeros(3), np.ones((3, n))
+y0 = np.array([0.6, 0.8])  # on the manifold
+MISFITS: dict[str, Callable[[], object]] = {
+    "y0": lambda: solver().integrate(np.ones(n + 1)),
+    "y0 of a stepper": lambda: _core.Stepper(solver(), np.ones(n - 1)),
+    "values": lambda: solver(value=np.ones(m + 1)),
+    "tolerances": lambda: _core.Solver("ode45", problem(), tolerances(n + 1), _core.Settings()),
+    "no f": lambda: solver(fun=None),
+    "no method": lambda: solver(method="ode46"),
+    "no Jacobian": lambda: solver(method="ode15s"),
+    "refine": lambda: solver({"refine": 0}),
+    "fsal": lambda: solver({"fsal": "never"}),
+    "resumed events": lambda: solver().resume([1], [False]),
+    "rows of residual": lambda: _core.residual(t, y[:2], problem()),
+    "columns of residual": lambda: _core.residual(t, np.ones((3, n + 1)), problem()),
+    "values of distance": lambda: _core.distance(t, y, problem(value=NOTHING), tolerances()),
+    "columns of impose": lambda: _core.impose(t, np.ones((3, n - 1)), problem(), tolerances()),
+    "tolerances of impose": lambda: _core.impose(t, y, problem(), tolerances(n + 1)),
+    "point of examine": lambda: _core.examine(0, np.ones(n + 1), problem(), tolerances()),
+    "f of examine": lambda: _core.examine(0, np.ones(n), problem(fun=None), tolerances()),
+    "start without a mass": lambda: _core.consistent_start(0, np.ones(n), problem(), tolerances()),
+    "no solvers": lambda: _core.integrate_all([], y, np.zeros((3, 0)), None),
+    "functions of Python on threads": lambda: _core.integrate_all([solver()], y, np.zeros((3, 0)), None),
+    "Jacobian of another size": lambda: solver(method="ode15s", linear=linear(n=n + 1)),
+    "constant Jacobian": lambda: solver(method="ode15s", linear=linear(kind="constant", jacobian=np.ones((n, n + 1)))),
+    "bands": lambda: solver(
+        method="ode15s", linear=linear(structure="banded", upper=1, kind="constant", jacobian=np.ones((n + 1, n)))
+    ),
+    "columns of a pattern": lambda: solver(
+        method="ode15s", linear=linear(structure="sparse", jacobian=columns([0, 2, 1], [0, 1]))
+    ),
+    "rows of a pattern": lambda: solver(
+        method="ode15s", linear=linear(structure="sparse", jacobian=columns([0, 1, 2], [0, 2]))
+    ),
+    "rows out of order": lambda: solver(
+        method="ode15s", linear=linear(structure="sparse", jacobian=columns([0, 2, 2], [1, 0]))
+    ),
+    "null space": lambda: solver(
+        method="ode15s", linear=linear(mass=np.eye(n), null_basis=columns([0, 1], [n]))
+    ),
+    "Jacobian function": lambda: solver(
+        method="ode15s", linear=linear(kind="function", jacobian=lambda t, y: np.ones((n + 1, n)))
+    ).integrate(y0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("misfit", MISFITS.values(), ids=MISFITS)
+def test_what_does_not_fit_is_refused(misfit: Callable[[], object]) -> None:
+    with pytest.raises(ValueError, match=r"\w{3}"):
+        misfit()
+
+
+def test_what_fits_is_taken() -> None:
+    assert solver().integrate(y0).state == "reached_end"
+    assert solver(method="ode15s", linear=linear()).integrate(y0).state == "reached_end"
+    assert _core.residual(t, y, problem()).tolist() == [[1.0]] * 3
+
+
+@pytest.mark.parametrize("extra", [0, 8, 9, 30])
+def test_any_number_of_arguments_is_handed_over(extra: int) -> None:
+    args = tuple(object() for _ in range(extra))
+    seen = []
+
+    def fun(t: float, y: Any, *given: Any) -> list[float]:
+        seen.append(given)
+        return [0.0, 0.0]
+
+    solver(fun=fun, args=args, invariants=[], value=NOTHING).integrate(y0)
+    assert seen
+    assert all(given == args for given in seen)
+
+
+def test_settings_are_what_they_were_set_to() -> None:
+    settings = _core.Settings()
+    for name in [name for name in dir(settings) if not name.startswith("_")]:
+        before = getattr(settings, name)
+        if isinstance(before, bool):
+            after: Any = not before
+        elif isinstance(before, str):
+            after = {"reuse": "evaluate", "projected": "raw"}[before]
+        elif before is None:
+            after = np.arange(3.0)
+        else:
+            after = before + 1
+        setattr(settings, name, after)
+        assert np.array_equal(getattr(settings, name), after)
+    with pytest.raises(AttributeError):
+        settings.max_stp = 1  # type: ignore[attr-defined]
+
+
+def test_an_event_that_never_occurs_has_empty_arrays() -> None:
+    event = _core.Event(lambda t, y: 1.0, 0, 0, "never", None, True)
+    ((times, states),) = solver(events=[event]).integrate(y0).take_events()
+    assert times.shape == (0,)
+    assert states.shape == (0, n)
+
+
+@pytest.mark.parametrize("kind", ["function", "event", "matrix", "callback"])
+def test_a_function_that_owns_its_problem_is_collected(kind: str) -> None:
+    class Owner:
+        held: Any
+
+        def __call__(self, t: float, y: Any = None) -> list[float]:
+            return [0.0, 0.0]
+
+    owner = Owner()
+    given: dict[str, Any] = {
+        "function": {"fun": owner},
+        "event": {"events": [_core.Event(owner, 0, 0, "e", None, True)]},
+        "matrix": {"linear": linear(kind="function", jacobian=owner, mass=owner)},
+        "callback": {"callback": owner},
+    }[kind]
+    owner.held = problem(**given), solver(**given)
+    gone = weakref.ref(owner)
+    del owner, given
+    gc.collect()
+    assert gone() is None
+
+
+def test_the_registry_has_a_row_for_each_method() -> None:
+    rows = {row.name: row for row in _core.methods()}
+    for name, method in METHODS.items():
+        row = rows[name]
+        assert (row.order, row.min_order, row.stages, row.options, row.scipy_name) == (
+            method.order, method.min_order, method.stages, method.options, method.scipy_name,
+        )  # fmt: skip
+    with pytest.raises(AttributeError):
+        rows["ode45"].order = 6  # type: ignore[misc]
