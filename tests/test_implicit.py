@@ -481,7 +481,7 @@ def test_a_sparse_matrix_that_points_outside_of_its_shape_is_refused(form, index
         {"mass": outside, "lband": 1, "uband": 1},
         {"mass": outside, "jac": np.eye(2)},
     ):
-        with pytest.raises(ValueError, match=r"is a sparse matrix whose indices point outside of its shape \(2, 2\)"):
+        with pytest.raises(ValueError, match=r"is a sparse matrix whose indices do not fit its shape \(2, 2\)"):
             iv.ode15s(lambda t, y: -(y**3), (0, 100), [1.0, 2.0], **options)
 
 
@@ -489,8 +489,24 @@ def test_a_sparse_matrix_that_points_outside_of_its_shape_is_refused(form, index
 def test_a_sparse_matrix_whose_columns_are_no_columns_is_refused(starts):
     matrix = sparse.csc_array(np.ones((2, 2)))
     matrix.indptr = np.array(starts)
-    with pytest.raises(ValueError, match="jac is a sparse matrix whose indices point outside"):
+    with pytest.raises(ValueError, match="jac is a sparse matrix whose indices do not fit"):
         iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], jac=matrix)
+
+
+def test_diagonals_that_are_given_twice_are_refused():
+    matrix = sparse.dia_array(([[1.0, 1.0], [2.0, 2.0]], [0, 1]), (2, 2))
+    matrix.offsets = np.array([0, 0])
+    with pytest.raises(ValueError, match="jac is a sparse matrix whose indices do not fit"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], jac=matrix)
+
+
+def test_a_mass_matrix_that_there_is_no_memory_for_is_not_called_singular(monkeypatch):
+    def splu(matrix):
+        raise RuntimeError("Not enough memory to perform factorization.")
+
+    monkeypatch.setattr("invariode._matrices.splu", splu)
+    with pytest.raises(MemoryError, match="no memory to factorise the mass matrix"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], mass=sparse.csc_array(np.eye(2)))
 
 
 def test_a_matrix_that_says_wrongly_of_itself_that_it_is_sorted_is_read_and_left_alone():

@@ -128,7 +128,7 @@ def choice(name: str, value: object, known: Iterable[str]) -> str:
     known = list(known)
     if isinstance(value, str) and value in known:
         return value
-    near = difflib.get_close_matches(str(value), known, n=1)
+    near = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {shown(value)}{hint}")
 
@@ -139,12 +139,19 @@ def flag(name: str, value: object) -> bool:
     raise TypeError(f"{name} must be True or False, got {shown(value)}")
 
 
+def items(value: object) -> list[Any] | None:
+    """What is in a list, a tuple, an array and the like; None where nothing can be."""
+    if not isinstance(value, Iterable) or hasattr(value, "tocsr"):  # a sparse matrix, whose items are such again
+        return None
+    try:
+        return list(value)
+    except TypeError:  # an array without dimensions
+        return None
+
+
 def interval(t_span: object) -> tuple[float, float]:
     """(t0, tf): t0 finite, tf finite or infinite."""
-    try:
-        ends = (*t_span,)  # type: ignore[misc]  # the same
-    except TypeError:
-        ends = ()
+    ends = items(t_span) or ()
     if len(ends) != 2:
         raise ValueError(f"t_span must be a pair (t0, tf), got {shown(t_span)}")
     t0, tf = number("t_span[0]", ends[0]), number("t_span[1]", ends[1])
@@ -262,12 +269,22 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
 def extra_arguments(args: object) -> tuple[Any, ...]:
     if args is None:
         return ()
-    try:
-        return (*args,)  # type: ignore[misc]  # the same
-    except TypeError:
-        raise TypeError(
-            f"args must be a tuple of the extra arguments, for one argument args=({shown(args)},)"
-        ) from None
+    listed = items(args)
+    if listed is None:
+        raise TypeError(f"args must be a tuple of the extra arguments, for one argument args=({shown(args)},)")
+    return tuple(listed)
+
+
+def distinct_labels(labels: object, n: int) -> list[str]:
+    """Names of n components."""
+    names = None if isinstance(labels, str) else items(labels)
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"labels must be a list of {n} str, got {shown(labels)}")
+    if len(names) != n:
+        raise ValueError(f"labels must name the {n} components of y0, got {shown(labels)}")
+    if len(set(names)) < n:
+        raise ValueError(f"labels must differ from each other, got {shown(labels)}")
+    return names
 
 
 def unknown_option(name: str, known: Iterable[str]) -> TypeError:

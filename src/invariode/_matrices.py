@@ -216,7 +216,9 @@ def _regular(A: sp.csc_array) -> bool:
         A = sp.csc_array(factors @ A if axis == 1 else A @ factors)
     try:
         probe = splu(A).solve(np.where(np.arange(A.shape[0]) % 3 == 0, -1.0, 1.0))
-    except RuntimeError:  # SuperLU: exactly singular
+    except RuntimeError as error:
+        if "singular" not in str(error):  # SuperLU is out of memory
+            raise MemoryError(f"no memory to factorise the mass matrix: {error}") from error
         return False
     return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
 
@@ -236,15 +238,17 @@ def _matrix(name: str, given: Any, is_complex: bool) -> Any:
 
 
 def _sound(name: str, given: Any) -> Any:
-    """A sparse matrix, once its indices are seen to lie within its shape.
+    """A sparse matrix, once its indices are seen to fit its shape.
 
     SciPy's constructors do not look at them all, and nothing stops who changes them later; its conversions, and the
     core, would write where they point.
     """
     matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()
-    if matrix.ndim != 2 or matrix.format == "dia":
+    if matrix.ndim != 2:
         return matrix
-    if matrix.format == "coo":
+    if matrix.format == "dia":
+        sound = matrix.data.ndim == 2 and len(matrix.offsets) == len(matrix.data) == len(set(matrix.offsets.tolist()))
+    elif matrix.format == "coo":
         sound = len(matrix.row) == len(matrix.col) == len(matrix.data) and (
             _within(matrix.row, matrix.shape[0]) and _within(matrix.col, matrix.shape[1])
         )
@@ -262,8 +266,8 @@ def _sound(name: str, given: Any) -> Any:
         )
     if not sound:
         raise ValueError(
-            f"{name} is a sparse matrix whose indices point outside of its shape {matrix.shape}: rows and columns "
-            "count from 0; check_format() of a matrix in compressed form tells more"
+            f"{name} is a sparse matrix whose indices do not fit its shape {matrix.shape}: rows and columns count "
+            "from 0; check_format() of a matrix in compressed form tells more"
         )
     return matrix
 

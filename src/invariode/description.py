@@ -9,7 +9,7 @@ from typing import Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from ._arguments import call_name, extra_arguments, function, interval, shown, state
+from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
 from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
@@ -63,7 +63,7 @@ class Description:
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         self.name = call_name(self.fun, "problem") if name is None else name
         self._title = name
-        self._labels = None if labels is None else _checked_labels(labels, len(self.y0))
+        self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A problem that differs from this one in some arguments; this one does not change.
@@ -112,14 +112,3 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
-
-
-def _checked_labels(labels: object, n: int) -> list[str]:
-    names = list(labels) if isinstance(labels, Iterable) and not isinstance(labels, str) else None
-    if names is None or not all(isinstance(name, str) for name in names):
-        raise TypeError(f"labels must be a list of {n} str, got {shown(labels)}")
-    if len(names) != n:
-        raise ValueError(f"labels must name the {n} components of y0, got {shown(labels)}")
-    if len(set(names)) < n:
-        raise ValueError(f"labels must differ from each other, got {shown(labels)}")
-    return names

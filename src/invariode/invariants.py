@@ -21,6 +21,7 @@ from ._arguments import (
     distinct,
     extra_arguments,
     function,
+    items,
     numbers,
     positive_integer,
     real_numbers,
@@ -127,9 +128,9 @@ def _values(value: ArrayLike) -> Array:
 def _names(names: object) -> list[str]:
     if isinstance(names, str):
         return [names]
-    if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
+    listed = items(names)
+    if listed is None or not all(isinstance(name, str) for name in listed):
         raise TypeError(f"names of invariants must be str, or a list of str, got {shown(names)}")
-    listed = list(names)
     if not listed:
         raise ValueError("names of an invariant must be one str for each of its values, got none; leave names out")
     return listed
@@ -143,8 +144,9 @@ def to_invariants(invariants: object) -> list[Invariants]:
         return [invariants]
     if callable(invariants) or is_native(invariants):
         return [Invariants(cast("Callable[..., Any]", invariants))]
-    if isinstance(invariants, Iterable) and not isinstance(invariants, (str, bytes)):
-        return [one for item in invariants for one in to_invariants(item)]
+    listed = None if isinstance(invariants, (str, bytes)) else items(invariants)
+    if listed is not None:
+        return [one for item in listed for one in to_invariants(item)]
     raise TypeError(
         f"invariants must be a function g(t, y), an Invariants, or a list of these, got {shown(invariants)}"
     )
