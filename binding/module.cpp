@@ -17,6 +17,7 @@
 #include "arrays.hpp"
 #include "callables.hpp"
 #include "dense.hpp"
+#include "interpreter.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
 #include "run/names.hpp"
@@ -186,6 +187,11 @@ void define_methods(nb::module_& module) {
 
 NB_MODULE(_core, module) {
   using namespace invariode::binding;
+  // Worker threads ask for the main interpreter, and would wait for it for ever while another one runs.
+  if (PyInterpreterState_Get() != PyInterpreterState_Main())
+    throw nb::import_error(
+        "invariode works in Python's main interpreter only: use threads or processes, not "
+        "sub-interpreters");
   nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
   define_callables(module);

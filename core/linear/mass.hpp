@@ -91,8 +91,8 @@ class AlgebraicConstraints {
   Callback jacobian() { return {&AlgebraicConstraints::jacobian_entry, this}; }
 
  private:
-  static Status residual_entry(void* self, double t, const double* y, double* out) noexcept;
-  static Status jacobian_entry(void* self, double t, const double* y, double* out) noexcept;
+  static Status residual_entry(void* self, double t, const double* y, double* out);
+  static Status jacobian_entry(void* self, double t, const double* y, double* out);
 
   Callback& f_;
   Jacobian jacobian_;

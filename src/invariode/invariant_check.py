@@ -134,6 +134,8 @@ def check_invariants(
     at, point, extra = number("t", t), state(y), extra_arguments(args)
     least, threshold, scale = tolerances(rtol, atol, point)
     listed = to_invariants(invariants)
+    if not listed:
+        raise ValueError("check_invariants needs at least one invariant")
     bound = bind(listed, at, point, extra, threshold)
     p = native_parameters(extra, [fun, *(f for one in listed for f in (one.fun, one.jac))])
     n = reals(point)

@@ -15,14 +15,18 @@ from . import _core
 from ._arguments import (
     EPS,
     Array,
+    as_array,
     call_name,
     choice,
     distinct,
     extra_arguments,
     function,
+    items,
     numbers,
     positive_integer,
+    real_numbers,
     reals,
+    shown,
     tolerances,
 )
 from ._types import Function, JacobianKind, Numbers
@@ -117,20 +121,23 @@ InvariantsLike: TypeAlias = Function | Invariants | Iterable[Function | Invarian
 
 def _values(value: ArrayLike) -> Array:
     try:
-        values = np.atleast_1d(np.array(value, dtype=float))
-    except (TypeError, ValueError):
-        raise TypeError(f"value of an invariant must be a number or an array of numbers, got {value!r}") from None
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError(f"value of an invariant must be finite, of shape (m,), got {value!r}")
+        values = np.atleast_1d(real_numbers("value of an invariant", value))
+    except TypeError:
+        raise TypeError(f"value of an invariant must be a number or an array of numbers, got {shown(value)}") from None
+    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
+        raise ValueError(f"value of an invariant must be finite, of shape (m,) with m >= 1, got {shown(value)}")
     return values
 
 
 def _names(names: object) -> list[str]:
     if isinstance(names, str):
         return [names]
-    if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
-        raise TypeError(f"names of invariants must be str, or a list of str, got {names!r}")
-    return list(names)
+    listed = items(names)
+    if listed is None or not all(isinstance(name, str) for name in listed):
+        raise TypeError(f"names of invariants must be str, or a list of str, got {shown(names)}")
+    if not listed:
+        raise ValueError("names of an invariant must be one str for each of its values, got none; leave names out")
+    return listed
 
 
 def to_invariants(invariants: object) -> list[Invariants]:
@@ -141,9 +148,12 @@ def to_invariants(invariants: object) -> list[Invariants]:
         return [invariants]
     if callable(invariants) or is_native(invariants):
         return [Invariants(cast("Callable[..., Any]", invariants))]
-    if isinstance(invariants, Iterable) and not isinstance(invariants, (str, bytes)):
-        return [one for item in invariants for one in to_invariants(item)]
-    raise TypeError(f"invariants must be a function g(t, y), an Invariants, or a list of these, got {invariants!r}")
+    listed = None if isinstance(invariants, (str, bytes)) else items(invariants)
+    if listed is not None:
+        return [one for item in listed for one in to_invariants(item)]
+    raise TypeError(
+        f"invariants must be a function g(t, y), an Invariants, or a list of these, got {shown(invariants)}"
+    )
 
 
 class InvariantSpec(NamedTuple):
@@ -407,13 +417,13 @@ def at_complex(fun: Callable[..., Any], m: int) -> Callable[..., Any]:
 
 def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:
     returned = one.fun(t, y.copy(), *args)
-    values = np.asarray(returned)
+    values = as_array(f"what invariant {name} returns", returned)
     if values.dtype.kind not in "biufO" or values.ndim > 1 or values.size == 0 or returned is None:
         what = (
             f"shape {values.shape} of type {values.dtype}" if returned is not None else "None (is a `return` missing?)"
         )
         raise ValueError(f"invariant {name} returned {what}, expected a real number or shape (m,)")
-    values = np.atleast_1d(values).astype(float)
+    values = np.atleast_1d(real_numbers(f"what invariant {name} returns", values))
     if not np.isfinite(values).all():
         raise ValueError(f"invariant {name} is not finite at t = {t}: {returned}")
     return values
@@ -563,7 +573,7 @@ def impose(
     if value is not None:
         demanded = _values(value)
         if len(demanded) not in (1, len(bound)):
-            raise ValueError(f"value must have shape ({len(bound)},), as the invariants have, got {value!r}")
+            raise ValueError(f"value must have shape ({len(bound)},), as the invariants have, got {shown(value)}")
         bound = replace(bound, value=demanded + np.zeros(len(bound)))
     result = bound.impose(times, points, rtol, atol)
     if dense is not None:
@@ -575,14 +585,11 @@ def impose(
 
 def _points(t: Any, y: ArrayLike) -> tuple[Array, Array]:
     """Points as (n, n_t), times as (n_t,)."""
-    y = np.asarray(y)
-    if y.ndim not in (1, 2):
-        raise ValueError(f"y must have shape (n,) or (n, n_t), got {y.shape}")
-    points = numbers("y", y).reshape(len(y), -1)
-    try:
-        times = np.array(t, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"t must hold real numbers, got {t!r}") from None
+    given = numbers("y", y)
+    if given.ndim not in (1, 2) or len(given) == 0:
+        raise ValueError(f"y must have shape (n,) or (n, n_t) with n >= 1, got {given.shape}")
+    points = given[:, None] if given.ndim == 1 else given
+    times = real_numbers("t", t)
     if times.shape not in ((), (points.shape[1],)):
         raise ValueError(f"t must have one time per point, shape ({points.shape[1]},), got {times.shape}")
     if not all(math.isfinite(one) for one in times.ravel()):

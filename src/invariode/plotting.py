@@ -125,14 +125,14 @@ class Plots(Result):
         for k in chosen:
             colour, dashes = _unused(ax)
             for style, part, values in zip(dashes, *_parts(y[k]), strict=False):
-                label = _joined(f"{part}{names[k]}", given)
+                label = _joined(f"{part}{drawable(names[k])}", given)
                 _draw(ax, self, t, values, {"color": colour, "linestyle": style, "label": label, **line})
         for label, marker, times, states in _occurrences(self):
             values = np.concatenate([part for k in chosen for part in _parts(states[:, k])[1]] or [times[:0]])
             _mark(ax, np.resize(times, len(values)), values, label, marker)
         ax.set_xlabel("$t$")
         if len(chosen) == 1:
-            ax.set_ylabel(names[chosen[0]])
+            ax.set_ylabel(drawable(names[chosen[0]]))
         left_out = components is None and len(names) > len(chosen)
         _legend(ax, f"{len(chosen)} of {len(names)} components" if left_out else None)
         return ax
@@ -171,14 +171,14 @@ class Plots(Result):
                     f"the solution is complex: plot_phase({i!r}) draws one component in the complex plane, "
                     f"got j = {j!r}"
                 )
-            labels = f"Re {names[a]}", f"Im {names[a]}"
+            labels = f"Re {drawable(names[a])}", f"Im {drawable(names[a])}"
         elif j is None:
             if len(names) == 1:
                 raise ValueError(f"plot_phase needs two components, and this problem has one, {names[0]}")
             raise ValueError(f"plot_phase needs two components of {_listed(names)}, got only {i!r}")
         else:
             b = _component(names, j)
-            labels = names[a], names[b]
+            labels = drawable(names[a]), drawable(names[b])
 
         def plane(states: Array) -> tuple[Array, Array]:
             return (states[a].real, states[a].imag) if j is None else (states[a], states[b])
@@ -256,14 +256,14 @@ class Plots(Result):
             floor = max(EPS / 2 * max(abs(value), before, r.max(initial=0)), r[r > 0].min(initial=np.inf) / 2)
             floor = floor if 0 < floor < np.inf else EPS / 2
             drawn = _interrupted(self, np.where(defining & (r == 0), np.nan, np.maximum(r, floor)))
-            label = _joined(name, given)
+            label = _joined(drawable(name), given)
             curve = _draw(ax, self, t, drawn, {"color": colour, "linestyle": dashes[0], "label": label, **line})
             if before > 0:
                 ax.plot(self.t[[0, -1]], [before, before], ":", color=curve.get_color(), lw=1)
         if largest.any():
             ax.plot([], [], ":", color="0.5", lw=1, label=_once(ax, "largest before\nprojection"))
         ax.set_xlabel("$t$")
-        ax.set_ylabel(f"residual of {g.names[0]}" if len(g) == 1 else r"residual $|g - \mathrm{value}|$")
+        ax.set_ylabel(f"residual of {drawable(g.names[0])}" if len(g) == 1 else r"residual $|g - \mathrm{value}|$")
         _legend(ax, f"{_MOST} of {len(g)} invariants" if len(g) > _MOST else None)
         return ax
 
@@ -383,9 +383,20 @@ def _new_panels(sol: Result, rows: int = 3, **options: Any) -> Array:
     for ax in axes.flat:
         ax.grid(True, color="0.5", alpha=0.2, lw=0.7)  # on dark backgrounds too
     if sol._names.title is not None:
-        axes[0, 0].set_title(sol._names.title)
+        axes[0, 0].set_title(drawable(sol._names.title))
     panels: Array = axes[:, 0]
     return panels
+
+
+def drawable(name: str) -> str:
+    """A name as text of a picture: dollar signs that enclose no formula that matplotlib reads stand for themselves."""
+    from matplotlib.mathtext import MathTextParser
+
+    try:
+        MathTextParser("path").parse(name)
+    except ValueError:
+        return name.replace("$", r"\$")
+    return name
 
 
 def _legend(ax: Axes, title: str | None = None) -> None:
@@ -495,7 +506,7 @@ def _occurrences(sol: Result) -> Iterator[tuple[str, str, Array, Array]]:
         return
     for k, (name, t, y) in enumerate(zip(sol._names.events, sol.t_events, sol.y_events, strict=True)):
         if len(t):
-            yield name, _MARKERS[k % len(_MARKERS)], t, y
+            yield drawable(name), _MARKERS[k % len(_MARKERS)], t, y
 
 
 def _mark(ax: Axes, x: Array, y: Array, label: str, marker: str) -> None:
