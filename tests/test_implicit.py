@@ -448,3 +448,14 @@ def test_differences_see_every_column_of_an_algebraic_equation_also_where_atol_i
     sol = iv.ode15s(robertson, (0, 400), [1, 0, 0], mass=mass, rtol=rtol, atol=1e-3 * rtol)
     assert sol.success
     np.testing.assert_allclose(sol.y.sum(axis=0), 1, atol=1e-14)
+
+
+def test_a_lack_of_memory_is_not_called_a_singular_mass(monkeypatch):
+    """SuperLU raises a RuntimeError for both."""
+
+    def failing(matrix):
+        raise RuntimeError("SUPERLU_MALLOC fails for buf in intCalloc()")
+
+    monkeypatch.setattr("invariode._matrices.splu", failing)
+    with pytest.raises(MemoryError, match="no memory for the LU factors of mass"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], mass=np.array([[2.0, 1], [1, 2]]))
