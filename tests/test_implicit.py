@@ -505,7 +505,7 @@ def test_a_mass_matrix_that_there_is_no_memory_for_is_not_called_singular(monkey
         raise RuntimeError("Not enough memory to perform factorization.")
 
     monkeypatch.setattr("invariode._matrices.splu", splu)
-    with pytest.raises(MemoryError, match="no memory to factorise the mass matrix"):
+    with pytest.raises(MemoryError, match="no memory for the LU factors of mass"):
         iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], mass=sparse.csc_array(np.eye(2)))
 
 

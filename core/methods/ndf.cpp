@@ -178,8 +178,9 @@ Step::Attempt Ndf::attempt(double h, double t1) {
   const Attempt stopped{Outcome::stop, error_, candidate_.data()};
   const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
   if (h_ != memory_h_ || order_ != memory_order_) rescale_memory(h_);
-  if (newton_.repair(t_, y()) == Status::stop) return stopped;
   const double c = h * gamma_inverse(order_);
+  newton_.renew_if_noise(c);
+  if (newton_.repair(t_, y()) == Status::stop) return stopped;
   switch (newton_.prepare(c, t1)) {
     case Outcome::stop: return stopped;
     case Outcome::not_finite: return diverged;

@@ -216,10 +216,13 @@ def _regular(A: sp.csc_array) -> bool:
         A = sp.csc_array(factors @ A if axis == 1 else A @ factors)
     try:
         probe = splu(A).solve(np.where(np.arange(A.shape[0]) % 3 == 0, -1.0, 1.0))
-    except RuntimeError as error:
-        if "singular" not in str(error):  # SuperLU is out of memory
-            raise MemoryError(f"no memory to factorise the mass matrix: {error}") from error
-        return False
+    except RuntimeError as failed:
+        if "singular" in str(failed):
+            return False
+        raise MemoryError(
+            f"no memory for the LU factors of mass ({A.shape[0]} rows, {A.nnz} entries): {failed}. Give a mass of "
+            "fewer entries, or of narrower bands"
+        ) from failed
     return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
 
 
