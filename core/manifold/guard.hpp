@@ -1,5 +1,5 @@
 #pragma once
-// Finds invariants that are none, without ever accusing a right one (docs/algorithms.md, 'Guard'; beyond the paper).
+// Finds functions that are not conserved, without ever accusing a right invariant (docs/algorithms.md, 'Guard'; beyond the paper).
 
 #include <cstddef>
 #include <cstdint>

@@ -55,7 +55,7 @@ class Invariants {
   /// g(t, y) − value
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
-  /// Central differences, increments ε^{1/3} `sizes` times `factor`. Fills the rows that are had by differences, or
+  /// Central differences, increments ε^{1/3} `sizes` times `factor`. Fills the rows that come from differences, or
   /// all.
   Status difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor = 1);
   /// Central differences with `time_increment`; what is below their roundoff counts as 0. J and y tell the size of the
@@ -71,7 +71,7 @@ class Invariants {
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
   /// What roundoff of the point, 10 ε s_j in each component, does to invariant i.
   double resolution(std::size_t i, const double* y, const double* J);
-  /// What that does to J_i f, where J_i is had by differences.
+  /// What that does to J_i f, where J_i comes from differences.
   double roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f);
 
  private:

@@ -55,7 +55,7 @@ class Invariants:
         ``g(t, y, *args)``, a number or an array of shape (m,); y has shape (n,). For complex y the values are real.
     jac : callable or {'complex-step', '3-point', '2-point'}, optional
         ``jac(t, y, *args)``, the Jacobian ∂g/∂y of shape (m, n), or (n,) for m = 1. For complex y row i holds
-        ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Or how it is to be had: by complex steps, Im g(y + i h e_j) / h, exact to
+        ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Or how to compute it: by complex steps, Im g(y + i h e_j) / h, exact to
         roundoff, n evaluations of g at complex y; by central differences, 2n evaluations; by forward differences,
         n + 1. Default: complex steps where g takes complex y and they agree with a difference at the start, else
         central differences.
