@@ -407,7 +407,9 @@ void define_stepper(nb::module_& module) {
       .def("result", &Stepper::result, "Why the run ended, and its counts.")
       .def_prop_ro("state", [](Stepper& s) { return name_of(s.integration().state()); })
       .def_prop_ro("t", [](Stepper& s) { return s.integration().t(); })
-      .def_prop_ro("y", &Stepper::y, nb::rv_policy::move)
+      // The array has its own memory; a copy would be made by Python code, in which the thread may end
+      // (interpreter.hpp).
+      .def_prop_ro("y", &Stepper::y, nb::rv_policy::reference)
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
