@@ -398,8 +398,8 @@ Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& pe
 }
 
 /// The finding of `confirm` where g along the flow, without any Jacobian, says the same. Where it is too coarse to
-/// tell, none; where it contradicts a Jacobian that does not come from differences, the Jacobian is wrong: a complex step of a
-/// function that is not analytic here is given up, a user's is the finding.
+/// tell, none; where it contradicts a Jacobian that does not come from differences, the Jacobian is wrong: a complex
+/// step of a function that is not analytic here is given up, a user's is the finding.
 Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   const auto i = static_cast<std::size_t>(finding.invariant);
   const FlowRate flow = flow_rate(i, t, point_.data(), f_value_.data(), h);

@@ -1,5 +1,6 @@
 #pragma once
-// Finds functions that are not conserved, without ever accusing a right invariant (docs/algorithms.md, 'Guard'; beyond the paper).
+// Finds functions that are not conserved, without ever accusing a right invariant (docs/algorithms.md, 'Guard'; beyond
+// the paper).
 
 #include <cstddef>
 #include <cstdint>
