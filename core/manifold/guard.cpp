@@ -27,6 +27,7 @@ constexpr double uncertainty = 10;
 constexpr int nearby_points = 7;
 constexpr double nearby = 1e-7;
 constexpr double same_rate = 2;
+constexpr double same_rate_of_slopes = 10;  // where y' itself is not good to roundoff
 // What is left of a residual where its point is near enough to the manifold to compare rates before and after.
 constexpr double sufficient_gain = 1e-2;
 // Extrapolation of the derivative along the flow (Ridders, Adv. Eng. Software 4 (1982) 75): h, h/2, h/4, …
@@ -340,11 +341,12 @@ Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const d
   return std::isfinite(quotient) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// Richardson's extrapolation of central differences, stopped where roundoff makes it worse.
-Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* f, double h) {
+/// Richardson's extrapolation of central differences, stopped where roundoff makes it worse. Over a short h roundoff
+/// may agree with itself: the error is never less than what it makes of the longest difference.
+Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h) {
   double row[extrapolations] = {};
   FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
-  double s = std::abs(h);
+  double s = std::abs(h), longest = 0;
   for (int k = 0, shorter = 0; k < extrapolations; s /= 2) {
     double next = 0;
     const Outcome outcome = flow_difference(i, t, y, f, s, next);
@@ -354,6 +356,7 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
       s /= 5;
       continue;
     }
+    longest = std::max(longest, s);
     double factor = 1;
     for (int l = 0; l <= k; ++l) {
       const double previous = std::exchange(row[l], next);
@@ -365,6 +368,7 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
     }
     ++k;
   }
+  best.error = std::max(best.error, invariants_.roundoff(i, y, J) / longest);
   return best;
 }
 
@@ -375,6 +379,7 @@ Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& pe
   const std::size_t n = invariants_.n();
   double least = std::abs(rate), largest = std::abs(rate);
   std::vector<double> f(f_value_);
+  const double* J = projector_.linearization().jacobian.data();
   for (int k = 0; k <= nearby_points; ++k) {
     std::copy(point_.begin(), point_.end(), nearby_.begin());
     const double at = t + k * nearby * h;
@@ -386,14 +391,14 @@ Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& pe
       if (slope_.evaluate(at, nearby_.data(), h, f.data()) == Status::stop) return Outcome::stop;
       if (!all_finite(f.data(), n)) return Outcome::not_finite;
     }
-    const FlowRate flow = flow_rate(i, at, nearby_.data(), f.data(), h);
+    const FlowRate flow = flow_rate(i, at, nearby_.data(), J, f.data(), h);
     if (flow.outcome != Outcome::ok) return flow.outcome;
     if (!(std::abs(flow.rate) > uncertainty * flow.error) || std::signbit(flow.rate) != std::signbit(rate))
       return Outcome::ok;
     least = std::min(least, std::abs(flow.rate));
     largest = std::max(largest, std::abs(flow.rate));
   }
-  persistent = largest <= same_rate * least;
+  persistent = largest <= (slope_.relative_error() > 0 ? same_rate_of_slopes : same_rate) * least;
   return Outcome::ok;
 }
 
@@ -402,7 +407,7 @@ Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& pe
 /// step of a function that is not analytic here is given up, a user's is the finding.
 Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   const auto i = static_cast<std::size_t>(finding.invariant);
-  const FlowRate flow = flow_rate(i, t, point_.data(), f_value_.data(), h);
+  const FlowRate flow = flow_rate(i, t, point_.data(), projector_.linearization().jacobian.data(), f_value_.data(), h);
   if (flow.outcome == Outcome::stop) return stopped();
   if (flow.outcome == Outcome::not_finite) return {};
   const double off = std::abs(flow.rate - finding.size);
@@ -455,7 +460,7 @@ Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (!blind(at, i, t, f, h)) continue;
-    const FlowRate flow = flow_rate(i, t, point_.data(), f, h);
+    const FlowRate flow = flow_rate(i, t, point_.data(), at.jacobian.data(), f, h);
     if (flow.outcome == Outcome::stop) return stopped();
     if (flow.outcome != Outcome::ok || !(std::abs(flow.rate) > uncertainty * flow.error)) continue;
     const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
