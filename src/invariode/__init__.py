@@ -16,6 +16,7 @@ from .invariant_search import PolynomialInvariant, find_invariants
 from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
 from .ivp import solve_ivp
 from .loading import load
+from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .problem import Problem
@@ -38,9 +39,12 @@ __all__ = [
     "Method",
     "PolynomialInvariant",
     "Problem",
+    "RotationMatrix",
     "Solution",
     "Stats",
     "Steps",
+    "UnitQuaternion",
+    "UnitVector",
     "check_invariants",
     "compile",
     "find_invariants",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import operator
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import wraps
 from importlib.util import find_spec
@@ -29,7 +29,9 @@ if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-__all__ = ["plot", "plot_drift", "plot_phase", "plot_steps"]
+    from .animation import Film
+
+__all__ = ["animate", "plot", "plot_drift", "plot_phase", "plot_steps"]
 
 #: Curves that can be told apart: as many as there are colours, solid and dash-dotted.
 _MOST = len(COLOURS) * len(DASHES)
@@ -316,8 +318,78 @@ class Plots(Result):
                 panel.label_outer()
         return panels
 
+    def animate(
+        self,
+        points: Any,
+        *,
+        links: Iterable[Sequence[int]] = (),
+        trace: Iterable[int] = (),
+        duration: float | None = None,
+        fps: float = 25,
+        ax: Axes | None = None,
+        **line: Any,
+    ) -> Film:
+        """Shows the motion of points in the plane or in space as a film.
+
+        Parameters
+        ----------
+        points : callable or array_like of shape (k, 2) or (k, 3)
+            ``points(t, y)`` returns where the points are, an array of shape (k, 2) or (k, 3); y has shape (n,). Fixed
+            points, as the pivot of a pendulum, are points too. Or which components are the coordinates, a row of
+            indices or labels for each point.
+        links : sequence of sequences of int, optional
+            Points to be joined by lines: ``[(0, 1), (1, 2, 3)]``. Default: none.
+        trace : sequence of int, optional
+            Points whose path up to the moment is drawn. Default: none.
+        duration : float, optional
+            Seconds that the film takes. Default: as long as the motion, from 4 to 8.
+        fps : float, default 25
+            Frames per second.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; for points in space, axes with ``projection="3d"``. Default: a new figure.
+        **line
+            Properties of the links, as for ``Axes.plot``.
+
+        Returns
+        -------
+        Film
+            A ``matplotlib.animation.FuncAnimation``. ``film.save("motion.gif")`` makes a file: a GIF, a page with
+            controls (``.html``), or where ffmpeg is installed a video (``.mp4``). In a notebook it shows itself.
+
+        Raises
+        ------
+        ValueError
+            `points` returns another shape, or values that are not finite; `links` or `trace` name points that are not
+            there; the axes have another number of dimensions.
+
+        Notes
+        -----
+        Frames are equally spaced in t, at states of ``sol.sol``. Without dense output each shows the nearest point of
+        the output: give ``dense_output=True``, or many points in `t_eval`, for smooth motion.
+        """
+        _require_matplotlib()
+        from .animation import Film, film_size, motion, polylines
+
+        placed = points if callable(points) else _coordinates(self, points)
+        shown = motion(self, placed, trace=trace, duration=duration, fps=fps)
+        joined = polylines("links", links, shown.points.shape[1])
+        space = shown.points.shape[2] == 3
+        if ax is not None:
+            if (ax.name == "3d") != space:
+                wanted = 'axes with projection="3d"' if space else "axes of the plane"
+                raise ValueError(f"the points have {shown.points.shape[2]} coordinates: give {wanted}")
+            return Film(ax, shown, joined, fps, line)
+        projection = {"subplot_kw": {"projection": "3d"}} if space else {}
+        ax = _new(self, figsize=film_size(shown.points), **projection)
+        ax.set(xlabel="$x$", ylabel="$y$", **({"zlabel": "$z$"} if space else {}))
+        film = Film(ax, shown, joined, fps, line)
+        film.figure.draw_without_rendering()  # laid out once: the frames stand still
+        film.figure.set_layout_engine("none")
+        return film
+
 
 plot, plot_phase, plot_drift, plot_steps = Plots.plot, Plots.plot_phase, Plots.plot_drift, Plots.plot_steps
+animate = Plots.animate
 
 
 def _over_steps(steps: Steps, values: Array) -> tuple[Array, Array]:
@@ -434,6 +506,15 @@ def _components(sol: Result, components: Any) -> list[int]:
         return list(range(min(len(names), _MOST)))
     listed = [components] if isinstance(components, str) or not np.iterable(components) else components
     return [_component(names, one) for one in listed]
+
+
+def _coordinates(sol: Result, points: Any) -> Array:
+    """Indices of components, (k, 2 or 3), from indices or labels."""
+    rows = [points] if len(points) and (isinstance(points[0], str) or not np.iterable(points[0])) else list(points)
+    sizes = {len(row) for row in rows}
+    if sizes not in ({2}, {3}):
+        raise ValueError(f"points must be points(t, y), or rows of two or three components, got {points!r}")
+    return np.array([[_component(sol._names.components, one) for one in row] for row in rows])
 
 
 def _listed(names: Sequence[str]) -> str:
