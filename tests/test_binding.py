@@ -154,7 +154,7 @@ def test_settings_are_what_they_were_set_to() -> None:
 def test_a_plan_hands_over_every_setting_in_its_place() -> None:
     from invariode.plan import Settings
 
-    assert _core.Settings.FIELDS == Settings._fields
+    assert Settings._fields == _core.Settings.FIELDS
     with pytest.raises(ValueError, match="not one value for each"):
         _core.Settings((0.0, 1.0))
 

@@ -612,7 +612,7 @@ def test_csv_and_parquet_round_trip(method, run, tmp_path):
     solve, _ = run
     table = solve(method).to_dataframe()
     table.to_csv(tmp_path / "a.csv")
-    again = pd.read_csv(tmp_path / "a.csv", dtype=str).astype(float).set_index("t")  # pandas rounds what it reads itself
+    again = pd.read_csv(tmp_path / "a.csv", dtype=str).astype(float).set_index("t")  # pandas would round
     pd.testing.assert_frame_equal(again, table, check_exact=True, check_column_type=False)
     table.to_parquet(tmp_path / "a.parquet")
     again = pd.read_parquet(tmp_path / "a.parquet")

@@ -1,7 +1,7 @@
 """ODE solvers that keep what the equations keep.
 
-The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto invariants, after L. F. Shampine, Conservation
-laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
+The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto invariants, after L. F. Shampine,
+Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
 from importlib.metadata import version

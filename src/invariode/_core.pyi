@@ -263,6 +263,12 @@ class Run:
     def dropped_at(self) -> float: ...
 
     @property
+    def harmed(self) -> int: ...
+
+    @property
+    def harm(self) -> float: ...
+
+    @property
     def next_h(self) -> float: ...
 
 class EnsembleRun:
@@ -404,6 +410,10 @@ class Examination:
     @property
     def redundant(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
         """1 where the others imply it."""
+
+    @property
+    def detectable(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """The smallest angle that tells from roundoff."""
 
     @property
     def conserved(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:

@@ -39,6 +39,8 @@ AHEAD = 2
 MOST_WORKERS = 61 if sys.platform == "win32" else sys.maxsize
 #: Seconds between two looks of a worker at whether its parent is alive.
 INTERVAL = 0.5
+#: Seconds that the parent waits for outcomes until it listens for Ctrl-C.
+LISTENING = 0.05
 #: So many times in a row a process may die before it comes to a row: a few may be killed by accident.
 PATIENCE = 5
 
@@ -149,26 +151,35 @@ class _Crew(Generic[T]):
         try:
             executor = self._start()
             while self._given:
-                for future in wait(self._given, return_when=FIRST_COMPLETED).done:
-                    chunk = self._given.pop(future)
-                    try:
-                        file = future.result()
-                    except BrokenProcessPool:
-                        self.lost.append(chunk)
-                    else:
-                        yield _taken_from(Path(file))
-                if not self.lost:
-                    self._give(executor)
-            executor.shutdown()
+                with _ctrl_c_later():
+                    files = self._solved()
+                    if not self.lost:
+                        self._give(executor)
+                for file in files:
+                    yield _taken_from(file)
+            with _ctrl_c_later():
+                executor.shutdown()
         except BaseException:
             self._kill()
             raise
 
+    def _solved(self) -> list[Path]:
+        """The outcomes of chunks that are solved, after some waiting; those of a crew that is broken are lost."""
+        files = []
+        for future in wait(self._given, LISTENING, FIRST_COMPLETED).done:
+            chunk = self._given.pop(future)
+            try:
+                files.append(Path(future.result()))
+            except BrokenProcessPool:
+                self.lost.append(chunk)
+        return files
+
     def _kill(self) -> None:
-        for process in list(self._processes.values()):
-            process.kill()
-        if self._executor:
-            self._executor.shutdown(cancel_futures=True)
+        with _ctrl_c_later():
+            for process in list(self._processes.values()):
+                process.kill()
+            if self._executor:
+                self._executor.shutdown(cancel_futures=True)
 
     def _start(self) -> ProcessPoolExecutor:
         """Starts the processes, with their first chunks."""
@@ -221,7 +232,10 @@ def _no_compilation() -> Iterator[Any]:
 
 @contextmanager
 def _ctrl_c_later() -> Iterator[None]:
-    """Ctrl-C is heard when the block is over: a hook that runs in a fork would swallow it, and a new process die of it.
+    """Ctrl-C is heard when the block is over.
+
+    A hook that runs in a fork would swallow it, and a new process die of it; an exception in the middle of the executor
+    may leave one of its locks locked, for which its thread then waits for ever.
 
     Python runs its handlers in the main thread; elsewhere there is nothing to put off.
     """

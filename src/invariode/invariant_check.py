@@ -14,7 +14,7 @@ from ._arguments import Array, extra_arguments, function, number, reals, state, 
 from ._messages import wrong_jacobian
 from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
-from .invariants import InvariantsLike, bind, to_invariants
+from .invariants import BoundInvariants, InvariantsLike, bind, to_invariants
 
 __all__ = ["CheckReport", "check_invariants"]
 
@@ -151,6 +151,11 @@ def check_invariants(
     found = _core.examine(at, point.view(float), problem, _core.Tolerances(least, threshold, scale))
     if found is None:
         raise ValueError(f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}")
+    return _report(found, bound, at, np.iscomplexobj(point))
+
+
+def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:
+    """`pairs`: the reals that make up y are pairs."""
     stationary = found.gradient == 0
     redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
     on_manifold = found.distance <= 1
@@ -164,7 +169,7 @@ def check_invariants(
     wrong = found.wrong_jacobian
     if wrong is not None:
         i, j, entry, quotient = wrong
-        findings.append(wrong_jacobian(bound.names[i], at, j, entry, quotient, np.iscomplexobj(point)))
+        findings.append(wrong_jacobian(bound.names[i], t, j, entry, quotient, pairs))
     return CheckReport(
         names=list(bound.names),
         value=bound.value,
