@@ -361,7 +361,8 @@ bool Integration::conclude() {
   if (events_.terminal()) return end(State::terminal_event);
   if (stop != 0) return end(State::stopped_by_callback);
   if (events_.acts() && !jump()) return false;
-  return !(attempt_.landing && t == settings_.tf) || end(State::reached_end);
+  if (attempt_.landing && t == settings_.tf) return end(State::reached_end);
+  return true;
 }
 
 /// Takes the actions of the events at the point reached, where the step was cut, and starts again from what they

@@ -32,11 +32,11 @@ struct Linearization {
 /// What the projection of a candidate did. The spans are views of the projector's latest.
 struct Projected {
   Outcome outcome = Outcome::ok;
-  bool skipped = false;                   ///< the candidate was left alone: there is no linearization at it
-  double correction = 0;                  ///< max_i |y*_i − y₁_i| / w_i
-  std::size_t rank = 0;                   ///< of the invariants, at the last iteration
-  std::span<const double> residual = {};  ///< of the candidate, (m)
-  std::span<const double> distance = {};  ///< the same as distances from the level sets, in units of the weights
+  bool skipped = false;              ///< the candidate was left alone: there is no linearization at it
+  double correction = 0;             ///< max_i |y*_i − y₁_i| / w_i
+  std::size_t rank = 0;              ///< of the invariants, at the last iteration
+  std::span<const double> residual;  ///< of the candidate, (m)
+  std::span<const double> distance;  ///< the same as distances from the level sets, in units of the weights
 };
 
 /// What `impose` or `approach` did to a point.

@@ -16,6 +16,6 @@ void nested_polynomial(const double* data, std::size_t size, std::size_t n, doub
   }
 }
 
-const std::array<MakePair, Pairs::count> pairs_for_many = factories<false>(Pairs());
+constinit const std::array<MakePair, Pairs::count> pairs_for_many = factories<false>(Pairs());
 
 }  // namespace invariode::runge_kutta

@@ -4,6 +4,6 @@
 
 namespace invariode::runge_kutta {
 
-const std::array<MakePair, Pairs::count> pairs_for_few = factories<true>(Pairs());
+constinit const std::array<MakePair, Pairs::count> pairs_for_few = factories<true>(Pairs());
 
 }  // namespace invariode::runge_kutta

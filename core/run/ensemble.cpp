@@ -152,7 +152,7 @@ void EnsembleResult::keep_happenings(std::size_t i, const RunResult& run) {
   const bool failure = failed(run.state);
   const bool happened = std::ranges::any_of(run.occurrences, [](const Trajectory& one) { return !one.t.empty(); });
   if (!failure && !happened) return;
-  const std::lock_guard lock(shared_);
+  const std::scoped_lock lock(shared_);
   if (failure) failures.push_back({i, run.state, run.report});
   for (std::size_t e = 0; e < run.occurrences.size(); ++e) {
     const Trajectory& found = run.occurrences[e];

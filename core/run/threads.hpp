@@ -44,8 +44,9 @@ class alignas(64) Share {
   }
 
  private:
-  static std::uint64_t pack(std::uint32_t begin, std::uint32_t end) { return std::uint64_t{begin} << 32 | end; }
-  static std::uint32_t begin(std::uint64_t ends) { return static_cast<std::uint32_t>(ends >> 32); }
+  static constexpr std::uint32_t half = 32;  // bits of each end
+  static std::uint64_t pack(std::uint32_t begin, std::uint32_t end) { return std::uint64_t{begin} << half | end; }
+  static std::uint32_t begin(std::uint64_t ends) { return static_cast<std::uint32_t>(ends >> half); }
   static std::uint32_t end(std::uint64_t ends) { return static_cast<std::uint32_t>(ends); }
 
   std::atomic<std::uint64_t> ends_ = 0;
@@ -77,7 +78,7 @@ class Crew {
     try {
       act();
     } catch (...) {
-      const std::lock_guard lock(mutex_);
+      const std::scoped_lock lock(mutex_);
       if (!error_) error_ = std::current_exception();
       cancelled_ = true;
     }
@@ -91,7 +92,7 @@ class Crew {
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
   /// So many workers have ended, or never began.
   void leave(std::size_t workers) {
-    const std::lock_guard lock(mutex_);
+    const std::scoped_lock lock(mutex_);
     running_ -= workers;
     ended_.notify_one();
   }
