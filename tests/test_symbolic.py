@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import sympy
 from sympy import Eq, Rational, cos, exp, sin, sqrt
-from sympy.physics.mechanics import dynamicsymbols
+from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
+from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 
 import invariode as iv
 from invariode import problems
@@ -272,6 +273,45 @@ def test_functions_of_many_kinds_are_code():
         problem = sy.equations({x: rate, y: 0}).problem((0, 1e-9), [0.7, -0.4], compiled=compiled)
         sol = problem.solve()
         assert (sol.y[0, -1] - 0.7) / 1e-9 == pytest.approx(expected, rel=1e-6)
+
+
+class TestFromMechanics:
+    def test_a_chain_on_a_cart_by_kanes_method(self):
+        """The energy is not used by Kane's method: that it is kept says that the equations are the right ones."""
+        method = n_link_pendulum_on_cart(n=2, cart_force=False, joint_torques=False)
+        free = (method.mass_matrix.free_symbols | method.forcing.free_symbols) - {t}
+        values = {one: 9.81 if one.name == "g" else 1.0 for one in free}
+        q, u = list(method.q), list(method.u)
+        m, length, g = sympy.symbols("m0:3"), sympy.symbols("l0:2"), sympy.Symbol("g")
+        speed, height, energy = [u[0], 0], 0, m[0] * u[0] ** 2 / 2
+        for i in (1, 2):
+            speed = [speed[0] - length[i - 1] * cos(q[i]) * u[i], speed[1] - length[i - 1] * sin(q[i]) * u[i]]
+            height = height + length[i - 1] * cos(q[i])
+            energy += m[i] * (speed[0] ** 2 + speed[1] ** 2) / 2 + m[i] * g * height
+        system = sy.from_mechanics(method, parameters=values, invariants={"energy": energy})
+        for compiled in (True, False):
+            problem = system.problem((0, 2), [0, 0.4, 0.7, 0, 0, 0], compiled=compiled)
+            sol = problem.solve("dop853", rtol=1e-8, atol=1e-8)
+            assert sol.success
+            assert abs(sol.residual).max() < 1e-9
+        y, args = problem.y0 + 0.1, problem.args
+        quotient = derivative(lambda y: problem.fun(0.0, y, *args), y)
+        np.testing.assert_allclose(problem.matrices.jac(0.0, y, *args), quotient, rtol=1e-7, atol=1e-7)
+
+    def test_lagranges_method_is_our_own_lagrangian(self):
+        x, y = dynamicsymbols("x y")
+        rod_ = x**2 + y**2 - 1
+        method = LagrangesMethod((x.diff() ** 2 + y.diff() ** 2) / 2 - y, [x, y], hol_coneqs=[rod_])
+        with pytest.raises(ValueError, match="call its kanes_equations or form_lagranges_equations before"):
+            sy.from_mechanics(method)
+        method.form_lagranges_equations()
+        theirs = sy.from_mechanics(method, invariants=[Eq(rod_, 0)]).problem((0, 5), [1, 0, 0, 0], compiled=False)
+        ours = rod().problem((0, 5), [1, 0], [0, 0], laws=False, compiled=False)
+        np.testing.assert_allclose(theirs.solve(rtol=1e-9).y[:, -1], ours.solve(rtol=1e-9).y[:, -1], atol=1e-7)
+
+    def test_anything_else_is_refused(self):
+        with pytest.raises(TypeError, match="method must be a KanesMethod or a LagrangesMethod, got 3"):
+            sy.from_mechanics(3)
 
 
 def test_python_functions_can_be_pickled():

@@ -16,7 +16,7 @@ from ..problem import Problem
 from .code import Function, Pattern, Piece, System, functions, jacobian_pattern
 from .vocabulary import Vocabulary, parsed
 
-__all__ = ["Equations", "Law", "Phase", "SymbolicSystem", "equations", "label"]
+__all__ = ["Equations", "Law", "Phase", "SymbolicSystem", "equations", "given_laws", "label"]
 
 #: Longer formulas are not names.
 _NAME = 40
@@ -32,7 +32,7 @@ class Law(NamedTuple):
 
 
 class SymbolicSystem:
-    """A system of differential equations in symbols, and its laws. Made by `equations`, `hamiltonian` and `lagrangian`.
+    """A system of differential equations in symbols, and its laws. Made by `equations`, `lagrangian` and others.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class SymbolicSystem:
 
 
 class Equations(SymbolicSystem):
-    """y' = f(t, y) by formulas."""
+    """y' = f(t, y) by formulas: what `equations` and `from_mechanics` make."""
 
     def problem(self, t_span: Span, y0: Any, *, compiled: bool | None = None, name: str | None = None) -> Problem:
         """The initial value problem.
