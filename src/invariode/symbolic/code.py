@@ -141,10 +141,19 @@ def jacobian_pattern(system: System) -> Pattern | None:
 def _jacobian_parts(system: System) -> tuple[list[Any], list[Any]]:
     """Rows of the Jacobian of the explicit part, and ∂force/∂y - (∂mass/∂y) a with the accelerations a as symbols."""
     y, k = system.y, len(system.force)
-    rows = [e.diff(one) for e in system.explicit for one in y]
+    rows = [slope for e in system.explicit for slope in _gradient([e], y)]
     a = [sympy.Symbol(f"{_ACCELERATION}[{i}]", real=True) for i in range(k)]
-    inertia = [sum((system.mass[i, j] * a[j] for j in range(k)), sympy.S.Zero) for i in range(k)]
-    return rows, [(system.force[i] - inertia[i]).diff(one) for i in range(k) for one in y]
+    inner = []
+    for i, force in enumerate(system.force):
+        inertia = [-system.mass[i, j] * a[j] for j in range(k)]
+        inner += _gradient([*sympy.Add.make_args(force), *inertia], y)
+    return rows, inner
+
+
+def _gradient(terms: Sequence[Any], y: Sequence[Any]) -> list[Any]:
+    """The derivatives of a sum: of a long one, most terms do not depend on most of y."""
+    known = [(term, term.free_symbols) for term in terms]
+    return [sympy.Add(*(term.diff(one) for term, symbols in known if one in symbols)) for one in y]
 
 
 def _flat(matrix: Any) -> list[Any]:

@@ -125,7 +125,8 @@ class Equations(SymbolicSystem):
         y0 : dict or array_like
             Initial values, by symbol or in the order of the equations.
         compiled : bool, optional
-            Whether numba compiles the functions. Default: where it is installed.
+            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
+            bodies minutes: give False where the runs are short.
         name : str, optional
             For tables and plots.
 
@@ -165,7 +166,8 @@ class Phase(SymbolicSystem):
             Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
             the start, and that do not follow from others there. Constraints are held in any case.
         compiled : bool, optional
-            Whether numba compiles the functions. Default: where it is installed.
+            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
+            bodies minutes: give False where the runs are short.
         name : str, optional
             For tables and plots.
 
