@@ -1,0 +1,259 @@
+"""Systems of symbols, and the problems that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import sympy
+
+from .._arguments import distinct, interval
+from .._types import Span
+from ..invariant_check import check_invariants
+from ..invariants import Invariants
+from ..problem import Problem
+from .code import Function, Pattern, Piece, System, functions, jacobian_pattern
+from .vocabulary import Vocabulary, parsed
+
+__all__ = ["Equations", "Law", "Phase", "SymbolicSystem", "equations", "given_laws", "label"]
+
+#: Longer formulas are not names.
+_NAME = 40
+
+
+class Law(NamedTuple):
+    """What a system keeps, in the symbols of the code."""
+
+    name: str
+    formula: Any
+    value: float | None  # None: that at the start
+    proposed: bool  # by us: then only if it holds and says something new
+
+
+class SymbolicSystem:
+    """A system of differential equations in symbols, and its laws. Made by `equations`, `lagrangian` and others.
+
+    Attributes
+    ----------
+    states : list of sympy.Expr
+        The components of y.
+    parameters : dict
+        Symbols and their values, which become `args` of the problem, in this order.
+    laws : dict of str to sympy.Expr
+        What the system keeps: invariants that were given, constraints, and laws that were found.
+    """
+
+    def __init__(
+        self, words: Vocabulary, system: System, laws: Sequence[Law], shown: Sequence[tuple[Any, Any]]
+    ) -> None:
+        self._words, self._system, self._shown = words, system, list(shown)
+        names = distinct([law.name for law in laws])
+        self._laws = [law._replace(name=name) for law, name in zip(laws, names, strict=True)]
+        self._made: dict[bool, dict[str, Function]] = {}
+        self.states = list(words.states)
+        self.parameters = dict(words.parameters)
+
+    @property
+    def laws(self) -> dict[str, Any]:
+        return {law.name: self._words.shown(law.formula) for law in self._laws}
+
+    def __repr__(self) -> str:
+        equations = ", ".join(f"{left} = {right}" for left, right in self._shown)
+        return f"{type(self).__name__}({equations})"
+
+    def _repr_latex_(self) -> str:
+        rows = r" \\ ".join(f"{sympy.latex(left)} &= {sympy.latex(right)}" for left, right in self._shown)
+        return rf"$\displaystyle\begin{{aligned}} {rows} \end{{aligned}}$"
+
+    def _problem(self, t_span: Span, y0: list[float], laws: bool, compiled: bool | None, name: str | None) -> Problem:
+        native = find_spec("numba") is not None if compiled is None else compiled
+        made = self._functions(native)
+        pattern = jacobian_pattern(self._system)
+        n = len(y0)
+        sparsity = None
+        if native and isinstance(pattern, Pattern):  # native code gives the values of this pattern
+            sparsity = pattern.matrix([1.0] * len(pattern.indices))
+        invariants = self._invariants(made, interval(t_span)[0], y0, laws)
+        return Problem(
+            made["f"],
+            t_span,
+            y0,
+            args=self._words.args,
+            invariants=invariants or None,
+            jac=made["jac"],
+            jac_sparsity=sparsity,
+            name=name,
+            labels=[label(one) for one in self.states[:n]],
+        )
+
+    def _functions(self, native: bool) -> dict[str, Function]:
+        """f, jac, and for law i its function g_i and gradient dg_i; made once."""
+        if native not in self._made:
+            n = len(self._words.y)
+            pieces = []
+            for i, law in enumerate(self._laws):
+                pieces.append(Piece(f"g{i}", [law.formula], (1,)))
+                pieces.append(Piece(f"dg{i}", [law.formula.diff(one) for one in self._words.y], (1, n)))
+            self._made[native] = functions(self._system, pieces, native, len(self._words.p))
+        return self._made[native]
+
+    def _invariants(self, made: Mapping[str, Any], t: float, y0: list[float], laws: bool) -> list[Invariants]:
+        """Those that were given, and of the proposed laws those that hold and say something new at the start."""
+        kept: list[Invariants] = []
+        for i, law in sorted(enumerate(self._laws), key=lambda item: item[1].proposed):
+            one = Invariants(made[f"g{i}"], made[f"dg{i}"], value=law.value, names=law.name)
+            if not law.proposed:
+                kept.append(one)
+            elif laws:
+                report = check_invariants(made["f"], [*kept, one], t, y0, self._words.args)
+                if report.conserved[-1] and not (report.stationary[-1] or report.redundant.any()):
+                    kept.append(one)
+        return kept
+
+
+class Equations(SymbolicSystem):
+    """y' = f(t, y) by formulas: what `equations` and `from_mechanics` make."""
+
+    def problem(self, t_span: Span, y0: Any, *, compiled: bool | None = None, name: str | None = None) -> Problem:
+        """The initial value problem.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        y0 : dict or array_like
+            Initial values, by symbol or in the order of the equations.
+        compiled : bool, optional
+            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
+            bodies minutes: give False where the runs are short.
+        name : str, optional
+            For tables and plots.
+
+        Returns
+        -------
+        Problem
+        """
+        return self._problem(t_span, self._words.start("y0", y0, self.states), True, compiled, name)
+
+
+class Phase(SymbolicSystem):
+    """A mechanical system: its state are coordinates q, and momenta p or velocities v."""
+
+    _second: str
+
+    def problem(
+        self,
+        t_span: Span,
+        q0: Any,
+        second: Any,
+        *,
+        laws: bool = True,
+        compiled: bool | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """The initial value problem; y = (q, p) of a Hamiltonian system, (q, v) of a Lagrangian one.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        q0 : dict or array_like
+            Initial coordinates, by symbol or in the order of q.
+        second : dict or array_like
+            Initial momenta by symbol, or velocities by coordinate; or in the order of q.
+        laws : bool, default True
+            Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
+            the start, and that do not follow from others there. Constraints are held in any case.
+        compiled : bool, optional
+            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
+            bodies minutes: give False where the runs are short.
+        name : str, optional
+            For tables and plots.
+
+        Returns
+        -------
+        Problem
+        """
+        n = len(self.states) // 2
+        q, p = self.states[:n], self.states[n:]
+        last = q if isinstance(second, Mapping) and not any(one in p for one in second) else p
+        start = [*self._words.start("q0", q0, q), *self._words.start(f"{self._second}0", second, last)]
+        return self._problem(t_span, start, laws, compiled, name)
+
+
+def label(state: Any) -> str:
+    """x of x(t), x' of its rate."""
+    if isinstance(state, sympy.Derivative):
+        return f"{state.expr.func}'"
+    return str(state.func) if getattr(state, "is_Function", False) else str(state)
+
+
+def equations(
+    rates: Mapping[Any, Any],
+    *,
+    invariants: Iterable[Any] | Mapping[str, Any] = (),
+    parameters: Mapping[Any, Any] | None = None,
+) -> Equations:
+    """Differential equations by formulas.
+
+    Parameters
+    ----------
+    rates : dict
+        States, symbols or functions of the time, and their derivatives: ``{x: -y, y: x}``.
+    invariants : sequence of sympy.Expr or sympy.Eq, or dict of names and these, optional
+        What the solution keeps: expressions keep their initial values, equations ``Eq(a, b)`` hold.
+    parameters : dict, optional
+        Other symbols and their values, which become `args` of the problem.
+
+    Returns
+    -------
+    Equations
+        A `SymbolicSystem`, with ``problem(t_span, y0)``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A formula is no expression of SymPy's, or has a symbol without meaning; a symbol has two.
+
+    Notes
+    -----
+    The time is what the states are functions of, else the symbol t. Jacobians are exact, sparse where there are many
+    equations and few entries.
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from invariode import symbolic
+    >>> x, y, k = sympy.symbols("x y k")
+    >>> system = symbolic.equations({x: -k * y, y: k * x}, invariants=[x**2 + y**2], parameters={k: 2})
+    >>> system
+    Equations(x' = -k*y, y' = k*x)
+    >>> sol = system.problem((0, 10), {x: 1, y: 0}, compiled=False).solve()
+    >>> bool(abs(sol.residual).max() < 1e-8)
+    True
+    """
+    given: Any = rates
+    if not isinstance(given, Mapping) or not given:
+        raise TypeError(f"rates must be a dict of states and their derivatives, got {rates!r}")
+    words = Vocabulary(list(rates), parameters)
+    coded = [words.coded(f"the derivative of {one}", rate) for one, rate in rates.items()]
+    system = System(words.y, coded, None, [])
+    shown = [(sympy.Symbol(f"{label(one)}'"), parsed("", rate)) for one, rate in rates.items()]
+    return Equations(words, system, given_laws(words, invariants), shown)
+
+
+def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any]) -> list[Law]:
+    """Laws that the user states."""
+    named: list[tuple[str | None, Any]] = (
+        [*invariants.items()] if isinstance(invariants, Mapping) else [(None, one) for one in invariants]
+    )
+    laws: list[Law] = []
+    for name, one in named:
+        formula, value = (one.lhs - one.rhs, 0.0) if isinstance(one, sympy.Equality) else (one, None)
+        text = str(one) if len(str(one)) <= _NAME else f"invariant {len(laws) + 1}"
+        coded = words.coded(f"invariant {name or text}", formula)
+        if not coded.free_symbols & set(words.y):
+            raise ValueError(f"invariant {name or text} does not depend on the state: leave it out")
+        laws.append(Law(name or text, coded, value, proposed=False))
+    return laws

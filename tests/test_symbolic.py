@@ -1,0 +1,389 @@
+"""Problems from formulas are those written by hand: same values, exact Jacobians, and laws that hold."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+import sympy
+from sympy import Eq, Rational, cos, exp, sin, sqrt
+from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
+from sympy.physics.mechanics.models import n_link_pendulum_on_cart
+
+import invariode as iv
+from invariode import problems
+from invariode import symbolic as sy
+
+t = dynamicsymbols._t
+EPS = np.finfo(float).eps
+
+
+def spring(n=30):
+    """A chain of masses and springs as first-order equations: many of them, with few entries each."""
+    x, v = sympy.symbols(f"x:{n}"), sympy.symbols(f"v:{n}")
+    ends = [0, *x, 0]
+    pull = {v[i]: ends[i] - 2 * ends[i + 1] + ends[i + 2] - x[i] ** 3 for i in range(n)}
+    return sy.equations(dict(zip(x, v, strict=True)) | pull)
+
+
+def predators():
+    a, b, rate = sympy.symbols("a b rate", positive=True)
+    kept = (a - sympy.log(a)) / rate + b - sympy.log(b)
+    return sy.equations({a: rate * a * (b - 1), b: b * (1 - a)}, invariants={"cycle": kept}, parameters={rate: 2})
+
+
+def kepler():
+    x, y, px, py, mu = sympy.symbols("x y p_x p_y mu")
+    return sy.hamiltonian((px**2 + py**2) / 2 - mu / sqrt(x**2 + y**2), [x, y], [px, py], parameters={mu: 1})
+
+
+def double_pendulum():
+    a, b = dynamicsymbols("a b")
+    m, g = sympy.symbols("m g")
+    x1, y1 = sin(a), -cos(a)
+    x2, y2 = x1 + sin(b), y1 - cos(b)
+    speeds = [e.diff(t) ** 2 for e in (x1, y1, x2, y2)]
+    L = (speeds[0] + speeds[1]) / 2 + m * (speeds[2] + speeds[3]) / 2 - g * (y1 + m * y2)
+    return sy.lagrangian(L, [a, b], parameters={m: 2, g: 9.81})
+
+
+def rod(**options):
+    """The paper's pendulum: unit mass, length and gravity."""
+    x, y = dynamicsymbols("x y")
+    return sy.lagrangian((x.diff() ** 2 + y.diff() ** 2) / 2 - y, [x, y], constraints=[Eq(x**2 + y**2, 1)], **options)
+
+
+def skate():
+    """Chaplygin's skate on a slope: it moves along its edge only."""
+    x, y, turn = dynamicsymbols("x y turn")
+    L = (x.diff() ** 2 + y.diff() ** 2 + turn.diff() ** 2) / 2 + x
+    return sy.lagrangian(L, [x, y, turn], nonholonomic=[x.diff() * sin(turn) - y.diff() * cos(turn)])
+
+
+def bead():
+    """On a wire that is moved: the constraint depends on the time, so the energy is not kept."""
+    x, y = dynamicsymbols("x y")
+    L = (x.diff() ** 2 + y.diff() ** 2) / 2 - y
+    return sy.lagrangian(L, [x, y], constraints=[y - x**2 / 2 - sin(t) / 5])
+
+
+#: Systems, with a start of each as the arguments of `problem` after the interval.
+SYSTEMS = {
+    "spring": (spring, [np.linspace(-0.5, 0.8, 60)]),
+    "predators": (predators, [{"a": 1.0, "b": 3.0}]),
+    "kepler": (kepler, [[1, 0.1], [0.05, 1.1]]),
+    "double pendulum": (double_pendulum, [[1, 2], [0.3, -0.2]]),
+    "rod": (rod, [[0.6, 0.8], [0.8, -0.6]]),
+    "skate": (skate, [[0, 0, 0.5], [0, 0, 1.0]]),
+    "bead": (bead, [[1, 0.5], [0.3, 0.5]]),
+}
+
+
+def made(name, compiled, t_span=(0, 3)):
+    system, start = SYSTEMS[name]
+    system = system()
+    if isinstance(start[0], dict):
+        start = [{one: start[0][str(one)] for one in system.states}]
+    return system.problem(t_span, *start, compiled=compiled)
+
+
+@pytest.fixture(params=list(SYSTEMS))
+def name(request):
+    return request.param
+
+
+def derivative(fun, y):
+    """By differences of order 4, columns of ∂f/∂y."""
+    h = 1e-3
+    columns = []
+    for e in np.eye(len(y)):
+        near, far = (np.subtract(fun(y + k * h * e), fun(y - k * h * e)) for k in (1, 2))
+        columns.append((8 * near - far) / (12 * h))
+    return np.transpose(columns)
+
+
+def test_jacobians_are_those_of_the_functions(name):
+    """Of f and of every invariant; the difference quotient of order 4 is off by h⁴ and by roundoff / h."""
+    problem = made(name, compiled=False)
+    y, args = problem.y0, problem.args
+    jacobian = problem.matrices.jac(0.3, y, *args)
+    dense = jacobian.toarray() if name == "spring" else jacobian
+    np.testing.assert_allclose(dense, derivative(lambda y: problem.fun(0.3, y, *args), y), rtol=1e-8, atol=1e-8)
+    for one in problem.invariants:
+        quotient = derivative(lambda y, one=one: one.fun(0.3, y, *args), y)
+        np.testing.assert_allclose(one.jac(0.3, y, *args), quotient, rtol=1e-8, atol=1e-8)
+
+
+def test_compiled_and_not_are_the_same_problem(name):
+    """The code is the same text; libraries of functions may differ in the last place."""
+    for method in ("ode45", "ode15s"):
+        runs = [made(name, compiled).solve(method, rtol=1e-6) for compiled in (True, False)]
+        assert all(run.success for run in runs)
+        np.testing.assert_allclose(runs[0].y[:, -1], runs[1].y[:, -1], rtol=1e-7, atol=1e-9)
+        assert runs[0].stats.derivatives == runs[1].stats.derivatives
+        assert runs[0].stats.derivatives in ("given", None)
+
+
+def test_laws_that_are_found_hold_along_the_plain_solution(name):
+    problem = made(name, compiled=False, t_span=(0, 1))
+    tight = problem.replace(invariants=None).solve("dop853", rtol=1e-11, atol=1e-12)
+    for one in problem.invariants:
+        values = [one.fun(time, y, *problem.args)[0] for time, y in zip(tight.t, tight.y.T, strict=True)]
+        assert np.ptp(values) < 1e-8, one.names
+
+
+def laws(L, q, **options):
+    return list(sy.lagrangian(L, q, **options).laws)
+
+
+class TestLaws:
+    x, y, z = dynamicsymbols("x y z")
+    m, k = sympy.symbols("m k", positive=True)
+    free = (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2
+
+    def test_of_a_central_force_in_space(self):
+        found = laws(self.free - sqrt(self.x**2 + self.y**2 + self.z**2), [self.x, self.y, self.z])
+        assert found == ["energy", *(f"angular momentum of {pair}" for pair in ("x, y", "x, z", "y, z"))]
+
+    def test_of_three_bodies_in_the_plane(self):
+        q = dynamicsymbols("x1 y1 x2 y2 x3 y3")
+        masses = sympy.symbols("m1:4")
+        bodies = [q[0:2], q[2:4], q[4:6]]
+        L = sum(m * (x.diff() ** 2 + y.diff() ** 2) / 2 for m, (x, y) in zip(masses, bodies, strict=True))
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            (x, y), (u, v) = bodies[i], bodies[j]
+            L += masses[i] * masses[j] / sqrt((x - u) ** 2 + (y - v) ** 2)
+        found = sy.lagrangian(L, q, parameters=dict.fromkeys(masses, 1)).laws
+        assert sorted(found) == [
+            "angular momentum of x1, y1, x2, y2, x3, y3",
+            "energy",
+            "momentum of x1, x2, x3",
+            "momentum of y1, y2, y3",
+        ]
+        assert (
+            sympy.expand(
+                found["momentum of x1, x2, x3"] - sum(m * x.diff() for m, (x, _) in zip(masses, bodies, strict=True))
+            )
+            == 0
+        )
+
+    def test_of_a_cyclic_angle(self):
+        r, phi = dynamicsymbols("r phi")
+        found = sy.lagrangian(
+            (r.diff() ** 2 + r**2 * phi.diff() ** 2) / 2 - self.k / r, [r, phi], parameters={self.k: 1}
+        )
+        assert found.laws["momentum of phi"] == r**2 * phi.diff()
+
+    def test_a_parameter_may_break_a_symmetry(self):
+        L = self.free - (self.x**2 + self.k * self.y**2 + self.z**2) / 2
+        assert laws(L, [self.x, self.y, self.z], parameters={self.k: 1}) == ["energy", "angular momentum of x, z"]
+
+    def test_time_and_friction_leave_no_energy(self):
+        assert laws(self.free - self.x * sin(t), [self.x, self.y, self.z])[0] == "momentum of y"
+        assert "energy" not in laws(self.free, [self.x, self.y, self.z], forces=[-self.x.diff(), 0, 0])
+
+    def test_a_force_that_does_no_work_leaves_the_energy(self):
+        """A charge in a magnetic field, as a force: the rotation about the field does not follow from L alone."""
+        turning = {self.x: self.y.diff(), self.y: -self.x.diff()}
+        found = laws(self.free, [self.x, self.y, self.z], forces=turning)
+        assert found[0] == "energy"
+        assert "momentum of z" in found
+        assert "momentum of x" not in found
+
+    def test_constraints_can_break_symmetries_and_keep_them(self):
+        sphere = self.x**2 + self.y**2 + self.z**2 - 1
+        found = laws(self.free - self.z, [self.x, self.y, self.z], constraints=[sphere])
+        assert found == ["constraint 1", "rate of constraint 1", "energy", "angular momentum of x, y"]
+        assert "energy" not in laws(self.free, [self.x, self.y, self.z], constraints=[self.x - t])
+
+    def test_dependent_laws_are_left_out_at_the_start(self):
+        """Of a free body on a line the energy is a function of the momentum."""
+        line = sy.lagrangian(self.x.diff() ** 2 / 2, [self.x])
+        assert list(line.laws) == ["energy", "momentum of x"]
+        assert len(line.problem((0, 1), [0], [1], compiled=False).invariants) == 1
+
+    def test_without_laws_constraints_stay(self):
+        problem = rod().problem((0, 1), [1, 0], [0, 0], laws=False, compiled=False)
+        assert [one.names[0] for one in problem.invariants] == ["constraint 1", "rate of constraint 1"]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_papers_pendulum_has_its_published_counts(compiled):
+    """As by hand: tests/test_counts.py."""
+    problem = rod().problem((0, 50), [1, 0], [0, 0], laws=False, compiled=compiled)
+    kept = problem.solve("ode45").stats
+    assert (kept.steps, kept.failed, kept.nfev) == (113, 9, 733)
+    plain = problem.replace(invariants=None).solve("ode45").stats
+    assert (plain.steps, plain.failed, plain.nfev) == (98, 10, 649)
+    by_hand = problems.pendulum().solve("ode45").stats
+    assert (by_hand.steps, by_hand.failed, by_hand.nfev) == (113, 9, 733)
+
+
+def test_the_pendulum_as_it_is_known_to_many_digits():
+    """x″ = -xλ, y″ = -yλ - 1, x² + y² = 1 from (1, 0, 0, 1), at t = 1."""
+    known = [0.867348640604551746, 0.497701050476373918, -0.0337480180329866458, 0.0588130114660715686]
+    sol = rod().problem((0, 1), [1, 0], [0, 1], compiled=False).solve("dop853", rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(sol.y[:, -1], known, atol=1e-10)
+
+
+def test_a_skate_does_not_slip_and_keeps_its_energy():
+    sol = made("skate", compiled=False, t_span=(0, 20)).solve(rtol=1e-5, atol=1e-7)
+    assert sol.success
+    assert list(sol.drift().names)[:2] == ["velocity constraint 1", "energy"]
+    assert abs(sol.residual).max() < 1e-8
+    assert sol.y[5] == pytest.approx(1)  # nothing turns it but its own inertia
+
+
+def test_parameters_are_args():
+    system = double_pendulum()
+    problem = system.problem((0, 2), [1, 2], [0, 0], compiled=False)
+    assert problem.args == (2.0, 9.81)
+    other = problem.replace(args=(1.0, 5.0)).solve(rtol=1e-6)
+    m, g = system.parameters
+    a, b = system.states[:2]
+    assert problem.labels == ["a", "b", "a'", "b'"]
+    again = double_pendulum()
+    again._words.parameters.update({m: 1.0, g: 5.0})
+    direct = again.problem((0, 2), {a: 1, b: 2}, {b: 0, a: 0}, compiled=False).solve(rtol=1e-6)
+    np.testing.assert_array_equal(other.y, direct.y)
+
+
+def test_large_sparse_jacobians_are_sparse():
+    assert made("spring", compiled=False).matrices.jac(0.0, np.zeros(60)).nnz < 60 * 4
+    runs = [made("spring", compiled).solve("ode15s", rtol=1e-6) for compiled in (True, False)]
+    assert runs[0].njev == runs[1].njev > 0
+
+
+def test_where_formulas_are_not_defined_the_run_ends_with_a_status():
+    x = sympy.Symbol("x")
+    for compiled in (True, False):
+        problem = sy.equations({x: -1 / sqrt(x)}).problem((0, 2), {x: 1}, compiled=compiled)
+        sol = problem.solve(rtol=1e-6)
+        assert sol.status == -1
+        assert sol.t[-1] == pytest.approx(2 / 3, abs=1e-3)  # x^(3/2) = 1 - 3t/2
+
+
+def test_functions_of_many_kinds_are_code():
+    x, y = sympy.symbols("x y")
+    rate = sympy.Abs(x) + sympy.Max(x, y) + sympy.Piecewise((x, x > y), (y, True)) + sympy.sign(x) + sympy.pi
+    rate += sympy.atan2(y, x) + exp(-(x**2)) + sympy.cosh(y) + Rational(1, 3) * x ** Rational(1, 3)
+    expected = float(rate.subs({x: 0.7, y: -0.4}))
+    for compiled in (True, False):
+        problem = sy.equations({x: rate, y: 0}).problem((0, 1e-9), [0.7, -0.4], compiled=compiled)
+        sol = problem.solve()
+        assert (sol.y[0, -1] - 0.7) / 1e-9 == pytest.approx(expected, rel=1e-6)
+
+
+class TestFromMechanics:
+    def test_a_chain_on_a_cart_by_kanes_method(self):
+        """The energy is not used by Kane's method: that it is kept says that the equations are the right ones."""
+        method = n_link_pendulum_on_cart(n=2, cart_force=False, joint_torques=False)
+        free = (method.mass_matrix.free_symbols | method.forcing.free_symbols) - {t}
+        values = {one: 9.81 if one.name == "g" else 1.0 for one in free}
+        q, u = list(method.q), list(method.u)
+        m, length, g = sympy.symbols("m0:3"), sympy.symbols("l0:2"), sympy.Symbol("g")
+        speed, height, energy = [u[0], 0], 0, m[0] * u[0] ** 2 / 2
+        for i in (1, 2):
+            speed = [speed[0] - length[i - 1] * cos(q[i]) * u[i], speed[1] - length[i - 1] * sin(q[i]) * u[i]]
+            height = height + length[i - 1] * cos(q[i])
+            energy += m[i] * (speed[0] ** 2 + speed[1] ** 2) / 2 + m[i] * g * height
+        system = sy.from_mechanics(method, parameters=values, invariants={"energy": energy})
+        for compiled in (True, False):
+            problem = system.problem((0, 2), [0, 0.4, 0.7, 0, 0, 0], compiled=compiled)
+            sol = problem.solve("dop853", rtol=1e-8, atol=1e-8)
+            assert sol.success
+            assert abs(sol.residual).max() < 1e-9
+        y, args = problem.y0 + 0.1, problem.args
+        quotient = derivative(lambda y: problem.fun(0.0, y, *args), y)
+        np.testing.assert_allclose(problem.matrices.jac(0.0, y, *args), quotient, rtol=1e-7, atol=1e-7)
+
+    def test_lagranges_method_is_our_own_lagrangian(self):
+        x, y = dynamicsymbols("x y")
+        rod_ = x**2 + y**2 - 1
+        method = LagrangesMethod((x.diff() ** 2 + y.diff() ** 2) / 2 - y, [x, y], hol_coneqs=[rod_])
+        with pytest.raises(ValueError, match="call its kanes_equations or form_lagranges_equations before"):
+            sy.from_mechanics(method)
+        method.form_lagranges_equations()
+        theirs = sy.from_mechanics(method, invariants=[Eq(rod_, 0)]).problem((0, 5), [1, 0, 0, 0], compiled=False)
+        ours = rod().problem((0, 5), [1, 0], [0, 0], laws=False, compiled=False)
+        np.testing.assert_allclose(theirs.solve(rtol=1e-9).y[:, -1], ours.solve(rtol=1e-9).y[:, -1], atol=1e-7)
+
+    def test_anything_else_is_refused(self):
+        with pytest.raises(TypeError, match="method must be a KanesMethod or a LagrangesMethod, got 3"):
+            sy.from_mechanics(3)
+
+
+def test_python_functions_can_be_pickled():
+    problem = made("kepler", compiled=False)
+    f = pickle.loads(pickle.dumps(problem.fun))
+    assert f(0.0, problem.y0, *problem.args) == problem.fun(0.0, problem.y0, *problem.args)
+
+
+def test_systems_show_their_equations():
+    x, y = sympy.symbols("x y")
+    assert repr(sy.equations({x: -y, y: x})) == "Equations(x' = -y, y' = x)"
+    assert sy.equations({x: -y, y: x})._repr_latex_() == (
+        r"$\displaystyle\begin{aligned} x' &= - y \\ y' &= x \end{aligned}$"
+    )
+    assert repr(rod()).startswith("Lagrangian(L = -y(t) + Derivative")
+    assert r"\frac{\mu}{\sqrt{x^{2} + y^{2}}}" in kepler()._repr_latex_()
+
+
+X, Y = sympy.symbols("x y")
+Q, P = dynamicsymbols("q p")
+K = sympy.Symbol("k")
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (
+            lambda: sy.equations({X: K * X}),
+            ValueError,
+            "derivative of x has k, which is neither a state nor a parameter",
+        ),
+        (lambda: sy.equations({X: sympy.Function("h")(X)}), ValueError, r"has h\(x\), which is neither"),
+        (lambda: sy.equations({X: X}, parameters={X: 1}), ValueError, "x is there twice"),
+        (lambda: sy.equations([X]), TypeError, "rates must be a dict"),
+        (lambda: sy.equations({X: "x**2"}), TypeError, "must be an expression of SymPy's, got 'x"),
+        (lambda: sy.equations({X: X}, invariants=[K], parameters={K: 1}), ValueError, "does not depend on the state"),
+        (lambda: sy.equations({X: X}, parameters={K: "a"}), TypeError, "parameter k must be a real number"),
+        (lambda: sy.equations({X: sympy.I}), ValueError, "must be finite and real"),
+        (lambda: sy.equations({X: 1}).problem((0, 1), {Y: 1}), ValueError, "y0 has y, which is not one of x"),
+        (lambda: sy.equations({X: 1, Y: 1}).problem((0, 1), {Y: 1}), ValueError, "y0 has no value of x"),
+        (lambda: sy.equations({X: 1}).problem((0, 1), [1, 2]), ValueError, r"must have 1 values, of x, got \[1, 2\]"),
+        (
+            lambda: sy.equations({X: sympy.floor(X)}).problem((0, 1), [1], compiled=False),
+            ValueError,
+            "no code for",
+        ),
+        (lambda: sy.hamiltonian(X, [X], [Y, K]), ValueError, "got 1 q and 2 p"),
+        (lambda: sy.hamiltonian(X, X, Y), TypeError, r"q must be a list of symbols, got x: write \[x\]"),
+        (
+            lambda: sy.lagrangian(X, [X]),
+            TypeError,
+            "q must be functions of the time, got x: make them by dynamicsymbols",
+        ),
+        (lambda: sy.lagrangian(Q.diff(), [Q]), ValueError, "mass matrix ∂²L/∂v² is singular"),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q], constraints=[Q.diff()]), ValueError, "list it in nonholonomic"),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q], constraints=[t]), ValueError, "does not depend on q"),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q], nonholonomic=[Q]), ValueError, "list it in constraints"),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q], nonholonomic=[Q.diff() ** 2]), ValueError, "not linear in the vel"),
+        (
+            lambda: sy.lagrangian(Q.diff() ** 2, [Q], forces={P: 1}),
+            ValueError,
+            r"forces has p\(t\), which is not one of",
+        ),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q], forces=[1, 2]), ValueError, "forces must have 1 entries"),
+        (
+            lambda: sy.lagrangian(Q.diff() ** 2 + P.diff() ** 2, [Q, P], constraints=[Q - P, 2 * Q - 2 * P]),
+            ValueError,
+            "constraints depend on each other",
+        ),
+        (lambda: rod().problem((0, 1), [2, 0], [0, 0], compiled=False).solve(), iv.InvariantError, "constraint 1"),
+    ],
+)
+def test_what_makes_no_sense_is_named(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
