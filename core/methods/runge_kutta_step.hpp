@@ -235,7 +235,7 @@ class Pair final : public Step {
 };
 
 template <bool Few, const auto&... T>
-constexpr std::array<MakePair, sizeof...(T)> factories(Tableaux<T...>) {
+constexpr std::array<MakePair, sizeof...(T)> factories(Tableaux<T...>) noexcept {
   return {[](Callback& f, const Weights& weights, Fsal fsal) -> std::unique_ptr<Step> {
     return std::make_unique<Pair<T, Few>>(f, weights, fsal);
   }...};
