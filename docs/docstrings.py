@@ -12,7 +12,14 @@ from typing import Any
 from numpydoc.validate import validate
 
 #: What users import from; each lists its names in `__all__`.
-MODULES = ("invariode", "invariode.paper", "invariode.plotting", "invariode.problems", "invariode.scipy", "invariode.symbolic")
+MODULES = (
+    "invariode",
+    "invariode.paper",
+    "invariode.plotting",
+    "invariode.problems",
+    "invariode.scipy",
+    "invariode.symbolic",
+)
 
 #: Rules of numpydoc's that are not ours, and why.
 NOT_OURS = {
