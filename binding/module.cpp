@@ -17,6 +17,7 @@
 #include "arrays.hpp"
 #include "callables.hpp"
 #include "dense.hpp"
+#include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
 #include "run/names.hpp"
@@ -192,6 +193,7 @@ NB_MODULE(_core, module) {
   define_dense(module);
   define_run(module);
   define_points(module);
+  define_mechanics(module);
   define_examination(module);
   define_methods(module);
 }

@@ -16,6 +16,7 @@ from .invariant_search import PolynomialInvariant, find_invariants
 from .invariants import ImposeResult, InvariantError, Invariants, impose
 from .ivp import solve_ivp
 from .loading import load
+from .mechanics import MechanicalSystem
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .problem import Problem
@@ -34,6 +35,7 @@ __all__ = [
     "ImposeResult",
     "InvariantError",
     "Invariants",
+    "MechanicalSystem",
     "Method",
     "PolynomialInvariant",
     "Problem",

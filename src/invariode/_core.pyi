@@ -378,6 +378,11 @@ def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
     """
 
+def solve_saddle(mass: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], force: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], right: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], threshold: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], int, bool]:
+    """
+    a and λ of M a = Q + Aᵀ λ, A a = γ; the rank of A; whether a is unique (else it is NaN).
+    """
+
 class Examination:
     """How invariants stand at a point: arrays (m,)."""
 
