@@ -19,7 +19,7 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest native native-clang native-aarch64 sanitize lint format stubs bench docs dist clean
+.PHONY: paper test test-lowest native native-clang native-aarch64 sanitize fuzz fuzz-sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/invariode paper --output paper-report.html
@@ -67,6 +67,22 @@ sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; wha
 	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble
 	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble)$$'
 
+# So many random cases of each kind; `make fuzz N=100000 SEED=7`.
+N := 10000
+SEED := 1
+FUZZ := tests/fuzz/campaign.py --cases $(N) --seed $(SEED)
+SANITIZED := build/sanitized
+
+fuzz: $(VENV)/.installed-test  ## random calls, runs and files: nothing may crash, hang, mislead or be wrong
+	$(BIN)/python $(FUZZ)
+
+fuzz-sanitize: $(VENV)/.installed-test  ## the same with the extension built under ASan and UBSan (gcc)
+	rm -rf $(SANITIZED)
+	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --target $(SANITIZED) \
+	  -C cmake.build-type=Debug -C cmake.define.INVARIODE_SANITIZE=address,undefined .
+	LD_PRELOAD="$(foreach lib,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(lib).so))" PYTHONMALLOC=malloc \
+	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONPATH=$(SANITIZED) $(BIN)/python $(FUZZ)
+
 lint: $(VENV)/.installed-lint native  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -96,6 +112,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/peers.py --write
 	$(BIN)/python benchmarks/ensembles.py --write
 	$(BIN)/python benchmarks/large.py --write
+	$(BIN)/python benchmarks/detest.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist

@@ -7,13 +7,13 @@
 
 #include <algorithm>
 #include <cstdio>
-#include <cstring>
 #include <new>
 #include <stdexcept>
 #include <tuple>
 #include <utility>
 
 #include "arrays.hpp"
+#include "interpreter.hpp"
 
 namespace invariode::binding {
 
@@ -55,19 +55,21 @@ class PythonFunction final : public Callable {
 
  private:
   static Status entry(void* self, double t, const double* y, double* out) noexcept {
-    return static_cast<PythonFunction*>(self)->call(t, y, out) ? Status::ok : Status::stop;
+    return in_python([&] { return static_cast<PythonFunction*>(self)->call(t, y, out); }) ? Status::ok : Status::stop;
   }
 
-  bool call(double t, const double* y, double* out) noexcept;
-  PyObject* call_with_tuple(PyObject* time, PyArrayObject* y) const noexcept;
-  PyArrayObject* array_for(const double* y) noexcept;
-  [[nodiscard]] bool reusable(PyArrayObject* a) const noexcept;
-  bool read(PyObject* result, double* out) noexcept;
-  [[nodiscard]] bool read_sequence(PyObject* result, double* out) const noexcept;
-  bool read_array(PyArrayObject* array, double* out) noexcept;
-  bool read_objects(PyArrayObject* array, double* out) const noexcept;
-  [[nodiscard]] bool fits(PyArrayObject* array) const noexcept;
-  void complain(PyObject* returned) const noexcept;
+  // None of these throws, but each may end its thread (`in_python`).
+  bool call(double t, const double* y, double* out);
+  PyObject* call_with_tuple(PyObject* time, PyArrayObject* y) const;
+  PyArrayObject* array_for(const double* y);
+  [[nodiscard]] bool reusable(PyArrayObject* a) const;
+  bool read(PyObject* result, double* out);
+  bool read_truth(PyObject* result, double* out) const;
+  [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
+  bool read_array(PyArrayObject* array, double* out);
+  bool read_objects(PyArrayObject* array, double* out) const;
+  [[nodiscard]] bool fits(PyArrayObject* array) const;
+  void complain(PyObject* returned) const;
 
   nb::object callable_;
   nb::tuple args_;
@@ -79,25 +81,25 @@ class PythonFunction final : public Callable {
   PyArrayObject* spare_ = nullptr;  // the array of the last call, if no call is under way
 };
 
-bool PythonFunction::reusable(PyArrayObject* a) const noexcept {
+bool PythonFunction::reusable(PyArrayObject* a) const {
   constexpr int flags =
       NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
   return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == 1 && PyArray_DIM(a, 0) == n_ &&
          PyArray_FLAGS(a) == flags && PyArray_TYPE(a) == (complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
 }
 
-PyArrayObject* PythonFunction::array_for(const double* y) noexcept {
+PyArrayObject* PythonFunction::array_for(const double* y) {
   PyArrayObject* a = std::exchange(spare_, nullptr);
   if (!reusable(a)) {
     Py_XDECREF(reinterpret_cast<PyObject*>(a));
     a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, &n_, complex_ ? NPY_CDOUBLE : NPY_DOUBLE));
     if (a == nullptr) return nullptr;
   }
-  std::memcpy(PyArray_DATA(a), y, static_cast<std::size_t>(n_) * (complex_ ? 2 : 1) * sizeof(double));
+  std::copy_n(y, n_ * (complex_ ? 2 : 1), static_cast<double*>(PyArray_DATA(a)));
   return a;
 }
 
-bool PythonFunction::call(double t, const double* y, double* out) noexcept {
+bool PythonFunction::call(double t, const double* y, double* out) {
   if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
   PyArrayObject* array = array_for(y);
   if (array == nullptr) return false;
@@ -129,7 +131,7 @@ bool PythonFunction::call(double t, const double* y, double* out) noexcept {
 }
 
 /// The call with arguments that are too many for the stack.
-PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* y) const noexcept {
+PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* y) const {
   const Py_ssize_t extra = PyTuple_GET_SIZE(args_.ptr());
   PyObject* arguments = PyTuple_New(2 + extra);
   if (arguments == nullptr) return nullptr;
@@ -143,12 +145,8 @@ PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* y) cons
 }
 
 /// Copies what was returned into out, the common kinds without NumPy's generic paths.
-bool PythonFunction::read(PyObject* result, double* out) noexcept {
-  if (returns_.kind == Returns::Kind::truth) {
-    const int truth = PyObject_IsTrue(result);
-    out[0] = truth;
-    return truth >= 0;
-  }
+bool PythonFunction::read(PyObject* result, double* out) {
+  if (returns_.kind == Returns::Kind::truth) return read_truth(result, out);
   if ((!returns_.matrix || returns_.rows == 1) && read_sequence(result, out)) return true;
   if (PyArray_Check(result)) return read_array(reinterpret_cast<PyArrayObject*>(result), out);
   PyObject* array = result == Py_None ? nullptr : PyArray_FromAny(result, nullptr, 0, 0, 0, nullptr);
@@ -165,9 +163,23 @@ bool PythonFunction::read(PyObject* result, double* out) noexcept {
   return done;
 }
 
+/// What is true for Python; an array of several values is neither true nor false.
+bool PythonFunction::read_truth(PyObject* result, double* out) const {
+  if (PyArray_Check(result) && PyArray_SIZE(reinterpret_cast<PyArrayObject*>(result)) != 1) {
+    PyObject* shape = PyObject_GetAttrString(result, "shape");
+    PyErr_Format(PyExc_ValueError, "%s returned an array of shape %S, expected True to stop, or False or None to go on",
+                 name_.c_str(), shape);
+    Py_XDECREF(shape);
+    return false;
+  }
+  const int truth = PyObject_IsTrue(result);
+  out[0] = truth;
+  return truth >= 0;
+}
+
 /// Lists and tuples of Python or NumPy floats and ints, and a bare float where one number is expected. False: try as an
 /// array.
-bool PythonFunction::read_sequence(PyObject* result, double* out) const noexcept {
+bool PythonFunction::read_sequence(PyObject* result, double* out) const {
   const auto number = [this](PyObject* item, double* to) {
     if (PyFloat_Check(item)) {
       to[0] = PyFloat_AS_DOUBLE(item);
@@ -198,7 +210,7 @@ bool PythonFunction::read_sequence(PyObject* result, double* out) const noexcept
   return true;
 }
 
-bool PythonFunction::fits(PyArrayObject* array) const noexcept {
+bool PythonFunction::fits(PyArrayObject* array) const {
   const int nd = PyArray_NDIM(array);
   const npy_intp* shape = PyArray_DIMS(array);
   if (PyArray_SIZE(array) != returns_.size()) return false;
@@ -207,15 +219,17 @@ bool PythonFunction::fits(PyArrayObject* array) const noexcept {
   return nd == 1 && (!returns_.matrix || returns_.rows == 1);
 }
 
-bool PythonFunction::read_array(PyArrayObject* array, double* out) noexcept {
+bool PythonFunction::read_array(PyArrayObject* array, double* out) {
   const int type = returns_.complex ? NPY_CDOUBLE : NPY_DOUBLE;
   if (!fits(array)) {
     complain(reinterpret_cast<PyObject*>(array));
     return false;
   }
-  const std::size_t bytes = static_cast<std::size_t>(returns_.size()) * (returns_.complex ? 2 : 1) * sizeof(double);
+  const auto copy = [&](PyArrayObject* from) {
+    std::copy_n(static_cast<const double*>(PyArray_DATA(from)), returns_.size() * (returns_.complex ? 2 : 1), out);
+  };
   if (PyArray_TYPE(array) == type && PyArray_ISCARRAY_RO(array)) {
-    std::memcpy(out, PyArray_DATA(array), bytes);
+    copy(array);
     return true;
   }
   const bool numeric = PyArray_ISNUMBER(array) || PyArray_ISBOOL(array) || PyArray_ISOBJECT(array);
@@ -229,13 +243,13 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) noexcept {
   PyObject* converted = PyArray_FromAny(reinterpret_cast<PyObject*>(array), PyArray_DescrFromType(type), 0, 0,
                                         NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST, nullptr);
   if (converted == nullptr) return false;
-  std::memcpy(out, PyArray_DATA(reinterpret_cast<PyArrayObject*>(converted)), bytes);
+  copy(reinterpret_cast<PyArrayObject*>(converted));
   Py_DECREF(converted);
   return true;
 }
 
 /// float() of each item, or complex(): what has neither (None) is an error, which NumPy would read as NaN.
-bool PythonFunction::read_objects(PyArrayObject* array, double* out) const noexcept {
+bool PythonFunction::read_objects(PyArrayObject* array, double* out) const {
   PyObject* flat = PyArray_Ravel(array, NPY_CORDER);
   PyObject* items = flat == nullptr ? nullptr : PyArray_ToList(reinterpret_cast<PyArrayObject*>(flat));
   Py_XDECREF(flat);
@@ -248,6 +262,10 @@ bool PythonFunction::read_objects(PyArrayObject* array, double* out) const noexc
     } else {
       *out++ = PyFloat_AsDouble(PyList_GET_ITEM(items, i));
     }
+    if (PyLong_Check(PyList_GET_ITEM(items, i)) && PyErr_ExceptionMatches(PyExc_OverflowError) != 0) {
+      PyErr_Clear();
+      PyErr_Format(PyExc_ValueError, "%s returned an integer beyond the range of a double", name_.c_str());
+    }
   }
   Py_DECREF(items);
   return PyErr_Occurred() == nullptr;
@@ -255,7 +273,7 @@ bool PythonFunction::read_objects(PyArrayObject* array, double* out) const noexc
 
 /// ValueError: the name of the function, the shape returned, the shape expected; with the exception that is set as its
 /// cause.
-void PythonFunction::complain(PyObject* returned) const noexcept {
+void PythonFunction::complain(PyObject* returned) const {
   PyObject *type = nullptr, *cause = nullptr, *traceback = nullptr;
   PyErr_Fetch(&type, &cause, &traceback);
   if (type != nullptr) PyErr_NormalizeException(&type, &cause, &traceback);
@@ -307,12 +325,12 @@ class NativeFunction final : public Callable {
 
   static Status vector_entry(void* self, double t, const double* y, double* out) noexcept {
     const auto& me = *static_cast<NativeFunction*>(self);
-    reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, me.parameters_);
+    in_python([&] { reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, me.parameters_); });  // by ctypes
     return Status::ok;
   }
   static Status event_entry(void* self, double t, const double* y, double* out) noexcept {
     const auto& me = *static_cast<NativeFunction*>(self);
-    out[0] = reinterpret_cast<EventCode*>(me.native_.address)(t, y, me.parameters_);
+    out[0] = in_python([&] { return reinterpret_cast<EventCode*>(me.native_.address)(t, y, me.parameters_); });
     return Status::ok;
   }
   static Status matrix_entry(void* self, double t, const double* y, Matrix& out) noexcept {
@@ -358,7 +376,7 @@ class PythonMatrix final : public Callable {
   static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
     auto* me = static_cast<PythonMatrix*>(self);
     try {
-      read_matrix(y == nullptr ? me->function_(t) : me->function_(t, me->state(y, out.n())), out);
+      in_python([&] { read_matrix(y == nullptr ? me->function_(t) : me->function_(t, me->state(y, out.n())), out); });
       return Status::ok;
     } catch (nb::python_error& error) {
       error.restore();
@@ -376,7 +394,7 @@ class PythonMatrix final : public Callable {
     auto n = static_cast<npy_intp>(complex_ ? size / 2 : size);
     PyObject* array = PyArray_SimpleNew(1, &n, complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
     if (array == nullptr) throw nb::python_error();
-    std::memcpy(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array)), y, size * sizeof(double));
+    std::copy_n(y, size, static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array))));
     return nb::steal(array);
   }
 

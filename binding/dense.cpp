@@ -10,6 +10,7 @@
 #include <string_view>
 #include <utility>
 
+#include "interpreter.hpp"
 #include "manifold/projection.hpp"
 #include "methods/registry.hpp"
 #include "run/names.hpp"

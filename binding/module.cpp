@@ -17,6 +17,7 @@
 #include "arrays.hpp"
 #include "callables.hpp"
 #include "dense.hpp"
+#include "interpreter.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
@@ -119,6 +120,7 @@ void define_examination(nb::module_& module) {
   column(examination, "rate", &One::rate, "d/dt along f, on the manifold.");
   column(examination, "angle", &One::angle, "The rate in units of the size of its terms.");
   column(examination, "redundant", &One::redundant, "1 where the others imply it.");
+  column(examination, "detectable", &One::detectable, "The smallest angle that tells from roundoff.");
   column(examination, "conserved", &One::conserved, "1 where f conserves it, as far as can be told.");
   examination.def_prop_ro(
       "wrong_jacobian",
@@ -186,6 +188,11 @@ void define_methods(nb::module_& module) {
 
 NB_MODULE(_core, module) {
   using namespace invariode::binding;
+  // Worker threads ask for the main interpreter, and would wait for it for ever while another one runs.
+  if (PyInterpreterState_Get() != PyInterpreterState_Main())
+    throw nb::import_error(
+        "invariode works in Python's main interpreter only: use threads or processes, not "
+        "sub-interpreters");
   nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
   define_callables(module);

@@ -90,17 +90,6 @@ class BoundProblem {
   Problem problem_;
 };
 
-/// Lets other threads run the interpreter where nothing here needs it.
-class Unlocked {
- public:
-  explicit Unlocked(bool possible) {
-    if (possible) released_.emplace();
-  }
-
- private:
-  std::optional<nb::gil_scoped_release> released_;
-};
-
 void define_problem(nb::module_& module);
 
 }  // namespace invariode::binding

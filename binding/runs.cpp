@@ -19,6 +19,7 @@
 
 #include "arrays.hpp"
 #include "dense.hpp"
+#include "interpreter.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
@@ -84,7 +85,7 @@ class Progress {
   bool tell(const Integration& integration) {
     if (!*this) return true;
     try {
-      told_(integration.t(), integration.step().h());
+      in_python([&] { told_(integration.t(), integration.step().h()); });
     } catch (nb::python_error& error) {
       error.restore();
       return false;
@@ -103,10 +104,10 @@ class Progress {
 /// A run whose functions are all native does not hold the interpreter, but now and then, to look for signals and to
 /// tell how far it is. False: a signal's handler has raised, or who was told.
 bool run_without_interpreter(Integration& integration, const double* y0, Progress& progress) {
-  const nb::gil_scoped_release released;
+  const Unlocked released;
   return run_watched(integration, y0, [&] {
-    const nb::gil_scoped_acquire held;
-    return PyErr_CheckSignals() == 0 && (!progress.due() || progress.tell(integration));
+    return holding_interpreter(
+        [&] { return PyErr_CheckSignals() == 0 && (!progress.due() || progress.tell(integration)); });
   });
 }
 
@@ -206,8 +207,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
   if (parameters.shape(0) != y0.shape(0))
     throw std::invalid_argument("y0 and parameters must have as many rows as each other");
   bool raised = false;
-  const auto watch = [&](std::uint32_t done) {
-    const nb::gil_scoped_acquire held;
+  const auto look = [&](std::uint32_t done) {
     if (raised || PyErr_CheckSignals() != 0) {
       raised = true;
       return false;
@@ -221,9 +221,10 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
     }
     return !raised;
   };
+  const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };
   std::unique_ptr<EnsembleResult> result;
   {
-    const nb::gil_scoped_release released;
+    const Unlocked released;
     result =
         integrate_all(solvers, {y0.shape(0), y0.data(), parameters.data(), y0.shape(1), parameters.shape(1)}, watch);
   }
@@ -338,6 +339,8 @@ void define_summary_of_run(RunClass& run) {
   });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
+  property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
+  property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 
@@ -404,7 +407,9 @@ void define_stepper(nb::module_& module) {
       .def("result", &Stepper::result, "Why the run ended, and its counts.")
       .def_prop_ro("state", [](Stepper& s) { return name_of(s.integration().state()); })
       .def_prop_ro("t", [](Stepper& s) { return s.integration().t(); })
-      .def_prop_ro("y", &Stepper::y, nb::rv_policy::move)
+      // The array has its own memory; a copy would be made by Python code, in which the thread may end
+      // (interpreter.hpp).
+      .def_prop_ro("y", &Stepper::y, nb::rv_policy::reference)
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })

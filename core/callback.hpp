@@ -10,15 +10,16 @@ namespace invariode {
 /// fails.
 enum class [[nodiscard]] Status { ok, stop };
 
-/// A user function `out = function(t, y)`: a pointer, its context, and how often it was called.
+/// A user function `out = function(t, y)`: a pointer, its context, and how often it was called. It may throw, for want
+/// of memory, as the rest of the core does.
 class Callback {
  public:
-  using Function = Status(void* context, double t, const double* y, double* out) noexcept;
+  using Function = Status(void* context, double t, const double* y, double* out);
 
   Callback() = default;
   Callback(Function* function, void* context) : function_(function), context_(context) {}
 
-  Status operator()(double t, const double* y, double* out) noexcept {
+  Status operator()(double t, const double* y, double* out) {
     ++calls_;
     return function_(context_, t, y, out);
   }

@@ -29,7 +29,8 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       events_(std::move(events), n_, step_->max_degree()) {
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
-    guard_.emplace(*invariants_, weights_, *manifold.slope);
+    guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
+    if (settings_.check) harm_.emplace(n_);
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
     y1_.resize(n_);
@@ -172,6 +173,7 @@ Integration::Verdict Integration::attempt() {
   const double* y1 = proposal.y;
   if (projector_) {
     if (const Verdict verdict = project(proposal.y); verdict != Verdict::accepted) return verdict;
+    if (harm_) harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
     y1 = y1_.data();
   }
   switch (step_->accept(y1)) {
@@ -236,6 +238,8 @@ void Integration::explain_failure(Cause cause) {
   report_.cause = cause;
   report_.linear = step_->linear_work();
   if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
+  if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
+    report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
   if (cause != Cause::error) return;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && interpolant_->start_y()[i] == 0) {
@@ -366,6 +370,7 @@ bool Integration::jump() {
   const double t = reached_.t;
   interpolant_->start_at(t, event_y_.data());
   interpolant_->restart();
+  if (projector_) projector_->forget();
   double* y = interpolant_->start_y();
   report_.t = t;
   bool rehold = true;

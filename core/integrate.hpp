@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "manifold/guard.hpp"
+#include "manifold/harm.hpp"
 #include "manifold/projection.hpp"
 #include "output/events.hpp"
 #include "output/interpolant.hpp"
@@ -49,6 +50,8 @@ class Integration {
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
+  /// What projections have done to the components of y, so far.
+  [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
 
   /// The results, to be moved out when the run has ended.
@@ -116,6 +119,7 @@ class Integration {
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<Guard> guard_;
+  std::optional<HarmDetector> harm_;
   Events events_;
   std::optional<StepInterpolant> interpolant_;
 

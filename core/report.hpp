@@ -48,6 +48,13 @@ struct Drift {
   double correction = 0;
 };
 
+/// Where corrections do harm: the component of y that projections have moved most, in units of its own estimated
+/// errors.
+struct Harm {
+  int component = -1;  ///< none
+  double ratio = 0;    ///< of the sum of its corrections to that of its estimated errors
+};
+
 /// A jump of the solution: from which row of the output on it holds, and the values that invariants have from there.
 struct Jump {
   std::size_t row;

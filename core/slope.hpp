@@ -17,6 +17,8 @@ class Slope {
 
   /// y'(t, y) into out; NaN where there is none. h: a step of the run, which tells the scale of t.
   virtual Status evaluate(double t, const double* y, double h, double* out) = 0;
+  /// What it is good to, relative to its size; 0: to roundoff.
+  [[nodiscard]] virtual double relative_error() const { return 0; }
   /// Evaluations of f so far.
   [[nodiscard]] virtual std::int64_t evaluations() const = 0;
 };

@@ -65,6 +65,9 @@ class Step {
   /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly.
   virtual Attempt attempt(double h, double t1) = 0;
 
+  /// The estimated error of the attempt, component by component, into out (n,). False: the method has none.
+  virtual bool errors(double*) const { return false; }
+
   /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
   virtual bool reject(Cause cause, double hmin) = 0;
 

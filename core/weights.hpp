@@ -12,6 +12,9 @@ namespace invariode {
 
 inline constexpr double eps = std::numeric_limits<double>::epsilon();
 
+/// |y_i| and tolerances below this tell no scale for increments: 1e-40 of it, a complex step, must not underflow.
+inline constexpr double smallest_scale = 1e-250;
+
 /// Spacing of doubles at |t|.
 inline double ulp(double t) {
   const double a = std::abs(t);

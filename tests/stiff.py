@@ -83,6 +83,27 @@ def oregonator_jacobian(t, y, s=77.27, q=8.375e-6, w=0.161):
     return np.array([[s * (1 - 2 * q * a - b), s * (1 - a), 0], [-b / s, -(1 + a) / s, 1 / s], [w, 0, -w]])
 
 
+# Pyrolysis of four species (problem E5 of Enright, Hull and Lindberg, 1975; Test Set for IVP Solvers): y2 grows to
+# 2e-10 and falls as 1/t, with y2 = y3 + y4 throughout. f3 is written as f2 - f4, so that f keeps that to roundoff.
+E5_START = np.array([1.76e-3, 0, 0, 0])
+E5_END, E5_Y2, E5_Y3 = 1e13, 8.8676655517642120e-23, 8.8548146262688380e-23
+
+
+def e5(t, y):
+    a, b, c, d = y
+    first, second, third, fourth = 7.89e-10 * a, 1.1e7 * a * c, 1.13e9 * b * c, 1.13e3 * d
+    two, four = first - third, second - fourth
+    return np.array([-first - second, two, two - four, four])
+
+
+def e5_jacobian(t, y):
+    a, b, c, _ = y
+    two = np.array([7.89e-10, -1.13e9 * c, -1.13e9 * b, 0])
+    four = np.array([1.1e7 * c, 0, 1.1e7 * a, -1.13e3])
+    one = np.array([-7.89e-10 - 1.1e7 * c, 0, -1.1e7 * a, 0])
+    return np.array([one, two, two - four, four])
+
+
 # Air pollution (Verwer, 1994): 25 reactions of 20 species, each `rate: reactants > products`.
 POLLUTION = """
 0.35: 1 > 2 3         | 26.6: 2 4 > 1        | 1.23e4: 5 2 > 6 1    | 8.6e-4: 7 > 5 5 8    | 8.2e-4: 7 > 8

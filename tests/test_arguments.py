@@ -50,6 +50,25 @@ CALLS = {
     "invariants text": (dict(invariants="energy"), TypeError, "invariants must be"),
     "invariant None": (dict(invariants=lambda t, y: None), ValueError, "invariant g returned None"),
     "invariant complex": (dict(invariants=lambda t, y: 1j), ValueError, "expected a real number"),
+    "y0 ragged": (dict(y0=[1, [2, 3]]), ValueError, "y0 must be a number or an array .*, with rows of equal length"),
+    "y0 digits": (dict(y0=["1", "2"]), TypeError, "y0 must hold numbers"),
+    "y0 dates": (dict(y0=np.array(["2020-01-01"], "M8[D]")), TypeError, "y0 must hold numbers"),
+    "y0 with None": (dict(y0=[None, 1.0]), TypeError, "y0 must hold numbers"),
+    "y0 set": (dict(y0={1.0}), ValueError, r"y0 must be 1-dimensional, got shape \(\): {1.0}"),
+    "y0 huge": (dict(y0=[10**400]), ValueError, "y0 must be within the range of a double"),
+    "t_span huge": (dict(t_span=(0, 10**9999)), ValueError, r"t_span\[1\] must be within .* got an integer of 332"),
+    "t_span array": (dict(t_span=(0, np.ones(1))), TypeError, r"t_span\[1\] must be a real number"),
+    "rtol ragged": (dict(rtol=[[1], [1, 2]]), ValueError, "rtol must be a number or an array of numbers, with rows"),
+    "rtol None": (dict(rtol=None), TypeError, "rtol must be a number or 2 numbers, got None"),
+    "t_eval ragged": (dict(t_eval=[[1], [1, 2]]), ValueError, "t_eval must be a number or an array of numbers"),
+    "max_step text": (dict(max_step="1"), TypeError, "max_step must be a real number, got '1'"),
+    "first_step array": (dict(first_step=np.ones(1)), TypeError, "first_step must be a real number"),
+    "refine 2³¹": (dict(refine=2**31), ValueError, "refine must be at most 2147483647, got 2147483648"),
+    "dense_output array": (dict(dense_output=np.array([1, 0])), TypeError, r"True or False, got array\(\[1, 0\]\)"),
+    "vectorized text": (dict(vectorized="x"), TypeError, "vectorized must be True or False, got 'x'"),
+    "vectorized array": (dict(vectorized=np.array([1, 0])), TypeError, "vectorized must be True or False"),
+    "invariant ragged": (dict(invariants=lambda t, y: [1, [2, 3]]), ValueError, "what invariant g returns must be"),
+    "invariant huge": (dict(invariants=lambda t, y: 10**400), ValueError, "what invariant g returns must be within"),
     "invariant empty": (dict(invariants=lambda t, y: []), ValueError, "invariant g returned shape"),
 }
 
@@ -81,6 +100,10 @@ def test_values_of_invariants_are_refused_in_every_method(method, name):
         (dict(fun=energy, names=3), TypeError, "names"),
         (dict(fun=energy, names=[1]), TypeError, "names of invariants must be str"),
         (dict(fun=energy, iterations=0), ValueError, "iterations must be a positive integer"),
+        (dict(fun=energy, iterations=2**31), ValueError, "iterations must be at most 2147483647"),
+        (dict(fun=energy, value=[]), ValueError, r"of shape \(m,\) with m >= 1, got \[\]"),
+        (dict(fun=energy, names=[]), ValueError, "names of an invariant must be one str for each of its values"),
+        (dict(fun=energy, value=[1, [2, 3]]), ValueError, "value of an invariant must be .* rows of equal length"),
     ],
 )
 def test_refused_invariants(arguments, error, message):
@@ -189,3 +212,69 @@ def test_no_equations_have_a_solution_at_all_times_asked_for():
     assert iv.solve_ivp(fun, (0, 1), [], save="end").t.tolist() == [1]
     dense = iv.solve_ivp(fun, (0, 1), [], dense_output=True)
     assert dense.extend(2).sol([0.5, 1.5]).shape == (0, 2)
+
+
+EVENTS = {
+    "terminal 2⁶³": (dict(terminal=2**63), ValueError, r"terminal of event must be .* below 2\*\*53"),
+    "terminal inf": (dict(terminal=np.inf), ValueError, "terminal of event must be a boolean or a positive integer"),
+    "terminal half": (dict(terminal=1.5), ValueError, "terminal of event must be"),
+    "terminal text": (dict(terminal="yes"), ValueError, "terminal of event must be .* got 'yes'"),
+    "terminal array": (dict(terminal=np.array([1, 0])), ValueError, r"terminal of event must be .* got array\("),
+    "direction NaN": (dict(direction=np.nan), ValueError, "direction of event must not be NaN"),
+    "direction array": (dict(direction=np.ones(2)), TypeError, "direction of event must be a real number"),
+    "direction None": (dict(direction=None), TypeError, "direction of event must be a real number"),
+    "rehold array": (dict(rehold=np.ones(2)), TypeError, "rehold must be True or False"),
+}
+
+
+@pytest.mark.parametrize("name", EVENTS)
+def test_refused_events(name):
+    changed, error, message = EVENTS[name]
+    with pytest.raises(error, match=message):
+        iv.solve_ivp(decay, (0, 1), [1.0], events=iv.Event(lambda t, y: y[0], **changed))
+
+
+PROBLEMS = {
+    "labels number": (dict(labels=3), TypeError, "labels must be a list of 2 str, got 3"),
+    "labels numbers": (dict(labels=[1, 2]), TypeError, "labels must be a list of 2 str"),
+    "labels lists": (dict(labels=[["a"], ["b"]]), TypeError, "labels must be a list of 2 str"),
+    "labels text": (dict(labels="ab"), TypeError, "labels must be a list of 2 str"),
+    "labels missing": (dict(labels=["a"]), ValueError, "labels must name the 2 components"),
+    "labels twice": (dict(labels=["a", "a"]), ValueError, "labels must differ"),
+    "name": (dict(name=3), TypeError, "name of the problem must be a str, got 3"),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_refused_problems(name):
+    changed, error, message = PROBLEMS[name]
+    with pytest.raises(error, match=message):
+        iv.Problem(decay, (0, 1), [1.0, 2.0], **changed)
+
+
+@pytest.mark.parametrize("none", [[], None, [None]], ids=repr)
+def test_something_must_be_there_to_look_at(none):
+    """Nothing to check or to impose is an error, and no read through null pointers."""
+    with pytest.raises(ValueError, match="check_invariants needs at least one invariant"):
+        iv.check_invariants(decay, none, 0, [1.0])
+    with pytest.raises(ValueError, match="impose needs at least one invariant"):
+        iv.impose(none, 0, [1.0])
+
+
+@pytest.mark.parametrize(("t", "y", "message"), [
+    (0, [], r"y must have shape \(n,\) or \(n, n_t\) with n >= 1, got \(0,\)"),
+    (0, [[1], [2, 3]], "y must be .* with rows of equal length"),
+    (0, 1.0, r"y must have shape"),
+    (np.nan, [1.0], "t must be finite"),
+    ([0, 1], [1.0], "t must have one time per point"),
+])  # fmt: skip
+def test_refused_points(t, y, message):
+    with pytest.raises(ValueError, match=message):
+        iv.impose(energy, t, y)
+
+
+def test_times_of_dense_output_are_numbers():
+    sol = iv.solve_ivp(decay, (0, 1), [1.0], dense_output=True).sol
+    for wrong, error in (([1, [2, 3]], ValueError), ("1", TypeError), (None, TypeError), (1j, TypeError)):
+        with pytest.raises(error, match=r"^t must"):
+            sol(wrong)

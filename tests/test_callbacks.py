@@ -296,6 +296,18 @@ def test_nothing_is_kept_alive(method):
     assert dense(0.5).shape == (2,)
 
 
+@pytest.mark.parametrize("returned", [np.ones(2), np.zeros(0), np.ones((1, 2))], ids=lambda a: str(a.shape))
+def test_an_array_is_neither_stop_nor_go_on(method, returned):
+    with pytest.raises(ValueError, match=r"callback\(t, y\) returned an array of shape .*, expected True to stop"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], method, callback=lambda t, y: returned)
+
+
+@pytest.mark.parametrize("complex_y0", [1.0, 1j])
+def test_an_integer_beyond_the_range_of_a_double_is_the_functions_fault(method, complex_y0):
+    with pytest.raises(ValueError, match=r"fun\(t, y\) returned an integer beyond the range of a double"):
+        iv.solve_ivp(lambda t, y: [10**400], (0, 1), [complex_y0], method)
+
+
 def test_ctrl_c(tmp_path):
     """KeyboardInterrupt within 0.1 s of the next call of f."""
     script = tmp_path / "forever.py"

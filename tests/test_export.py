@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import stat
 import subprocess
 import sys
+import threading
+import zipfile
 
 import numpy as np
 import pandas as pd
@@ -242,6 +246,150 @@ def test_a_file_that_cannot_be_written_leaves_nothing_and_the_old_one(tmp_path, 
         sol.save(tmp_path / "a.npz")
     assert os.listdir(tmp_path) == ["a.npz"]
     assert_same(iv.load(tmp_path / "a.npz"), sol)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes, links and pipes of POSIX")
+class TestTargets:
+    """What is there already is what is written to: its mode, what a link points at, a pipe, a device."""
+
+    @pytest.mark.parametrize("mode", [0o600, 0o640, 0o777])
+    def test_a_file_keeps_its_mode(self, tmp_path, mode):
+        (tmp_path / "a.npz").write_text("old")
+        (tmp_path / "a.npz").chmod(mode)
+        KEPLER.solve("ode45").save(tmp_path / "a.npz")
+        assert stat.S_IMODE((tmp_path / "a.npz").stat().st_mode) == mode
+        assert iv.load(tmp_path / "a.npz").success
+
+    def test_a_new_file_has_the_mode_of_new_files(self, tmp_path):
+        KEPLER.solve("ode45").save(tmp_path / "a.npz")
+        (tmp_path / "plain").touch()
+        assert (tmp_path / "a.npz").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+    @pytest.mark.parametrize("there", [True, False])
+    def test_a_link_stays_and_its_target_is_written(self, tmp_path, there):
+        (tmp_path / "folder").mkdir()
+        target = tmp_path / "folder" / "a.npz"
+        if there:
+            target.write_text("old")
+        (tmp_path / "link.npz").symlink_to(target)
+        KEPLER.solve("ode45").save(tmp_path / "link.npz")
+        assert (tmp_path / "link.npz").is_symlink()
+        assert iv.load(target).success
+
+    def test_a_pipe_is_written_to(self, tmp_path):
+        os.mkfifo(tmp_path / "pipe")
+        sol = KEPLER.solve("ode45")
+        writer = threading.Thread(target=sol.save, args=[tmp_path / "pipe"])
+        writer.start()
+        (tmp_path / "a.npz").write_bytes((tmp_path / "pipe").read_bytes())
+        writer.join()
+        assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+        assert_same(iv.load(tmp_path / "a.npz"), sol)
+
+    def test_a_device_stays_a_device(self, tmp_path):
+        (tmp_path / "null").symlink_to(os.devnull)
+        KEPLER.solve("ode45").save(tmp_path / "null")
+        assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+
+    def test_a_directory_is_no_file(self, tmp_path):
+        with pytest.raises(IsADirectoryError):
+            KEPLER.solve("ode45").save(tmp_path)
+
+    @pytest.mark.skipif(not hasattr(os, "O_TMPFILE"), reason="files without names are Linux's")
+    def test_a_process_that_is_killed_while_it_saves_leaves_nothing(self, tmp_path):
+        code = (
+            "import os, signal, sys, numpy as np, invariode as iv\n"
+            "def killed(file, **arrays):\n"
+            "    file.write(b'PK'); file.flush(); os.kill(os.getpid(), signal.SIGKILL)\n"
+            "np.savez = killed\n"
+            "iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).save(sys.argv[1])\n"
+        )
+        done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.npz")])
+        assert done.returncode == -signal.SIGKILL
+        assert os.listdir(tmp_path) == []
+
+    def test_where_no_file_can_be_without_a_name_one_with_a_name_is_put_in_place(self, tmp_path, monkeypatch):
+        monkeypatch.delattr(os, "O_TMPFILE", raising=False)
+        (tmp_path / "a.npz").write_text("old")
+        KEPLER.solve("ode45").save(tmp_path / "a.npz")
+        assert os.listdir(tmp_path) == ["a.npz"]
+        assert iv.load(tmp_path / "a.npz").success
+
+
+def npy(header: str, contents: bytes = b"", version: tuple[int, int] = (1, 0)) -> bytes:
+    """An array in NumPy's format with any header."""
+    text = header.encode("latin1")
+    return b"\x93NUMPY" + bytes(version) + len(text).to_bytes(2 if version == (1, 0) else 4, "little") + text + contents
+
+
+def described(shape: object, dtype: object = "<f8") -> str:
+    return repr({"descr": dtype, "fortran_order": False, "shape": shape}) + "\n"
+
+
+HOSTILE = {
+    "no array": b"",
+    "bytes": b"text",
+    "tokens": npy("{'descr': '<f8', 'fortran_order': False, 'shape': (3,)"),
+    "unclosed text": npy('"' * 3),
+    "nested": npy("(" * 5000 + ")" * 5000),
+    "signs": npy("-" * 9000 + "1"),
+    "operations": npy("{'descr': '<f8', 'fortran_order': False, 'shape': (3**9**9,)}"),
+    "long header": npy(" " * 60000),
+    "no dict": npy("[]\n"),
+    "version 9": npy(described((1,)), bytes(8), (9, 0)),
+    "huge": npy(described((10**15,)), bytes(8)),
+    "huger": npy(described((2**64, 2**64)), bytes(8)),
+    "negative": npy(described((-1, -1)), bytes(8)),
+    "too long": npy(described((1,)), bytes(16)),
+    "objects": npy(described((1,), "|O"), bytes(8)),
+    "structured": npy(described((1,), [("a", "<f8")]), bytes(8)),
+    "dates": npy(described((1,), "<M8[s]"), bytes(8)),
+    "text": npy(described((2,), "<U1"), bytes(8)),
+    "complex": npy(described((1,), "<c16"), bytes(16)),
+    "nothing": npy(described((0,))),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("member", ["t.npy", "y.npy", "dense.data.npy", "invariants.value.npy", "t", "about.npy"])
+def test_a_hostile_member_is_damage_whatever_numpy_thinks_of_it(tmp_path, name, member):
+    KEPLER.solve("ode45", dense_output=True).save(tmp_path / "a.npz")
+    with zipfile.ZipFile(tmp_path / "a.npz") as old, zipfile.ZipFile(tmp_path / "b.npz", "w") as new:
+        for info in old.infolist():
+            if info.filename not in (member, f"{member}.npy"):
+                new.writestr(info, old.read(info))
+        new.writestr(member, HOSTILE[name])
+    with pytest.raises(ValueError, match=r"the file .*b\.npz (is damaged|was not written by Solution\.save)"):
+        iv.load(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5000, '{"format": ' * 20_000, "\\ud800", "nan"])
+def test_a_hostile_description_is_not_one(tmp_path, text):
+    np.savez(tmp_path / "a.npz", about=np.array(text))
+    with pytest.raises(ValueError, match=r"the file .*a\.npz was not written by Solution\.save"):
+        iv.load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("changes", [
+    {"imposed": None}, {"dense": {"interpolation": 3}}, {"dense": 7}, {"forward": "x"}, {"status": []},
+    {"stats": None}, {"events": "x"}, {"events": 10**9}, {"labels": 3}, {"event_names": None}, {"invariants": 5},
+], ids=str)  # fmt: skip
+def test_a_hostile_description_of_a_solution_is_damage_or_does_no_harm(tmp_path, changes):
+    KEPLER.solve("ode45", dense_output=True).save(tmp_path / "a.npz")
+    changed(tmp_path / "a.npz", tmp_path / "b.npz", about=changes)
+    try:
+        sol = iv.load(tmp_path / "b.npz")
+    except ValueError as refused:
+        assert "is damaged" in str(refused)
+    else:
+        sol.sol(sol.t)
+
+
+def test_a_compressed_file_larger_than_it_says_is_damage(tmp_path):
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("t.npy", npy(described((10**6,)), bytes(8 * 10**6)))
+    with pytest.raises(ValueError, match="is damaged: it says that its arrays are larger than the file"):
+        iv.load(tmp_path / "bomb.npz")
 
 
 def test_other_files_are_refused_by_name(tmp_path):

@@ -448,3 +448,96 @@ def test_differences_see_every_column_of_an_algebraic_equation_also_where_atol_i
     sol = iv.ode15s(robertson, (0, 400), [1, 0, 0], mass=mass, rtol=rtol, atol=1e-3 * rtol)
     assert sol.success
     np.testing.assert_allclose(sol.y.sum(axis=0), 1, atol=1e-14)
+
+
+def _pointing_outside(form: str, index: int) -> sparse.sparray:
+    """A sparse matrix of shape (2, 2), with one index that is not in it; no constructor of SciPy's has looked."""
+    matrix = sparse.coo_array(np.array([[1.0, 2.0], [3.0, 4.0]])).asformat(form)
+    if form == "coo":
+        matrix.row[-1] = index
+    elif form == "lil":
+        matrix.rows[1][-1] = index
+    else:
+        matrix.indices[-1] = index
+    return matrix
+
+
+@pytest.mark.parametrize("index", [2, 10**8, -1])
+@pytest.mark.parametrize("form", ["csc", "csr", "bsr", "coo", "lil"])
+def test_a_sparse_matrix_that_points_outside_of_its_shape_is_refused(form, index):
+    """Whoever converts it writes there: the heap is damaged, and the process dies at some later time."""
+    outside = _pointing_outside(form, index)
+
+    def later(t, y):
+        return outside if t > 0 else sparse.csc_array(np.eye(2))
+
+    for options in (
+        {"jac": outside},
+        {"jac": lambda t, y: outside},
+        {"jac": later},
+        {"jac_sparsity": outside},
+        {"mass": outside},
+        {"mass": lambda t: outside},
+        {"mass": outside, "lband": 1, "uband": 1},
+        {"mass": outside, "jac": np.eye(2)},
+    ):
+        with pytest.raises(ValueError, match=r"is a sparse matrix whose indices do not fit its shape \(2, 2\)"):
+            iv.ode15s(lambda t, y: -(y**3), (0, 100), [1.0, 2.0], **options)
+
+
+@pytest.mark.parametrize("starts", [[0, 1, 9], [0, 9, 4], [3, 2, 4], [0, -5, 4], [0, 4]])
+def test_a_sparse_matrix_whose_columns_are_no_columns_is_refused(starts):
+    matrix = sparse.csc_array(np.ones((2, 2)))
+    matrix.indptr = np.array(starts)
+    with pytest.raises(ValueError, match="jac is a sparse matrix whose indices do not fit"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], jac=matrix)
+
+
+def test_diagonals_that_are_given_twice_are_refused():
+    matrix = sparse.dia_array(([[1.0, 1.0], [2.0, 2.0]], [0, 1]), (2, 2))
+    matrix.offsets = np.array([0, 0])
+    with pytest.raises(ValueError, match="jac is a sparse matrix whose indices do not fit"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], jac=matrix)
+
+
+def test_a_mass_matrix_that_there_is_no_memory_for_is_not_called_singular(monkeypatch):
+    def splu(matrix):
+        raise RuntimeError("Not enough memory to perform factorization.")
+
+    monkeypatch.setattr("invariode._matrices.splu", splu)
+    with pytest.raises(MemoryError, match="no memory for the LU factors of mass"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], mass=sparse.csc_array(np.eye(2)))
+
+
+def test_a_matrix_that_says_wrongly_of_itself_that_it_is_sorted_is_read_and_left_alone():
+    """SciPy remembers that the rows of each column ascend; who changes the indices does not tell it."""
+    a = np.array([[-2.0, 1.0], [1.0, -3.0]])
+    matrix = sparse.csc_array(a)
+    assert matrix.has_canonical_format
+    matrix.indices[:] = [1, 0, 1, 0]
+    matrix.data[:] = a.T.ravel()[[1, 0, 3, 2]]
+    indices = matrix.indices.copy()
+    sol = iv.ode15s(lambda t, y: a @ y, (0, 1), [1.0, 2.0], jac=matrix)
+    same = iv.ode15s(lambda t, y: a @ y, (0, 1), [1.0, 2.0], jac=sparse.csc_array(a))
+    np.testing.assert_array_equal(sol.y, same.y)
+    np.testing.assert_array_equal(matrix.indices, indices)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize(
+    "form", [np.array, sparse.csc_array, lambda m: lambda t: np.array(m), lambda m: lambda t: sparse.csr_array(m)]
+)
+def test_a_mass_matrix_that_is_not_finite_is_refused_by_its_entry(form, bad):
+    with pytest.raises(ValueError, match=rf"mass.* must be finite, got mass.*\[0, 1\] = {bad}"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], mass=form([[1.0, bad], [0.0, 1.0]]))
+    with pytest.raises(ValueError, match=rf"mass.* must be finite, got mass.*\[0, 1\] = {bad}"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2j], mass=form([[1.0, bad], [0.0, 1.0]]))
+
+
+@pytest.mark.parametrize("name", ["jac", "mass", "jac_sparsity"])
+def test_a_ragged_matrix_is_refused_by_name(name):
+    with pytest.raises(ValueError, match=f"{name} must be .* with rows of equal length"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], **{name: [[1], [1, 2]]})
+    if name == "jac":
+        with pytest.raises(ValueError, match=r"jac\(t, y\) must be .* with rows of equal length"):
+            iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], jac=lambda t, y: [[1], [1, 2]])

@@ -44,7 +44,8 @@ def test_no_warnings_but_the_right_ones(method, name):
         warnings.simplefilter("always")
         sol = iv.solve_ivp(p.fun, p.t_span, p.y0, method, rtol=1e-6, invariants=iv.Invariants(p.g, None, p.value))
     assert sol.success
-    assert len(warned) == (name in REDUNDANT)
+    said = [one for one in warned if one.category is not iv.AccuracyWarning]  # tests/test_trust.py
+    assert len(said) == (name in REDUNDANT)
 
 
 @pytest.mark.parametrize("name", GALLERY)

@@ -418,3 +418,27 @@ def test_a_first_figure_leaves_a_notebook_interactive(tmp_path):
     )
     environment = {**os.environ, "MPLBACKEND": "module://notebook", "PYTHONPATH": str(tmp_path)}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
+@pytest.mark.parametrize("name", [r"$\foo$", "$", "$$", "a$b$c$", "$x^$", r"\$ and $\frac{1$", "5 $ each"])
+def test_names_that_are_no_formulas_are_drawn_as_they_are(name, tmp_path):
+    """A name with dollar signs is the user's business: only what matplotlib reads as a formula is one."""
+
+    def event(t, y):
+        return y[0]
+
+    event.__name__ = name
+    energy = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2, names=name)
+    problem = iv.Problem(
+        lambda t, y: [y[1], -y[0]], (0, 5), [1.0, 0.0], invariants=energy, events=event, name=name, labels=[name, "v"]
+    )
+    sol = problem.solve()
+    for ax in (sol.plot(), sol.plot_phase(name, "v"), sol.plot_drift()):
+        ax.figure.savefig(tmp_path / "picture.png")
+        assert ax.get_title() in (name, name.replace("$", r"\$"))
+    assert sol.plot(components=name).get_ylabel() == ax.get_title()
+
+
+def test_formulas_stay_formulas():
+    sol = iv.Problem(lambda t, y: [y[1], -y[0]], (0, 5), [1.0, 0.0], labels=[r"$\theta$", "v"]).solve()
+    assert sol.plot(components=0).get_ylabel() == r"$\theta$"

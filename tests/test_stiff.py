@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from stiff import PROBLEMS
+from stiff import E5_END, E5_START, E5_Y2, E5_Y3, PROBLEMS, e5, e5_jacobian
 
 #: Largest weighted error over the interval in units of rtol. Relaxation oscillations amplify errors of the phase.
 LIMIT = {
@@ -45,6 +45,21 @@ def test_difference_jacobian_solves_as_the_given_one(name):
     assert PROBLEMS[name].error(sol.y) <= 2 * LIMIT.get(name, 50) * 1e-5
     given = solve(name, 1e-5)
     assert sol.stats.steps <= 1.2 * given.stats.steps
+
+
+@pytest.mark.parametrize("jac", [None, e5_jacobian], ids=["differences", "given"])
+@pytest.mark.parametrize("rtol", 10.0 ** -np.arange(4, 8.5, 0.5))
+@pytest.mark.parametrize("unit", [1, 2.0**-40, 2.0**40])
+def test_components_that_start_at_zero_leave_no_roundoff_in_the_jacobian(jac, rtol, unit):
+    """E5, whose y2 = y3 + y4 comes down by 12 orders: what Newton's iteration leaves of it does not. In any units."""
+
+    def scaled(function):
+        return lambda t, y: unit * function(t, y / unit)
+
+    given = None if jac is None else lambda t, y: jac(t, y / unit)
+    sol = iv.ode15s(scaled(e5), (0, E5_END), unit * E5_START, rtol=rtol, atol=unit * 1e-24, jac=given, keep="end")
+    assert sol.success, sol.message
+    np.testing.assert_allclose(sol.y[1:3, -1] / unit, [E5_Y2, E5_Y3], rtol=0.1)
 
 
 @pytest.mark.parametrize("name", SMALL)

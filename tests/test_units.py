@@ -21,7 +21,6 @@ FAR = (2.0**-30, 2.0**30)
 #: The same in units of 1e-99 and 1e99: squares of such numbers are close to the ends of the range.
 EXTREME = (2.0**-330, 2.0**330)
 JACOBIANS = ["given", None, "2-point"]
-on_trust = "cured in the issue on trust: "
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,15 +156,12 @@ WITH_MASS = {
     "changing": (lambda t, y: mixing(t) @ turning(t, y), 10, [1, 0], mixing, lambda t, y: y @ y),
     "changing, singular": (follows, 3, [0.5, 0], lambda t: np.diag([1 + t, 0]), None),
 }
-SHORT_TIMES = pytest.mark.xfail(
-    strict=True, reason=on_trust + "the increment for the time derivative of f is at least that of t = 1"
-)
 
 
 @pytest.mark.parametrize(
     ("name", "units"),
     [
-        pytest.param(name, units, marks=SHORT_TIMES if name == "singular, moving, invariant" and units.time < 1 else [])
+        (name, units)
         for name in WITH_MASS
         for units in (Units(time=FAR[0]), Units(time=FAR[1]), Units(state=FAR[0]), Units(state=FAR[1]))
     ],
@@ -192,15 +188,10 @@ def test_units_do_not_matter_with_mass_matrices(method, name, units):
     assert_same(run(units), plain, units)
 
 
-UNITS_OF_THE_CHECK = pytest.mark.xfail(strict=True, reason=on_trust + "check_invariants has an increment of t = 1")
-
-
 @pytest.mark.parametrize("jac", ["given", None])
 @pytest.mark.parametrize("units", [Units(time=c) for c in FAR] + [Units(state=c) for c in FAR], ids=str)
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_the_check_of_invariants_knows_no_units(name, units, jac, request):
-    if name == "forced" and units.time < 1:
-        request.applymarker(UNITS_OF_THE_CHECK)
+def test_the_check_of_invariants_knows_no_units(name, units, jac):
     problem = PROBLEMS[name]
 
     def check(units: Units) -> iv.CheckReport:
@@ -212,14 +203,11 @@ def test_the_check_of_invariants_knows_no_units(name, units, jac, request):
     assert scaled.conserved.all(), scaled.findings
 
 
-SMALL_STATES = pytest.mark.xfail(strict=True, reason=on_trust + "find_invariants finds nothing in y of size 1e-12")
-
-
 @pytest.mark.parametrize(
     "units",
     [
         *(Units(time=c) for c in (2.0**-40, 2.0**40)),
-        pytest.param(Units(state=2.0**-40), marks=SMALL_STATES),
+        Units(state=2.0**-40),
         Units(state=2.0**40),
     ],
     ids=str,
@@ -231,18 +219,6 @@ def test_the_search_for_invariants_knows_no_units(units):
     assert len(found) == 2
 
 
-ZERO_ATOL = pytest.mark.xfail(
-    strict=True, reason=on_trust + "the increment of a component that is 0 underflows where atol = 0"
-)
-
-
-@pytest.mark.parametrize(
-    "method",
-    [
-        pytest.param(name, marks=[] if "jac" in about.options else ZERO_ATOL)  # an implicit one starts with another h
-        for name, about in iv.METHODS.items()
-    ],
-)
 def test_no_absolute_tolerance_means_no_unit(method):
     """A component of y0 is 0, so that nothing says how large it is."""
     sol = iv.solve_ivp(turning, (0, 5), [1.0, 0.0], method, atol=0, invariants=lambda t, y: y @ y)

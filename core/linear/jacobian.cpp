@@ -15,7 +15,8 @@ const double first_factor = std::sqrt(eps);
 constexpr double least_factor = 1000 * eps;
 constexpr double greatest_factor = 0.1;
 constexpr double factor_step = 10;
-constexpr double smallest_scale = 1e-300;  // |y_j| and atol_j below this tell no scale
+constexpr double noise_units = 10;  // of ε |f_i|: a change of f_i up to this is roundoff in every digit that matters
+const double wide_factor = large;   // its truncation error is far below the roundoff that it replaces
 
 }  // namespace
 
@@ -81,7 +82,29 @@ Status Jacobian::difference(Callback& f, double t, const double* y, const double
     if (column.change <= small * column.size) factor_[j] = std::min(factor_step * factor_[j], greatest_factor);
     if (column.change > large * column.size) factor_[j] = std::max(factor_[j] / factor_step, least_factor);
   }
+  measure_noise(y, slope);
   return Status::ok;
+}
+
+/// max_i Σ_j |J_ij| w_j / w_i over the entries whose Δf_i is roundoff. Salane's rules look at one row of a column; in
+/// another row, with larger terms, the same increment may have changed nothing but the last digits. (Entries that came
+/// out as 0 do no harm: they slow Newton's iteration, and cannot make it look converged.)
+void Jacobian::measure_noise(const double* y, const double* slope) {
+  const std::size_t n = matrix_.n();
+  weights_.fill(y, point_.data());
+  std::fill(moved_.begin(), moved_.end(), 0);
+  for (std::size_t j = 0; j < n; ++j) {
+    const double increment = std::abs(columns_[j].increment);
+    for_each_in_column(j, [&](std::size_t i, double value) {
+      const double entry = std::abs(value);
+      if (entry * increment <= noise_units * eps * std::abs(slope[i])) moved_[i] += entry * point_[j];
+    });
+  }
+  noise_ = max_norm(n, [this](std::size_t i) { return moved_[i] / point_[i]; });
+}
+
+void Jacobian::widen_increments() {
+  for (double& factor : factor_) factor = std::max(factor, wide_factor);
 }
 
 /// y_j changes by factor · max(|y_j|, atol_j), in the direction in which f moves it; where that has changed nothing at

@@ -32,6 +32,10 @@ class Jacobian {
   [[nodiscard]] Kind kind() const { return kind_; }
   /// Evaluations so far, each of which may be several of f.
   [[nodiscard]] std::int64_t count() const { return count_; }
+  /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
+  [[nodiscard]] double noise() const { return noise_; }
+  /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
+  void widen_increments();
 
  private:
   struct Column {
@@ -41,6 +45,7 @@ class Jacobian {
   };
 
   void group_columns();
+  void measure_noise(const double* y, const double* slope);
   Status difference(Callback& f, double t, const double* y, const double* slope);
   Status difference_group(Callback& f, double t, const double* y, const double* slope,
                           const std::vector<std::size_t>& columns, bool again = false);
@@ -53,6 +58,7 @@ class Jacobian {
   MatrixFunction function_;
   const Weights& weights_;
   std::int64_t count_ = 0;
+  double noise_ = 0;
   std::vector<std::vector<std::size_t>> groups_;  // of columns
   std::vector<double> factor_;                    // of the columns
   std::vector<Column> columns_;

@@ -164,7 +164,7 @@ Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weig
 AlgebraicConstraints::AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass)
     : f_(f), jacobian_(std::move(jacobian)), mass_(mass), slope_(mass.matrix().n()) {}
 
-Status AlgebraicConstraints::residual_entry(void* self, double t, const double* y, double* out) noexcept {
+Status AlgebraicConstraints::residual_entry(void* self, double t, const double* y, double* out) {
   auto& me = *static_cast<AlgebraicConstraints*>(self);
   if (me.f_(t, y, me.slope_.data()) == Status::stop) return Status::stop;
   me.mass_.algebraic_part(me.slope_.data(), out);
@@ -172,7 +172,7 @@ Status AlgebraicConstraints::residual_entry(void* self, double t, const double* 
 }
 
 /// Projection asks for the Jacobian where it has just asked for the residual: f is at hand.
-Status AlgebraicConstraints::jacobian_entry(void* self, double t, const double* y, double* out) noexcept {
+Status AlgebraicConstraints::jacobian_entry(void* self, double t, const double* y, double* out) {
   auto& me = *static_cast<AlgebraicConstraints*>(self);
   if (me.jacobian_.evaluate(me.f_, t, y, me.slope_.data()) == Status::stop) return Status::stop;
   me.mass_.algebraic_part(me.jacobian_.matrix(), out);

@@ -91,8 +91,8 @@ class AlgebraicConstraints {
   Callback jacobian() { return {&AlgebraicConstraints::jacobian_entry, this}; }
 
  private:
-  static Status residual_entry(void* self, double t, const double* y, double* out) noexcept;
-  static Status jacobian_entry(void* self, double t, const double* y, double* out) noexcept;
+  static Status residual_entry(void* self, double t, const double* y, double* out);
+  static Status jacobian_entry(void* self, double t, const double* y, double* out);
 
   Callback& f_;
   Jacobian jacobian_;
@@ -106,6 +106,8 @@ class MassSlope final : public Slope {
   MassSlope(const Callback& f, const LinearAlgebra& linear, const Weights& weights);
 
   Status evaluate(double t, const double* y, double h, double* out) override;
+  /// A singular M needs ∂f/∂y and ∂f/∂t, which may be forward differences.
+  [[nodiscard]] double relative_error() const override { return mass_.singular() ? std::sqrt(eps) : 0; }
   [[nodiscard]] std::int64_t evaluations() const override { return f_.calls(); }
 
  private:

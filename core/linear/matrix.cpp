@@ -5,6 +5,8 @@
 #include <Eigen/SparseLU>
 #include <algorithm>
 #include <cmath>
+#include <new>
+#include <string>
 
 #include "weights.hpp"
 
@@ -142,6 +144,8 @@ class SparseByEigen final : public Factorization {
     jacobian.for_each([&](std::size_t, std::size_t, double v) { A_.valuePtr()[of_jacobian_[p++]] -= c * v; });
     if (!all_finite(A_.valuePtr(), static_cast<std::size_t>(A_.nonZeros()))) return false;
     lu_.factorize(A_);
+    // Eigen reports a singular matrix and a lack of memory by the same code, or the latter by none.
+    if (lu_.lastErrorMessage().find("MEMORY") != std::string::npos) throw std::bad_alloc();
     return lu_.info() == Eigen::Success;
   }
 

@@ -65,12 +65,12 @@ struct Matrix {
 /// A user function that fills a matrix: the values of its structure; of a sparse one it may replace the pattern too.
 class MatrixFunction {
  public:
-  using Function = Status(void* context, double t, const double* y, Matrix& out) noexcept;
+  using Function = Status(void* context, double t, const double* y, Matrix& out);
 
   MatrixFunction() = default;
   MatrixFunction(Function* function, void* context) : function_(function), context_(context) {}
 
-  Status operator()(double t, const double* y, Matrix& out) noexcept { return function_(context_, t, y, out); }
+  Status operator()(double t, const double* y, Matrix& out) { return function_(context_, t, y, out); }
   explicit operator bool() const noexcept { return function_ != nullptr; }
 
  private:

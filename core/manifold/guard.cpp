@@ -2,22 +2,37 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 namespace invariode {
 namespace {
 
-// Thresholds from 460 designed and 1260 random runs (docs/algorithms.md, 'Guard').
-constexpr double suspicious_angle = 1e-6;              // ρ, with a Jacobian that is exact
-constexpr double suspicious_angle_differences = 1e-4;  // ρ, with one by differences
-constexpr double suspicious_drift = 0.01;              // D, in units of rtol
-constexpr double roundoff_in_t = 10 * eps;             // of t, as of all that g computes
-constexpr double suspicious_correction = 10;           // in units of rtol
+// Thresholds from the campaigns of tests/fuzz (docs/algorithms.md, 'Guard').
+constexpr double suspicious_angle = 1e-11;    // ρ: 40 times what right invariants had, with derivatives that are exact
+constexpr double errors_of_derivatives = 50;  // ρ with others, in units of their relative error
+constexpr double large_angle = 1e-6;          // ρ that is looked at whether or not small ones were acquitted lately
+constexpr double suspicious_drift = 0.01;     // D, in units of rtol
+constexpr double harmful_drift = 1;           // the same over the whole interval, if the rate stays what it is
+constexpr double roundoff_in_t = 10 * eps;    // of t, as of all that g computes
+constexpr double suspicious_correction = 10;  // in units of rtol
 
 // The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
 // much.
 constexpr double jacobian_tolerance = 1e-4;
 // A difference quotient tells nothing below this multiple of what halving its increment changes.
 constexpr double uncertainty = 10;
+// A rate is no roundoff if at so many points this far away, in units of the components' sizes, it is of the same sign
+// and no two differ by more than a factor of 2: of 8 random numbers that is true once in 1e6 times.
+constexpr int nearby_points = 7;
+constexpr double nearby = 1e-7;
+constexpr double same_rate = 2;
+constexpr double same_rate_of_slopes = 10;  // where y' itself is not good to roundoff
+// What is left of a residual where its point is near enough to the manifold to compare rates before and after.
+constexpr double sufficient_gain = 1e-2;
+// Extrapolation of the derivative along the flow (Ridders, Adv. Eng. Software 4 (1982) 75): h, h/2, h/4, …
+constexpr int extrapolations = 6;
+constexpr int shorter_flows = 8;  // where g is not defined so far away h is a tenth, so many times
 const double cbrt_eps = std::cbrt(eps);
 
 /// Direction of the test: no component is 0 and no two are equal, so that errors do not cancel by symmetry.
@@ -43,12 +58,16 @@ Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
 
-Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope)
-    : invariants_(invariants),
+Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval)
+    : interval_(interval),
+      invariants_(invariants),
       weights_(weights),
       slope_(slope),
       projector_(invariants, weights, 1),
       point_(invariants.n()),
+      original_(invariants.n()),
+      nearby_(invariants.n()),
+      moved_(invariants.n()),
       f_value_(invariants.n()),
       gt_(invariants.m()),
       plus_(invariants.m()),
@@ -179,20 +198,37 @@ Finding Guard::start_rate(double t, const double* y, const double* f, double h) 
 }
 
 Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
-  if (steps < quiet_until_) return {};
+  if (const Finding seen = look_along_flow(at, t, f, h, steps); seen.kind != Finding::Kind::none) return seen;
+  if (steps < std::min(quiet_until_, patient_until_)) return {};
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
   const double* y = at.y.data();
   const bool look = steps >= next_look_;
   if (look) next_look_ = steps + std::max<std::int64_t>(steps / 2, 1);
-  const bool formed = time_dependent_ || look;
-  if (formed && invariants_.time_derivative(t, h, y, at.jacobian.data(), gt_.data()) == Status::stop) return stopped();
+  if ((time_dependent_ || look) && invariants_.time_derivative(t, h, y, at.jacobian.data(), gt_.data()) == Status::stop)
+    return stopped();
   time_dependent_ = time_dependent_ || changes_with_time();
-  if (suspect(at, t, f, h, formed).kind == Finding::Kind::none) return {};
-  std::copy(y, y + n, point_.begin());
-  const Finding confirmed = confirm(t, point_.data(), h);
-  if (confirmed.kind == Finding::Kind::none) quiet_until_ = std::max<std::int64_t>(2 * steps, 1);
+  const Finding suspicion = suspect(at, t, f, h);
+  if (suspicion.kind == Finding::Kind::none) return {};
+  std::int64_t& until = suspicion.distance > large_angle ? quiet_until_ : patient_until_;
+  if (steps < until) return {};
+  bool acquitted = false;
+  Finding confirmed = acquitted_here(at, t, h, acquitted);
+  if (!acquitted && confirmed.kind == Finding::Kind::none) {
+    std::copy(y, y + n, point_.begin());
+    confirmed = confirm(t, point_.data(), h);
+  }
+  if (confirmed.kind == Finding::Kind::none) until = std::max<std::int64_t>(2 * steps, 1);
   return confirmed;
+}
+
+/// A method's slope belongs to another point than the linearization, or is not quite f. With f where the linearization
+/// is, an invariant that holds beside the manifold too has no rate.
+Finding Guard::acquitted_here(const Linearization& at, double t, double h, bool& acquitted) {
+  if (slope_.evaluate(t, at.y.data(), h, f_value_.data()) == Status::stop) return stopped();
+  acquitted =
+      all_finite(f_value_.data(), f_value_.size()) && suspect(at, t, f_value_.data(), h).kind == Finding::Kind::none;
+  return {};
 }
 
 Finding Guard::corrected(double correction, double t, const double* y, double h, std::int64_t steps) {
@@ -206,24 +242,58 @@ bool Guard::changes_with_time() const {
 }
 
 Finding Guard::confirm(double t, const double* y, double h) {
-  const Linearization at = projector_.linearization();
   if (y != point_.data()) std::copy(y, y + point_.size(), point_.begin());
-  const Imposed imposed = projector_.impose(t, point_.data());
+  std::copy(point_.begin(), point_.end(), original_.begin());
+  const Imposed imposed = projector_.approach(t, point_.data());
   if (imposed.outcome == Outcome::stop) return stopped();
-  if (!imposed.converged) return {};
-  const Outcome outcome = projector_.linearize_at(t, point_.data());
+  if (imposed.converged) return confirm_at_point(t, h);
+  if (!(imposed.gain <= sufficient_gain)) return {};
+  // Nearer to the manifold, though not to roundoff: rates that are due to the distance fall with it.
+  const Finding near = confirm_at_point(t, h);
+  if (near.kind != Finding::Kind::not_conserved) return near;
+  std::swap(point_, original_);
+  const Outcome outcome = evaluate_rates(t, h);
+  if (outcome == Outcome::stop) return stopped();
+  const auto i = static_cast<std::size_t>(near.invariant);
+  return outcome == Outcome::ok && std::abs(rate_here(i)) > same_rate * std::abs(near.size) ? Finding{} : near;
+}
+
+/// The test of `confirm` at the point as it is.
+Finding Guard::confirm_at_point(double t, double h) {
+  const Outcome outcome = evaluate_rates(t, h);
   if (outcome == Outcome::stop) return stopped();
   if (outcome == Outcome::not_finite) return {};
-  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return stopped();
-  if (!all_finite(f_value_.data(), f_value_.size())) return {};
-  if (invariants_.time_derivative(t, h, point_.data(), at.jacobian.data(), gt_.data()) == Status::stop)
-    return stopped();
   time_dependent_ = time_dependent_ || changes_with_time();
-  const Finding finding = suspect(at, t, f_value_.data(), h, true);
+  const Finding finding = suspect(projector_.linearization(), t, f_value_.data(), h);
   return finding.kind == Finding::Kind::none ? finding : unless_uncertain(finding, t, h);
 }
 
-Outcome Guard::examine(double t, const double* y, double h, std::vector<Examination>& result) {
+/// J, f and g_t at the point.
+Outcome Guard::evaluate_rates(double t, double h) {
+  if (const Outcome outcome = projector_.linearize_at(t, point_.data()); outcome != Outcome::ok) return outcome;
+  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return Outcome::stop;
+  if (!all_finite(f_value_.data(), f_value_.size())) return Outcome::not_finite;
+  const double* J = projector_.linearization().jacobian.data();
+  if (invariants_.time_derivative(t, h, point_.data(), J, gt_.data()) == Status::stop) return Outcome::stop;
+  return Outcome::ok;
+}
+
+double Guard::rate_here(std::size_t i) const {
+  return gt_[i] + dot(projector_.linearization().gradient(i), f_value_.data(), invariants_.n());
+}
+
+/// A time in which the solution through (t, y) changes as its components' sizes tell, where no step does.
+double Guard::scale_of_time(double t, const double* y, const double* f) {
+  constexpr double part = 0.1;  // of that time, as a step would be
+  const double* size = invariants_.sizes(y);
+  double fastest = 0;
+  for (std::size_t j = 0; j < invariants_.n(); ++j)
+    if (f[j] != 0) fastest = std::max(fastest, std::abs(f[j]) / size[j]);
+  if (fastest > 0) return part / fastest;
+  return t != 0 ? part * std::abs(t) : part;
+}
+
+Outcome Guard::examine(double t, const double* y, std::vector<Examination>& result) {
   const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   result.assign(m, {});
@@ -233,65 +303,217 @@ Outcome Guard::examine(double t, const double* y, double h, std::vector<Examinat
     result[i].gradient = at.row_norm[i];
     result[i].distance = at.distance(i) / weights_.rtol();
   }
+  if (slope_.evaluate(t, y, ulp(t), f_value_.data()) == Status::stop) return Outcome::stop;
+  if (!all_finite(f_value_.data(), n)) return Outcome::not_finite;
+  const double h = scale_of_time(t, y, f_value_.data());
   std::copy(y, y + n, point_.begin());
   if (projector_.impose(t, point_.data()).outcome == Outcome::stop) return Outcome::stop;
-  std::vector<double> again = point_;  // projecting once more shows what is dropped
-  if (projector_.project(t, point_.data(), again.data()).outcome == Outcome::stop) return Outcome::stop;
-  if (const Outcome outcome = projector_.linearize_at(t, point_.data()); outcome != Outcome::ok) return outcome;
-  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return Outcome::stop;
-  if (!all_finite(f_value_.data(), n)) return Outcome::not_finite;
-  if (invariants_.time_derivative(t, h, point_.data(), at.jacobian.data(), gt_.data()) == Status::stop)
-    return Outcome::stop;
+  std::copy(point_.begin(), point_.end(), moved_.begin());  // projecting once more shows what is left out
+  if (projector_.project(t, point_.data(), moved_.data()).outcome == Outcome::stop) return Outcome::stop;
+  if (const Outcome outcome = evaluate_rates(t, h); outcome != Outcome::ok) return outcome;
   const double speed = weighted_norm(f_value_.data(), at.weights.data(), n);
   for (std::size_t i = 0; i < m; ++i) {
-    const bool differences = gt_[i] != 0 || invariants_.by_differences(i);
-    const double rate = gt_[i] + dot(at.gradient(i), f_value_.data(), n);
     const double terms = std::abs(gt_[i]) + at.row_norm[i] * speed;
-    result[i].rate = rate;
-    result[i].angle = terms > 0 ? std::abs(rate) / terms : 0;
-    result[i].redundant = projector_.dropped()[i] != 0;
-    result[i].conserved = result[i].angle <= (differences ? suspicious_angle_differences : suspicious_angle);
+    result[i].rate = rate_here(i);
+    result[i].angle = terms > 0 ? std::abs(result[i].rate) / terms : 0;
+    result[i].detectable = limit(i);
+    result[i].redundant = projector_.left_out(i);
+    result[i].conserved = result[i].angle <= limit(i);
+  }
+  for (std::size_t i = 0; i < m; ++i) {
+    if (result[i].conserved) continue;
+    bool persistent = false;
+    if (persists(i, t, h, result[i].rate, persistent) == Outcome::stop) return Outcome::stop;
+    result[i].conserved = !persistent;
   }
   return Outcome::ok;
 }
 
-/// The finding of `confirm` where differences with other increments say the same. Where they are too coarse to tell,
-/// none; where they contradict a Jacobian that is none of differences, that is wrong: a complex step of a function that
-/// is not analytic here is given up, a user's is the finding.
-Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
-  const Linearization at = projector_.linearization();
+/// The derivative along the flow over a length s: (g_i(t + s, y + s f) − g_i(t − s, y − s f)) / 2s.
+Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const double* f, double s, double& quotient) {
   const std::size_t n = invariants_.n();
+  const double later = t + s, earlier = t - s;  // y moves by what is left of s in these
+  for (std::size_t j = 0; j < n; ++j) moved_[j] = y[j] + (later - t) * f[j];
+  if (invariants_.residual(later, moved_.data(), plus_.data()) == Status::stop) return Outcome::stop;
+  for (std::size_t j = 0; j < n; ++j) moved_[j] = y[j] - (t - earlier) * f[j];
+  if (invariants_.residual(earlier, moved_.data(), minus_.data()) == Status::stop) return Outcome::stop;
+  quotient = (plus_[i] - minus_[i]) / (later - earlier);
+  return std::isfinite(quotient) ? Outcome::ok : Outcome::not_finite;
+}
+
+/// Richardson's extrapolation of central differences, stopped where roundoff makes it worse. Over a short h roundoff
+/// may agree with itself: the error is never less than what it makes of the longest difference.
+Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h) {
+  double row[extrapolations] = {};
+  FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
+  double s = std::abs(h), longest = 0;
+  for (int k = 0, shorter = 0; k < extrapolations; s /= 2) {
+    double next = 0;
+    const Outcome outcome = flow_difference(i, t, y, f, s, next);
+    if (outcome == Outcome::stop) return {.outcome = outcome};
+    if (outcome == Outcome::not_finite) {
+      if (k > 0 || ++shorter > shorter_flows) return {.outcome = outcome};
+      s /= 5;
+      continue;
+    }
+    longest = std::max(longest, s);
+    double factor = 1;
+    for (int l = 0; l <= k; ++l) {
+      const double previous = std::exchange(row[l], next);
+      if (l == k) break;
+      factor *= 4;
+      next = (factor * row[l] - previous) / (factor - 1);
+      const double error = std::max(std::abs(next - row[l]), std::abs(next - previous));
+      if (error < best.error) best.rate = next, best.error = error;
+    }
+    ++k;
+  }
+  best.error = std::max(best.error, invariants_.roundoff(i, y, J) / longest);
+  return best;
+}
+
+/// Whether invariant i changes at about this rate at the point and at others nearby on the manifold, each time by g
+/// along the flow. Roundoff, of f, g or the projection, would change from one to the other.
+Outcome Guard::persists(std::size_t i, double t, double h, double rate, bool& persistent) {
+  persistent = false;
+  const std::size_t n = invariants_.n();
+  double least = std::abs(rate), largest = std::abs(rate);
+  std::vector<double> f(f_value_);
+  const double* J = projector_.linearization().jacobian.data();
+  for (int k = 0; k <= nearby_points; ++k) {
+    std::copy(point_.begin(), point_.end(), nearby_.begin());
+    const double at = t + k * nearby * h;
+    if (k > 0) {
+      const double* size = invariants_.sizes(point_.data());
+      for (std::size_t j = 0; j < n; ++j)
+        nearby_[j] += nearby * size[j] * direction(static_cast<std::size_t>(k) * n + j);
+      if (projector_.approach(at, nearby_.data()).outcome == Outcome::stop) return Outcome::stop;
+      if (slope_.evaluate(at, nearby_.data(), h, f.data()) == Status::stop) return Outcome::stop;
+      if (!all_finite(f.data(), n)) return Outcome::not_finite;
+    }
+    const FlowRate flow = flow_rate(i, at, nearby_.data(), J, f.data(), h);
+    if (flow.outcome != Outcome::ok) return flow.outcome;
+    if (!(std::abs(flow.rate) > uncertainty * flow.error) || std::signbit(flow.rate) != std::signbit(rate))
+      return Outcome::ok;
+    least = std::min(least, std::abs(flow.rate));
+    largest = std::max(largest, std::abs(flow.rate));
+  }
+  persistent = largest <= (slope_.relative_error() > 0 ? same_rate_of_slopes : same_rate) * least;
+  return Outcome::ok;
+}
+
+/// The finding of `confirm` where g along the flow, without any Jacobian, says the same. Where it is too coarse to
+/// tell, none; where it contradicts a Jacobian that does not come from differences, the Jacobian is wrong: a complex
+/// step of a function that is not analytic here is given up, a user's is the finding.
+Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   const auto i = static_cast<std::size_t>(finding.invariant);
-  const double* J = at.jacobian.data();
-  if (invariants_.difference_jacobian(t, point_.data(), halved_.data(), true, 0.5) == Status::stop) return stopped();
-  if (invariants_.time_derivative(t, h, point_.data(), J, gt_.data(), 0.5) == Status::stop) return stopped();
-  const double rate = gt_[i] + dot(halved_.data() + i * n, f_value_.data(), n);
-  if (std::abs(rate) > uncertainty * std::abs(rate - finding.size)) return finding;
-  if (invariants_.by_differences(i) || invariants_.leave_complex_steps(i)) return {};
+  const FlowRate flow = flow_rate(i, t, point_.data(), projector_.linearization().jacobian.data(), f_value_.data(), h);
+  if (flow.outcome == Outcome::stop) return stopped();
+  if (flow.outcome == Outcome::not_finite) return {};
+  const double off = std::abs(flow.rate - finding.size);
+  if (std::abs(finding.size) > uncertainty * off) {
+    bool persistent = false;
+    if (persists(i, t, h, finding.size, persistent) == Outcome::stop) return stopped();
+    return persistent ? finding : Finding{};
+  }
+  const double noise = noise_in_time(projector_.linearization(), i, t, h);
+  if (off <= uncertainty * flow.error + noise || invariants_.by_differences(i)) return {};
+  if (invariants_.leave_complex_steps(i)) return {};
   return worst_entry(t, point_.data());
 }
 
+/// ρ above which invariant i is suspected: what roundoff and the errors of derivatives leave of a rate that is 0.
+double Guard::limit(std::size_t i) const {
+  double error = slope_.relative_error();
+  if (invariants_.by_differences(i)) error = std::max(error, invariants_.relative_error_of_derivatives());
+  if (gt_[i] != 0) error = std::max(error, cbrt_eps * cbrt_eps);
+  return std::max(suspicious_angle, errors_of_derivatives * error);
+}
+
+/// What roundoff of g and of t does to g_t, where g changes with t.
+double Guard::noise_in_time(const Linearization& at, std::size_t i, double t, double h) const {
+  if (!time_dependent_) return 0;
+  const double roundoff = invariants_.roundoff(i, at.y.data(), at.jacobian.data());
+  return (roundoff + roundoff_in_t * std::abs(t * gt_[i])) / Invariants::time_increment(t, h);
+}
+
+/// Whether a rate of invariant i counts, in a step or in the whole interval.
+bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h) const {
+  const double tolerated = weights_.rtol() * at.row_norm[i];
+  return std::abs(h * rate) > suspicious_drift * tolerated ||
+         (std::isfinite(interval_) && std::abs(interval_ * rate) > harmful_drift * tolerated);
+}
+
+/// Whether the derivatives of invariant i hide rates that count, though g itself does not.
+bool Guard::blind(const Linearization& at, std::size_t i, double t, const double* f, double h) {
+  if (invariants_.certain(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
+  const double hidden = limit(i) * at.row_norm[i] * weighted_norm(f, at.weights.data(), at.n()) +
+                        invariants_.roundoff_of_rate(i, at.y.data(), at.jacobian.data(), f) +
+                        noise_in_time(at, i, t, h);
+  return drifts(at, i, hidden, h);
+}
+
+/// The test of `suspect` at the point, for those whose derivatives are blind, by g along the flow.
+Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
+  const double* f = f_value_.data();
+  const double speed = weighted_norm(f, at.weights.data(), at.n());
+  Finding worst;
+  for (std::size_t i = 0; i < invariants_.m(); ++i) {
+    if (!blind(at, i, t, f, h)) continue;
+    const FlowRate flow = flow_rate(i, t, point_.data(), at.jacobian.data(), f, h);
+    if (flow.outcome == Outcome::stop) return stopped();
+    if (flow.outcome != Outcome::ok || !(std::abs(flow.rate) > uncertainty * flow.error)) continue;
+    const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
+    if (angle > std::max(suspicious_angle, worst.distance) && drifts(at, i, flow.rate, h))
+      worst = {.kind = Finding::Kind::not_conserved,
+               .invariant = static_cast<int>(i),
+               .t = t,
+               .size = flow.rate,
+               .distance = angle};
+  }
+  return worst;
+}
+
+/// In steps 1, 4, 16, …, where derivatives are blind: g along the flow where the linearization is, and what is then
+/// suspected, on the manifold.
+Finding Guard::look_along_flow(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
+  if (steps < next_flow_) return {};
+  next_flow_ = 4 * steps;
+  bool any = false;
+  for (std::size_t i = 0; i < invariants_.m(); ++i) any = any || blind(at, i, t, f, h);
+  if (!any) return {};
+  std::copy(at.y.begin(), at.y.end(), point_.begin());
+  if (slope_.evaluate(t, point_.data(), h, f_value_.data()) == Status::stop) return stopped();
+  if (!all_finite(f_value_.data(), f_value_.size())) return {};
+  if (const Finding first = suspect_along_flow(at, t, h); first.kind != Finding::Kind::not_conserved) return first;
+  const Imposed imposed = projector_.approach(t, point_.data());
+  const Outcome outcome = imposed.outcome == Outcome::ok ? evaluate_rates(t, h) : imposed.outcome;
+  if (outcome == Outcome::stop) return stopped();
+  if (outcome == Outcome::not_finite || !imposed.converged) return {};
+  const Finding found = suspect_along_flow(projector_.linearization(), t, h);
+  if (found.kind != Finding::Kind::not_conserved) return found;
+  bool persistent = false;
+  if (persists(static_cast<std::size_t>(found.invariant), t, h, found.size, persistent) == Outcome::stop)
+    return stopped();
+  return persistent ? found : Finding{};
+}
+
 /// The invariant with the largest angle ρ_i = |g_t + J_i f| / (|g_t| + ‖J_i W‖ ‖W⁻¹ f‖) among those whose drift
-/// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too, and is not what roundoff makes of differences. `formed`: g_t is one.
-Finding Guard::suspect(const Linearization& at, double t, const double* f, double h, bool formed) {
+/// D_i = |h| |g_t + J_i f| / ‖J_i W‖ counts too, in a step or in the whole interval, and is not what roundoff makes of
+/// differences.
+Finding Guard::suspect(const Linearization& at, double t, const double* f, double h) {
   const std::size_t n = invariants_.n();
   const double speed = weighted_norm(f, at.weights.data(), n);
   const double *y = at.y.data(), *J = at.jacobian.data();
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
-    const bool differences = gt_[i] != 0 || invariants_.by_differences(i);
-    const double limit = differences ? suspicious_angle_differences : suspicious_angle;
     const double rate = gt_[i] + dot(J + i * n, f, n);
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
-    const bool drifts = std::abs(h * rate) > suspicious_drift * weights_.rtol() * at.row_norm[i];
-    const bool suspicious = angle > limit && drifts && angle > worst.distance;
+    const bool drifts = this->drifts(at, i, rate, h);
+    const bool suspicious = angle > limit(i) && drifts && angle > worst.distance;
     if (!suspicious) continue;
-    double noise = invariants_.roundoff_of_rate(i, y, J, f);
-    if (formed)  // t has roundoff too
-      noise +=
-          (invariants_.roundoff(i, y, J) + roundoff_in_t * std::abs(t * gt_[i])) / Invariants::time_increment(t, h);
-    if (std::abs(rate) > noise)
+    if (std::abs(rate) > invariants_.roundoff_of_rate(i, y, J, f) + noise_in_time(at, i, t, h))
       worst = {.kind = Finding::Kind::not_conserved,
                .invariant = static_cast<int>(i),
                .t = t,

@@ -1,5 +1,6 @@
 #pragma once
-// Finds invariants that are none, without ever accusing a right one (docs/algorithms.md, 'Guard'; beyond the paper).
+// Finds functions that are not conserved, without ever accusing a right invariant (docs/algorithms.md, 'Guard'; beyond
+// the paper).
 
 #include <cstddef>
 #include <cstdint>
@@ -27,7 +28,8 @@ struct Finding {
 /// suspicion is confirmed on the manifold before it convicts.
 class Guard {
  public:
-  Guard(Invariants& invariants, const Weights& weights, Slope& slope);
+  /// `interval`: of the integration, may be infinite.
+  Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval);
 
   /// The residual at (t0, y0): not finite is `undefined`, farther off a demanded value than rtol is `off_value`;
   /// closer, y0 is projected in place. Takes the linearization that the other two tests of the start use.
@@ -42,41 +44,65 @@ class Guard {
   Finding rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps);
   /// What the size of the correction of that step, (t, y) being its end, says.
   Finding corrected(double correction, double t, const double* y, double h, std::int64_t steps);
-  /// Projects (t, y) to roundoff, evaluates f there and tests again. `none` also where that cannot be done.
+  /// Projects (t, y) to roundoff, or as far as that goes, evaluates f there and tests again.
   Finding confirm(double t, const double* y, double h);
 
   /// How one invariant stands at a point.
   struct Examination {
-    double residual;  ///< g − value, as given
-    double distance;  ///< of the point from the level set, in units of rtol
-    double gradient;  ///< ‖J_i W‖; 0: the invariant is stationary here
-    double rate;      ///< d/dt of the invariant along f, on the manifold
-    double angle;     ///< that in units of the size of its terms
-    bool redundant;   ///< dependent on the others
-    bool conserved;   ///< as far as can be told
+    double residual;    ///< g − value, as given
+    double distance;    ///< of the point from the level set, in units of rtol
+    double gradient;    ///< ‖J_i W‖; 0: the invariant is stationary here
+    double rate;        ///< d/dt of the invariant along f, on the manifold
+    double angle;       ///< that in units of the size of its terms
+    double detectable;  ///< the smallest such angle that is told from roundoff
+    bool redundant;     ///< dependent on the others
+    bool conserved;     ///< as far as can be told
   };
   /// All of them at (t, y), which is projected to roundoff for the rate. Not finite: g, J or f is not.
-  Outcome examine(double t, const double* y, double h, std::vector<Examination>& result);
+  Outcome examine(double t, const double* y, std::vector<Examination>& result);
 
   [[nodiscard]] bool projected_start() const { return projected_start_; }
 
  private:
   Outcome detect_time_dependence(double t, const double* y, double h);
   [[nodiscard]] bool changes_with_time() const;
-  Finding suspect(const Linearization& at, double t, const double* f, double h, bool formed);
+  Finding suspect(const Linearization& at, double t, const double* f, double h);
+  [[nodiscard]] double noise_in_time(const Linearization& at, std::size_t i, double t, double h) const;
+  [[nodiscard]] double limit(std::size_t i) const;
+  [[nodiscard]] bool drifts(const Linearization& at, std::size_t i, double rate, double h) const;
+  bool blind(const Linearization& at, std::size_t i, double t, const double* f, double h);
+  Finding suspect_along_flow(const Linearization& at, double t, double h);
+  Finding look_along_flow(const Linearization& at, double t, const double* f, double h, std::int64_t steps);
+  Finding acquitted_here(const Linearization& at, double t, double h, bool& acquitted);
+  Finding confirm_at_point(double t, double h);
   Finding worst_entry(double t, const double* y);
   Finding unless_uncertain(const Finding& finding, double t, double h);
+  Outcome evaluate_rates(double t, double h);
+  [[nodiscard]] double rate_here(std::size_t i) const;
+  [[nodiscard]] double scale_of_time(double t, const double* y, const double* f);
+
+  /// d/ds g_i(t + s, y + s f) at s = 0, which is g_t + J_i f without any Jacobian, and what it may be off.
+  struct FlowRate {
+    Outcome outcome;
+    double rate = 0, error = 0;
+  };
+  FlowRate flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h);
+  Outcome flow_difference(std::size_t i, double t, const double* y, const double* f, double s, double& quotient);
+  Outcome persists(std::size_t i, double t, double h, double rate, bool& persistent);
   [[nodiscard]] Finding undefined(double t) const;
 
+  double interval_;
   Invariants& invariants_;
   const Weights& weights_;
   Slope& slope_;
   Projector projector_;  // of its own: that of the steps keeps its linearization
-  std::vector<double> point_, f_value_, gt_, plus_, minus_, differences_, halved_;
+  std::vector<double> point_, original_, nearby_, moved_, f_value_, gt_, plus_, minus_, differences_, halved_;
   bool time_dependent_ = false;
   bool projected_start_ = false;
-  std::int64_t quiet_until_ = 0;      // step before which `rate` does not ask again
+  std::int64_t quiet_until_ = 0;      // step before which `rate` does not look at large angles again
+  std::int64_t patient_until_ = 0;    // and at small ones
   std::int64_t unworried_until_ = 0;  // and `corrected`
+  std::int64_t next_flow_ = 1;        // step in which derivatives that are blind are made up for
   std::int64_t next_look_ = 1;        // step in which g_t is formed although it has been 0
 };
 

@@ -11,7 +11,6 @@ const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a 
 const double sqrt_eps = std::sqrt(eps);      // and of a forward one
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr double roundoff_units = 10;        // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
-constexpr double smallest_size = 1e-300;     // |y_i| and thr_i below this tell no scale
 
 }  // namespace
 
@@ -33,12 +32,14 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
 }
 
 void Invariants::note_kinds() {
+  derivative_error_ = 0;
   increment_.clear();
   certain_.clear();
   for (const InvariantBlock& block : blocks_) {
     const double increment = block.derivative == Derivative::central   ? cbrt_eps
                              : block.derivative == Derivative::forward ? sqrt_eps
                                                                        : 0;
+    if (increment > 0) derivative_error_ = std::max(derivative_error_, eps / increment);
     increment_.insert(increment_.end(), block.m, increment);
     certain_.insert(certain_.end(), block.m, block.certain);
   }
@@ -115,10 +116,11 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
 const double* Invariants::sizes(const double* y) {
   double largest = 0;
   for (std::size_t j = 0; j < n_; ++j) largest = std::max(largest, std::abs(y[j]));
-  if (largest < smallest_size) largest = 1;
+  if (largest < smallest_scale) largest = 1;
   for (std::size_t j = 0; j < n_; ++j) {
     const double thr = weights_.threshold()[j];
-    const double least = thr < smallest_size ? (std::abs(y[j]) < smallest_size ? largest : 0) : std::min(thr, largest);
+    const double least =
+        thr < smallest_scale ? (std::abs(y[j]) < smallest_scale ? largest : 0) : std::min(thr, largest);
     sizes_[j] = std::max(std::abs(y[j]), least);
   }
   return sizes_.data();
@@ -207,6 +209,13 @@ double Invariants::roundoff_of_rate(std::size_t i, const double* y, const double
   double sum = 0;
   for (std::size_t j = 0; j < n_; ++j) sum += std::abs(f[j]) / size[j];
   return sum * roundoff(i, y, J) / increment_[i];
+}
+
+double Invariants::resolution(std::size_t i, const double* y, const double* J) {
+  const double* size = sizes(y);
+  double change = 0;
+  for (std::size_t j = 0; j < n_; ++j) change += std::abs(J[i * n_ + j]) * size[j];
+  return roundoff_units * eps * change;
 }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {

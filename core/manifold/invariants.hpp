@@ -45,6 +45,9 @@ class Invariants {
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
   [[nodiscard]] bool by_differences(std::size_t i) const { return increment_[i] != 0; }
   [[nodiscard]] bool all_by_differences() const;
+  /// What the worst derivatives are good to, relative to the terms of their row: ε^{2/3}, ε^{1/2}, or 0 without
+  /// differences.
+  [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
   bool leave_complex_steps(std::size_t i);
   [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
@@ -54,7 +57,7 @@ class Invariants {
   /// g(t, y) − value
   Status residual(double t, const double* y, double* r);
   Status jacobian(double t, const double* y, double* J);
-  /// Central differences, increments ε^{1/3} `sizes` times `factor`. Fills the rows that are had by differences, or
+  /// Central differences, increments ε^{1/3} `sizes` times `factor`. Fills the rows that come from differences, or
   /// all.
   Status difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor = 1);
   /// Central differences with `time_increment`; what is below their roundoff counts as 0. J and y tell the size of the
@@ -68,7 +71,9 @@ class Invariants {
   [[nodiscard]] static double time_increment(double t, double h);
   /// Size below which the residual of invariant i is roundoff: 10 ε (|value_i| + Σ_j |J_ij y_j|).
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
-  /// What that does to J_i f, where J_i is had by differences.
+  /// What roundoff of the point, 10 ε s_j in each component, does to invariant i.
+  double resolution(std::size_t i, const double* y, const double* J);
+  /// What that does to J_i f, where J_i comes from differences.
   double roundoff_of_rate(std::size_t i, const double* y, const double* J, const double* f);
 
  private:
@@ -82,6 +87,7 @@ class Invariants {
   std::vector<InvariantBlock> blocks_;
   std::vector<double> value_;
   const Weights& weights_;
+  double derivative_error_ = 0;
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
   std::vector<char> certain_;
   std::int64_t derivative_calls_ = 0;

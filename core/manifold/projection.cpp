@@ -9,8 +9,17 @@
 namespace invariode {
 namespace {
 
-constexpr double least_pivot = 1e-10;  // below max(rtol, this) of the largest, a pivot's row depends on the others,
-constexpr double largest_pivot = 0.1;  // and never above this, however crude rtol is
+// A pivot's row depends on the others below this part of the largest: max(rtol, least_pivot), but never above
+// largest_pivot, however crude rtol is; and below what an error of the derivatives makes of a row that depends on them.
+constexpr double least_pivot = 1e-10;
+constexpr double largest_pivot = 0.1;
+constexpr double derivative_errors = 100;  // in units of ε^{2/3}, ε^{1/2}: rows are sums of several entries
+constexpr double large_residual = 0.1;     // of the terms of an invariant
+// Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
+// it runs away from a pole.
+constexpr double slowest_newton = 0.45;
+constexpr double often = 0.2;         // share of the corrections in which redundant invariants depend on others,
+constexpr double now_and_then = 0.1;  // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
 constexpr int impose_patience = 2;         // iterations without a smaller residual: roundoff is reached
 constexpr double last_correction = 1e-10;  // in units of the weights: it leaves a residual of its square, roundoff
@@ -36,9 +45,9 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       tolerances_(weights),
       iterations_(iterations),
       negligible_(negligible * weights.rtol()),
-      pivot_threshold_(std::clamp(weights.rtol(), least_pivot, largest_pivot)),
       residual_before_(invariants.m()),
       distance_before_(invariants.m()),
+      residual_after_(invariants.m()),
       r_(invariants.m()),
       J_(invariants.m() * invariants.n()),
       norm_(invariants.m()),
@@ -51,6 +60,7 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       R_(index(invariants.m()), index(invariants.m())),
       z_(index(invariants.m())),
       order_(invariants.m()),
+      left_out_(invariants.m()),
       dropped_(invariants.m()) {
   if (Levels::needed(invariants)) levels_.emplace(invariants);
 }
@@ -61,13 +71,16 @@ Projected Projector::project(double t, const double* from, double* y) {
   Projected did{.residual = residual_before_, .distance = distance_before_};
   did.outcome = measure(t, y);
   if (did.outcome != Outcome::ok) return did;
-  did.skipped = close_enough();
+  did.skipped = close_enough(y);
   if (did.skipped) return did;
+  bool doubtful = false;
   for (int iteration = 0; iteration < iterations_; ++iteration) {
     did.outcome = iteration == 0 ? linearize_known(t, y) : linearize(t, y);
     if (did.outcome != Outcome::ok) return did;
-    if (iteration == 0)
+    if (iteration == 0) {
       for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = linearization().distance(i);
+      doubtful = far_off(y);
+    }
     did.rank = solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
     if (levels_ && settled()) break;
@@ -76,6 +89,7 @@ Projected Projector::project(double t, const double* from, double* y) {
   for (std::size_t i = 0; i < w_.size(); ++i) moved.add((original_[i] - y[i]) / w_[i]);
   did.correction = moved.value();
   if (!std::isfinite(did.correction)) did.outcome = Outcome::not_finite;
+  if (did.outcome == Outcome::ok && (doubtful || crossed_zero(y))) did.outcome = measure_after(t, y);
   return did;
 }
 
@@ -97,15 +111,23 @@ Outcome Projector::linearize_at(double t, const double* y) {
 }
 
 Imposed Projector::impose(double t, double* y) {
-  tolerances_.fill(y, w_.data());
   std::copy(y, y + w_.size(), original_.begin());
-  double least = std::numeric_limits<double>::infinity();
+  const Imposed imposed = approach(t, y);
+  if (!imposed.converged) std::copy(original_.begin(), original_.end(), y);
+  return imposed;
+}
+
+Imposed Projector::approach(double t, double* y) {
+  tolerances_.fill(y, w_.data());
+  std::copy(y, y + w_.size(), best_.begin());
+  double first = 0, least = std::numeric_limits<double>::infinity();
   int iterations = 0;
   for (int without_gain = 0; iterations < impose_iterations && without_gain < impose_patience; ++iterations) {
     const Outcome outcome = linearize(t, y);
-    if (outcome == Outcome::stop) return {outcome, false, iterations};
+    if (outcome == Outcome::stop) return {.outcome = outcome, .iterations = iterations};
     if (outcome == Outcome::not_finite) break;
     if (const double size = roundoff_units(y); size < least) {
+      if (iterations == 0) first = size;
       least = size;
       without_gain = 0;
       std::copy(y, y + w_.size(), best_.begin());
@@ -116,16 +138,15 @@ Imposed Projector::impose(double t, double* y) {
     solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
   }
-  const bool converged = least <= 1;
-  const std::vector<double>& result = converged ? best_ : original_;
-  std::copy(result.begin(), result.end(), y);
-  return {Outcome::ok, converged, iterations};
+  std::copy(best_.begin(), best_.end(), y);
+  return {.outcome = Outcome::ok, .converged = least <= 1, .iterations = iterations, .gain = least / first};
 }
 
 double Projector::roundoff_units(const double* y) const {
   double size = 0;
   for (std::size_t i = 0; i < r_.size(); ++i) {
-    const double unit = std::max(invariants_.roundoff(i, y, J_.data()), std::numeric_limits<double>::min());
+    const double unit = std::max({invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()),
+                                  std::numeric_limits<double>::min()});
     size = std::max(size, std::abs(r_[i]) / unit);
   }
   return size;
@@ -134,17 +155,73 @@ double Projector::roundoff_units(const double* y) const {
 /// The residual of a candidate.
 Outcome Projector::measure(double t, const double* y) {
   if (invariants_.residual(t, y, r_.data()) == Status::stop) return Outcome::stop;
-  if (!all_finite(r_.data(), r_.size())) return Outcome::not_finite;
+  if (!defined(r_.data())) return Outcome::not_finite;
   residual_before_ = r_;
   return Outcome::ok;
 }
 
+/// Whether g is defined at y₁, and Newton's iteration has led towards the manifold, not away from a pole or to another
+/// branch. The linearization stays the last one.
+Outcome Projector::measure_after(double t, const double* y) {
+  if (invariants_.residual(t, y, residual_after_.data()) == Status::stop) return Outcome::stop;
+  if (!defined(residual_after_.data())) return Outcome::not_finite;
+  const double allowed = std::pow(slowest_newton, iterations_);
+  for (std::size_t i = 0; i < r_.size(); ++i) {
+    if (left_out_[i] != 0) continue;
+    const double after = std::abs(residual_after_[i]);
+    const double roundoff = std::max(invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()));
+    if (after > roundoff && after > allowed * std::abs(residual_before_[i]) && after > allowed * largest_before(i))
+      return Outcome::not_finite;
+  }
+  return Outcome::ok;
+}
+
+/// The largest distance before the projection as a residual of invariant i.
+double Projector::largest_before(std::size_t i) const {
+  return *std::max_element(distance_before_.begin(), distance_before_.end()) * norm_[i];
+}
+
+/// Whether a residual is of the size of its terms, so that the correction changes some of them by as much.
+bool Projector::far_off(const double* y) const {
+  const std::size_t n = w_.size();
+  for (std::size_t i = 0; i < r_.size(); ++i) {
+    double terms = std::abs(invariants_.value()[i]);
+    for (std::size_t j = 0; j < n; ++j) terms += std::abs(J_[i * n + j] * y[j]);
+    if (std::abs(r_[i]) > large_residual * terms) return true;
+  }
+  return false;
+}
+
+bool Projector::defined(const double* r) {
+  undefined_ = -1;
+  for (std::size_t i = r_.size(); i-- > 0;)
+    if (!std::isfinite(r[i])) undefined_ = static_cast<int>(i);
+  return undefined_ < 0;
+}
+
+/// Whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
+bool Projector::crossed_zero(const double* y) const {
+  for (std::size_t i = 0; i < w_.size(); ++i)
+    if (original_[i] * y[i] < 0) return true;
+  return false;
+}
+
+/// By what factor a distance may be wrong that is judged by the gradients of the last linearization: these change by
+/// (1 + d)³ at most over a distance of d sizes of the components, if g is made of powers to the third.
+double Projector::doubt(const double* y) const {
+  MaxNorm moved;
+  for (std::size_t i = 0; i < w_.size(); ++i) moved.add((y[i] - point_[i]) / std::min(w_[i], linearized_w_[i]));
+  const double factor = 1 + moved.value();
+  return factor * factor * factor;
+}
+
 /// Whether the candidate is to be left alone: judged by the gradients of the last linearization.
-bool Projector::close_enough() {
+bool Projector::close_enough(const double* y) {
   if (negligible_ == 0 || !linearized_) return false;
+  const double most = negligible_ / doubt(y);
   for (std::size_t i = 0; i < r_.size(); ++i) {
     distance_before_[i] = linearization().distance(i);
-    if (!(distance_before_[i] <= negligible_)) return false;
+    if (!(distance_before_[i] <= most)) return false;
   }
   return true;
 }
@@ -159,8 +236,14 @@ Outcome Projector::linearize_known(double t, const double* y) {
   const std::size_t n = w_.size(), m = r_.size();
   std::copy(y, y + n, point_.begin());
   if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
-  if (!all_finite(r_.data(), m) || !all_finite(J_.data(), m * n)) return Outcome::not_finite;
+  if (!defined(r_.data())) return Outcome::not_finite;
+  for (std::size_t i = 0; i < m; ++i)
+    if (!all_finite(&J_[i * n], n)) {
+      undefined_ = static_cast<int>(i);
+      return Outcome::not_finite;
+    }
   linearized_ = true;
+  if (negligible_ > 0) linearized_w_ = w_;
   for (std::size_t i = 0; i < m; ++i) {
     double* row = &scaled_(0, index(i));
     for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];
@@ -174,10 +257,13 @@ Outcome Projector::linearize_known(double t, const double* y) {
 /// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.
 std::size_t Projector::solve(double t) {
   const std::size_t n = w_.size();
+  ++corrections_;
+  std::fill(left_out_.begin(), left_out_.end(), 0);
   if (levels_) return solve_in_levels(t);
   if (r_.size() > 1) return solve_several(t);
   if (norm_[0] == 0) {
-    drop(0, t);
+    leave_out(0, t);
+    ++deficient_;
     std::fill(delta_.begin(), delta_.end(), 0);
     return 0;
   }
@@ -190,14 +276,16 @@ std::size_t Projector::solve(double t) {
 /// With (J W)ᵀ Π = Q R and rank k the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁.
 std::size_t Projector::solve_several(double t) {
   const std::size_t rank = factor(t);
+  if (rank < r_.size()) ++deficient_;
   substitute(rank);
   return rank;
 }
 
 std::size_t Projector::solve_in_levels(double t) {
-  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w_.data(), pivot_threshold_, delta_.data());
+  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w_.data(), pivot_threshold(), delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
-    if (levels_->left_out()[i] != 0) drop(i, t);
+    if (levels_->left_out()[i] != 0) leave_out(i, t);
+  if (rank < r_.size()) ++deficient_;
   return rank;
 }
 
@@ -210,13 +298,14 @@ bool Projector::settled() const {
 
 /// Q, in place of the scaled rows, and R by the modified Gram-Schmidt process with pivoting, in which each pivot is
 /// orthogonalised twice: Q is then orthogonal to roundoff. (Eigen's pivoted QR allocates in each call.) Returns the
-/// rank; rows beyond it are dropped.
+/// rank; rows beyond it are left out.
 std::size_t Projector::factor(double t) {
   const std::size_t m = r_.size();
   const auto column = [this](std::size_t k) { return scaled_.col(index(order_[k])); };
   std::iota(order_.begin(), order_.end(), std::size_t{0});
   R_.setZero();
   double first = 0;
+  const double threshold = pivot_threshold();
   std::size_t rank = 0;
   for (; rank < std::min(m, w_.size()); ++rank) {
     std::size_t pivot = rank;
@@ -226,12 +315,12 @@ std::size_t Projector::factor(double t) {
     for (std::size_t l = 0; l < rank; ++l) remove_component(order_[rank], order_[l]);
     const double size = column(rank).norm();
     if (rank == 0) first = size;
-    if (size <= pivot_threshold_ * first) break;
+    if (size <= threshold * first) break;
     column(rank) /= size;
     R_(index(order_[rank]), index(order_[rank])) = size;
     for (std::size_t k = rank + 1; k < m; ++k) remove_component(order_[k], order_[rank]);
   }
-  for (std::size_t k = rank; k < m; ++k) drop(order_[k], t);
+  for (std::size_t k = rank; k < m; ++k) leave_out(order_[k], t);
   return rank;
 }
 
@@ -254,9 +343,23 @@ void Projector::remove_component(std::size_t i, std::size_t q) {
   R_(index(q), index(i)) += component;
 }
 
-void Projector::drop(std::size_t i, double t) {
-  if (std::none_of(dropped_.begin(), dropped_.end(), [](char d) { return d != 0; })) dropped_at_ = t;
-  dropped_[i] = 1;
+double Projector::pivot_threshold() const {
+  const double error = derivative_errors * invariants_.relative_error_of_derivatives();
+  return std::clamp(std::max(tolerances_.rtol(), error), least_pivot, largest_pivot);
+}
+
+void Projector::leave_out(std::size_t i, double t) {
+  if (deficient_ == 0) dropped_at_ = t;
+  left_out_[i] = 1;
+  ++dropped_[i];
+}
+
+std::vector<char> Projector::dropped() const {
+  std::vector<char> result(dropped_.size());
+  const auto all = static_cast<double>(corrections_);
+  if (deficient_ == 0 || static_cast<double>(deficient_) < often * all) return result;
+  for (std::size_t i = 0; i < result.size(); ++i) result[i] = static_cast<double>(dropped_[i]) >= now_and_then * all;
+  return result;
 }
 
 }  // namespace invariode

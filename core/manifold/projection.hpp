@@ -41,19 +41,20 @@ struct Projected {
   std::span<const double> distance = {};  ///< the same as distances from the level sets, in units of the weights
 };
 
-/// What `impose` did to a point.
+/// What `impose` or `approach` did to a point.
 struct Imposed {
   Outcome outcome;
-  bool converged;  ///< every residual is roundoff. If not, y is unchanged
-  int iterations;
+  bool converged = false;  ///< every residual is roundoff
+  int iterations = 0;
+  double gain = 1;  ///< the largest residual in units of its roundoff, divided by what it was
 };
 
 /// Moves points to the manifold r(t, y) = 0 along minimum-norm Newton corrections δ = W (J W)⁺ r, y ← y − δ.
 ///
 /// Each row of J W, and with it r, is divided by the row's 2-norm. The scaled residual is then the distance to that
 /// invariant's level set in units of the weights, whatever the units of g. Rows that are zero, or that depend on others
-/// to within max(rtol, 1e-10), are dropped. Invariants in levels are corrected level by level (`Levels`), otherwise
-/// alike.
+/// to within max(rtol, 1e-10, what their derivatives are good to), are left out. Invariants in levels are corrected
+/// level by level (`Levels`), otherwise alike.
 class Projector {
  public:
   /// `negligible`: candidates closer than this to the manifold, in units of rtol, are left alone; 0: all are projected.
@@ -61,12 +62,15 @@ class Projector {
 
   /// The paper's projection of the candidate y* (in `y`, overwritten by y₁) of a step from `from`: the given number of
   /// iterations, each with g and J taken afresh, W = max(|from|, |y*|, thr) frozen; in levels at most so many, until a
-  /// correction leaves roundoff.
+  /// correction leaves roundoff. Not finite as well where g is not defined at y₁, or y₁ is no nearer to the manifold.
   Projected project(double t, const double* from, double* y);
   /// At most `most` iterations towards r(t, y) = target with the given W: for points between steps.
   Outcome onto(double t, const double* w, const double* target, double* y, int most);
   /// Projects to roundoff (at most 50 iterations, the iterate of least residual is kept), with W = max(|y|, thr).
+  /// A point where that fails is left unchanged.
   Imposed impose(double t, double* y);
+  /// The same, with the iterate of least residual wherever it is.
+  Imposed approach(double t, double* y);
 
   /// Takes r, J and the rows' norms at (t, y) with the weights W = max(|y|, thr), without moving y.
   Outcome linearize_at(double t, const double* y);
@@ -74,15 +78,29 @@ class Projector {
   [[nodiscard]] Linearization linearization() const { return {point_, r_, J_, w_, norm_}; }
 
   [[nodiscard]] Invariants& invariants() const { return invariants_; }
-  /// Which invariants were dropped in any projection so far, and the t at which that was first seen.
-  [[nodiscard]] const std::vector<char>& dropped() const { return dropped_; }
+  /// The invariant that was not finite, or whose gradient was not, where a projection failed for that; -1: none was.
+  [[nodiscard]] int undefined() const { return undefined_; }
+  /// Forgets what is known of the gradients: the solution jumps.
+  void forget() { linearized_ = false; }
+  /// Which invariants are redundant: those left out in a tenth of the corrections so far, if in a fifth some were.
+  /// (One that depends on the others in a few steps only, as where components are small beside thr, does no harm.)
+  [[nodiscard]] std::vector<char> dropped() const;
+  /// The t at which some were first left out.
   [[nodiscard]] double dropped_at() const { return dropped_at_; }
+  /// Whether the latest correction left out invariant i.
+  [[nodiscard]] bool left_out(std::size_t i) const { return left_out_[i] != 0; }
 
  private:
   Outcome linearize(double t, const double* y);
   Outcome linearize_known(double t, const double* y);
   Outcome measure(double t, const double* y);
-  [[nodiscard]] bool close_enough();
+  Outcome measure_after(double t, const double* y);
+  bool defined(const double* r);
+  [[nodiscard]] bool close_enough(const double* y);
+  [[nodiscard]] double doubt(const double* y) const;
+  [[nodiscard]] double largest_before(std::size_t i) const;
+  [[nodiscard]] bool far_off(const double* y) const;
+  [[nodiscard]] bool crossed_zero(const double* y) const;
   std::size_t solve(double t);
   std::size_t solve_several(double t);
   std::size_t solve_in_levels(double t);
@@ -90,23 +108,26 @@ class Projector {
   std::size_t factor(double t);
   void substitute(std::size_t rank);
   void remove_component(std::size_t i, std::size_t q);
-  void drop(std::size_t i, double t);
+  void leave_out(std::size_t i, double t);
+  [[nodiscard]] double pivot_threshold() const;
   [[nodiscard]] double roundoff_units(const double* y) const;  ///< largest residual, in units of its roundoff
 
   Invariants& invariants_;
   const Weights& tolerances_;
   int iterations_;
   double negligible_;
-  double pivot_threshold_;
   bool linearized_ = false;  // norm_ is of some earlier point, at least
-  std::vector<double> residual_before_, distance_before_;
-  std::vector<double> r_, J_, norm_, w_, point_, delta_, original_, best_;
-  Eigen::MatrixXd scaled_;          // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
-  Eigen::MatrixXd R_;               // (m, m): column i has the components of row i in Q
-  Eigen::VectorXd z_;               // (m)
-  std::vector<std::size_t> order_;  // of the pivots
-  std::vector<char> dropped_;
+  std::vector<double> residual_before_, distance_before_, residual_after_;
+  std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
+  Eigen::MatrixXd scaled_;             // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
+  Eigen::MatrixXd R_;                  // (m, m): column i has the components of row i in Q
+  Eigen::VectorXd z_;                  // (m)
+  std::vector<std::size_t> order_;     // of the pivots
+  std::vector<char> left_out_;         // in the latest correction
+  std::vector<std::int64_t> dropped_;  // in how many corrections
+  std::int64_t corrections_ = 0, deficient_ = 0;
   double dropped_at_ = 0;
+  int undefined_ = -1;
   std::optional<Levels> levels_;  // where the invariants have any
 };
 

@@ -116,6 +116,12 @@ Step::Attempt Adams::attempt(double h, double t1) {
   return {Outcome::ok, h_ * size * (g_[k] - g_[k + 1]), candidate_};
 }
 
+bool Adams::errors(double* out) const {
+  const auto k = static_cast<std::size_t>(order_);
+  for (std::size_t i = 0; i < n(); ++i) out[i] = h_ * (g_[k] - g_[k + 1]) * defect_[i];
+  return true;
+}
+
 /// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
 void Adams::update_coefficients() {
   const double h = signed_h_;

@@ -178,8 +178,9 @@ Step::Attempt Ndf::attempt(double h, double t1) {
   const Attempt stopped{Outcome::stop, error_, candidate_.data()};
   const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
   if (h_ != memory_h_ || order_ != memory_order_) rescale_memory(h_);
-  if (newton_.repair(t_, y()) == Status::stop) return stopped;
   const double c = h * gamma_inverse(order_);
+  newton_.renew_if_noise(c);
+  if (newton_.repair(t_, y()) == Status::stop) return stopped;
   switch (newton_.prepare(c, t1)) {
     case Outcome::stop: return stopped;
     case Outcome::not_finite: return diverged;
@@ -193,6 +194,11 @@ Step::Attempt Ndf::attempt(double h, double t1) {
   }
   error_ = norm(d_.data()) * error_constant(order_);
   return {Outcome::ok, error_, candidate_.data()};
+}
+
+bool Ndf::errors(double* out) const {
+  for (std::size_t i = 0; i < n(); ++i) out[i] = d_[i] * error_constant(order_);
+  return true;
 }
 
 /// p = y + Σ D_j and ψ = invGa_k Σ γ_j D_j of c f(t₁, p + d) = M (ψ + d), where d = ∇^{k+1} y₁; the weights of the

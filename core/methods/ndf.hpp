@@ -32,6 +32,7 @@ class Ndf final : public Step {
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
+  bool errors(double* out) const override;
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
 

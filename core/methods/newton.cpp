@@ -11,9 +11,11 @@ namespace {
 constexpr double goal = 0.5;         // of rtol: the error of the iteration
 constexpr double first_goal = 0.05;  // the same for the first iteration, where the rate is an old one
 constexpr double slowest_rate = 0.9;
-constexpr double rate_memory = 0.9;     // what remains of the last rate in the present one
-constexpr double roundoff_units = 100;  // of ε: an update of this size relative to the predictor is roundoff
-constexpr double large_stiffness = 10;  // c ‖J‖ above which an old Jacobian may do harm
+constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
+constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
+constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
+constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
+constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
 
 }  // namespace
 
@@ -56,6 +58,7 @@ void Newton::restart() {
   factored_ = 0;
   convergence_.forget();
   renew_ = false;
+  noisy_ = false;
 }
 
 Outcome Newton::evaluate(double t, const double* y, double* out) {
@@ -78,6 +81,7 @@ int Newton::undefined_component() const {
 
 Status Newton::take_jacobian(double t, const double* y, const double* slope) {
   factored_ = 0;
+  first_c_ = 0;
   renew_ = false;
   current_ = true;
   age_ = 0;
@@ -96,6 +100,18 @@ bool Newton::renew() {
   return renew_ = true;
 }
 
+/// Roundoff in J that looks like stiffness damps the updates: the iteration converges, to what does not solve the
+/// equations. Where it has counted once (components that start at 0 cause it), J is taken anew, with wide increments,
+/// as |c| grows: those of the first steps, with y tiny still, are not good enough for long ones.
+void Newton::renew_if_noise(double c) {
+  if (current_) return;
+  c = std::abs(c);
+  if (noisy_ ? c < noise_growth * first_c_ : c * jacobian_.noise() <= tolerated_noise) return;
+  noisy_ = true;
+  jacobian_.widen_increments();
+  renew();
+}
+
 void Newton::step_accepted() {
   current_ = false;
   ++age_;
@@ -105,6 +121,7 @@ Outcome Newton::prepare(double c, double t1) {
   if (mass_ && mass_->evaluate(t1) == Status::stop) return Outcome::stop;
   if (c == factored_) return Outcome::ok;
   ++work_.factorizations;
+  if (first_c_ == 0) first_c_ = std::abs(c);
   convergence_.forget();
   factored_ = 0;
   work_.undefined_jacobian = !all_finite(jacobian().values.data(), jacobian().values.size());

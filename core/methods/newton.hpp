@@ -58,6 +58,8 @@ class Newton {
   bool renew();
   /// The same after an iteration that failed: a J of the point reached cannot be improved, unless it was undefined.
   bool renew_if_old() { return !current_ && renew(); }
+  /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
+  void renew_if_noise(double c);
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
   [[nodiscard]] int jacobian_age() const { return age_; }  ///< steps since it was taken
   /// Whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted to
@@ -85,6 +87,8 @@ class Newton {
   std::vector<double> f_value_, residual_, sum_;
   LinearWork work_;
   double factored_ = 0;   // c of the factors; 0: there are none
+  double first_c_ = 0;    // |c| of the first factors with this J
+  bool noisy_ = false;    // roundoff in a J of this run has counted
   bool current_ = false;  // J is that of the point reached
   bool renew_ = false;
   bool undefined_ = false;  // f, at the last evaluation

@@ -57,6 +57,11 @@ struct Kernel {
     return norm.value();
   }
 
+  /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
+  static void errors(Real h, const Stages& k, std::size_t n, Real* out) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.stages>(k, [](auto j) { return T.E[j]; }, i);
+  }
+
   /// Coefficients of the continuous extension, (degree, n): h Σ_j B_jd k_j.
   static void coefficients(Real h, const Stages& k, std::size_t n, Real* out) {
     [&]<std::size_t... D>(std::index_sequence<D...>) {

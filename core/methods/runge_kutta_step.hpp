@@ -15,6 +15,9 @@ namespace invariode::runge_kutta {
 
 inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
 inline constexpr double largest_growth = 5;  // of h after a success
+// Slopes of the extension that are larger, in units of the largest of the step, come from beside a singularity of f.
+// (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
+inline constexpr double largest_slope = 100;
 
 /// The pair T. `Few`: compiled for few equations, without vector instructions, by runge_kutta_few.cpp.
 template <const auto& T, bool Few>
@@ -68,6 +71,11 @@ class Pair final : public Step {
     return {outcome, error_, candidate_};
   }
 
+  bool errors(double* out) const override {
+    Kernel::errors(purified_, k_, n(), out);
+    return true;
+  }
+
   bool reject(Cause cause, double hmin) override {
     if (h_ <= hmin) return false;
     double factor = 0.5;
@@ -108,15 +116,16 @@ class Pair final : public Step {
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
   [[nodiscard]] int degree() const override { return T.degree; }
   Status extension(double* data) override {
-    bool finite = true;
+    bool sound = true;
     if (extra > 0 && further_.empty()) {  // memory that steps alone do not need
       further_.resize(extra * n());
       for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
     }
+    const double most = extra > 0 ? largest_slope * largest_of_stages() : 0;
     for (std::size_t k = stages; k < T.all_stages; ++k)
-      if (extra_stage(k, finite) == Status::stop) return Status::stop;
+      if (extra_stage(k, most, sound) == Status::stop) return Status::stop;
     data = std::copy(start_, start_ + n(), data);
-    if (finite)
+    if (sound)
       Kernel::coefficients(purified_, k_, n(), data);
     else
       cubic(data);
@@ -168,14 +177,27 @@ class Pair final : public Step {
     return evaluate(t_ + T.c[I] * h, stage_, I);
   }
 
-  /// A stage of the extension; its k may turn out not to be finite.
-  Status extra_stage(std::size_t k, bool& finite) {
+  /// A stage of the extension; its k may turn out not to be finite, or larger than `most`.
+  Status extra_stage(std::size_t k, double most, bool& sound) {
     Kernel::extension_argument(k, start_, purified_, k_, n(), stage_);
-    finite = finite && all_finite(stage_, n());
-    if (!finite) return Status::ok;
+    sound = sound && all_finite(stage_, n());
+    if (!sound) return Status::ok;
     const Status status = f_(t1_ - (1 - T.c[k]) * purified_, stage_, k_[k]);
-    finite = all_finite(k_[k], n());
+    sound = size_of_stage(k) <= most;
     return status;
+  }
+
+  /// ‖k_k‖ in the weights of the accepted step.
+  [[nodiscard]] double size_of_stage(std::size_t k) const {
+    MaxNorm norm;
+    for (std::size_t i = 0; i < n(); ++i) norm.add(k_[k][i] / weights_.at(i, start_[i], y_[i]));
+    return norm.value();
+  }
+
+  [[nodiscard]] double largest_of_stages() const {
+    double largest = 0;
+    for (std::size_t k = 0; k < stages; ++k) largest = std::max(largest, size_of_stage(k));
+    return largest;
   }
 
   /// |h| ‖Σ E_k k_k‖ with weights max(|y|, |y*|, thr)
@@ -184,7 +206,7 @@ class Pair final : public Step {
     return std::abs(purified_) * Kernel::template error<MaxNorm>(k_, n(), weight);
   }
 
-  /// The cubic Hermite interpolant, where f is not defined at a stage of the extension.
+  /// The cubic Hermite interpolant, where f is not sound at a stage of the extension.
   void cubic(double* data) const {
     std::fill(data, data + T.degree * n(), 0);
     for (std::size_t i = 0; i < n(); ++i) {

@@ -60,10 +60,9 @@ std::optional<PointExamination> examine(const Problem& problem, const Weights& w
   if (!problem.f) throw std::invalid_argument("only an f conserves invariants: the problem has none");
   Invariants g = bound(problem, weights);
   ExplicitSlope slope(problem.f);
-  Guard guard(g, weights, slope);
+  Guard guard(g, weights, slope, 0);
   PointExamination all;
-  constexpr double any_step = 1;  // a point has no step; increments of t are taken for one of this size
-  const Outcome outcome = guard.examine(t, y, any_step, all.invariants);
+  const Outcome outcome = guard.examine(t, y, all.invariants);
   if (outcome == Outcome::stop) return {};
   all.finite = outcome == Outcome::ok;
   if (!all.finite) return all;

@@ -114,9 +114,11 @@ void Run::describe_invariants(RunResult& result) const {
     if (!block.certain) result.derivatives.push_back(block.derivative);
   result.projected_start = integration_->guard()->projected_start();
   const Projector& projector = *integration_->projector();
-  for (std::size_t i = 0; i < projector.dropped().size(); ++i)
-    if (projector.dropped()[i] != 0) result.dropped.push_back(static_cast<int>(i));
+  const std::vector<char> dropped = projector.dropped();
+  for (std::size_t i = 0; i < dropped.size(); ++i)
+    if (dropped[i] != 0) result.dropped.push_back(static_cast<int>(i));
   result.dropped_at = projector.dropped_at();
+  result.harm = integration_->harm();
 }
 
 RunResult Run::take_result() {

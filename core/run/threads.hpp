@@ -129,7 +129,7 @@ bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milli
   threads.reserve(workers);
   try {
     for (std::size_t w = 0; w < workers; ++w) threads.emplace_back([&, w] { crew.labour(w, work); });
-  } catch (...) {  // no more threads to be had: those that run take the others' shares
+  } catch (...) {  // the system gives no more threads: those that run take the others' shares
     if (threads.empty()) throw;
     crew.leave(workers - threads.size());
   }

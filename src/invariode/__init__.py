@@ -1,6 +1,6 @@
 """ODE solvers that keep what the equations keep.
 
-The codes of the MATLAB ODE Suite, DOP853 and ode78, with projection onto invariants, after L. F. Shampine, Conservation
+The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto invariants, after L. F. Shampine, Conservation
 laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
@@ -13,9 +13,10 @@ from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ens
 from .events import Event
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
-from .invariants import ImposeResult, InvariantError, Invariants, impose
+from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
 from .ivp import solve_ivp
 from .loading import load
+from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from .mechanics import MechanicalSystem
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
@@ -24,6 +25,7 @@ from .solution import DenseSolution, Drift, Solution, Stats, Steps
 
 __all__ = [
     "METHODS",
+    "AccuracyWarning",
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",
@@ -39,9 +41,12 @@ __all__ = [
     "Method",
     "PolynomialInvariant",
     "Problem",
+    "RotationMatrix",
     "Solution",
     "Stats",
     "Steps",
+    "UnitQuaternion",
+    "UnitVector",
     "check_invariants",
     "compile",
     "find_invariants",

@@ -6,6 +6,7 @@ import difflib
 import math
 import operator
 import os
+import reprlib
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
@@ -20,6 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
+#: The largest number that the core's `int` holds.
+LARGEST_INT = 2**31 - 1
+
+#: The kinds of NumPy's types that are numbers; objects may be, which is found out.
+_NUMERIC = "biufcO"
 
 _Value = TypeVar("_Value")
 
@@ -29,14 +35,14 @@ _quiet = ContextVar("quiet", default=False)
 PACKAGE = os.path.dirname(__file__) + os.sep
 
 
-def warn(message: str) -> None:
-    """A UserWarning that points at the line of the caller of this package."""
+def warn(message: str, category: type[UserWarning] = UserWarning) -> None:
+    """A warning that points at the line of the caller of this package."""
     if _quiet.get():
         return
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, UserWarning, stacklevel=level)
+    warnings.warn(message, category, stacklevel=level)
 
 
 @contextmanager
@@ -63,18 +69,38 @@ def distinct(names: list[str]) -> list[str]:
     return numbered if len(set(numbered)) == len(names) else [f"{one}_{i}" for i, one in enumerate(names)]
 
 
+class _Shown(reprlib.Repr):
+    """What users gave, for messages: short, and without the errors that a repr can raise."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlist = self.maxtuple = self.maxset = self.maxfrozenset = self.maxdict = self.maxdeque = 8
+        self.maxlong, self.maxstring, self.maxother = 40, 80, 400
+
+    def repr_int(self, x: int, level: int) -> str:
+        """Python refuses to write out integers of thousands of digits."""
+        return super().repr_int(x, level) if x.bit_length() < 4096 else f"an integer of {x.bit_length()} bits"
+
+
+shown = _Shown().repr
+
+
 def function(name: str, value: object, signature: str) -> Any:
     if not callable(value):
-        raise TypeError(f"{name} must be a function {signature}, got {value!r}")
+        raise TypeError(f"{name} must be a function {signature}, got {shown(value)}")
     return value
 
 
 def number(name: str, value: object) -> float:
     """A real number, and not NaN."""
+    if isinstance(value, (str, bytes, bytearray)) or (isinstance(value, np.ndarray) and value.ndim):
+        raise TypeError(f"{name} must be a real number, got {shown(value)}")
     try:
         result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a real number, got {value!r}") from None
+        raise TypeError(f"{name} must be a real number, got {shown(value)}") from None
+    except OverflowError:
+        raise _too_large(name, value) from None
     if math.isnan(result):
         raise ValueError(f"{name} must not be NaN")
     return result
@@ -83,7 +109,7 @@ def number(name: str, value: object) -> float:
 def positive(name: str, value: object) -> float:
     result = number(name, value)
     if result <= 0:
-        raise ValueError(f"{name} must be positive, got {value!r}")
+        raise ValueError(f"{name} must be positive, got {shown(value)}")
     return result
 
 
@@ -91,9 +117,10 @@ def positive_integer(name: str, value: object) -> int:
     try:
         result = operator.index(value)  # type: ignore[arg-type]  # the same
     except TypeError:
-        raise TypeError(f"{name} must be a positive integer, got {value!r}") from None
-    if result < 1:
-        raise ValueError(f"{name} must be a positive integer, got {value!r}")
+        raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
+    if not 1 <= result <= LARGEST_INT:
+        what = "a positive integer" if result < 1 else f"at most {LARGEST_INT}"
+        raise ValueError(f"{name} must be {what}, got {shown(value)}")
     return result
 
 
@@ -101,25 +128,32 @@ def choice(name: str, value: object, known: Iterable[str]) -> str:
     known = list(known)
     if isinstance(value, str) and value in known:
         return value
-    near = difflib.get_close_matches(str(value), known, n=1)
+    near = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}{hint}")
+    raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {shown(value)}{hint}")
 
 
 def flag(name: str, value: object) -> bool:
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
-    raise TypeError(f"{name} must be True or False, got {value!r}")
+    raise TypeError(f"{name} must be True or False, got {shown(value)}")
+
+
+def items(value: object) -> list[Any] | None:
+    """What is in a list, a tuple, an array and the like; None where nothing can be."""
+    if not isinstance(value, Iterable) or hasattr(value, "tocsr"):  # a sparse matrix, whose items are such again
+        return None
+    try:
+        return list(value)
+    except TypeError:  # an array without dimensions
+        return None
 
 
 def interval(t_span: object) -> tuple[float, float]:
     """(t0, tf): t0 finite, tf finite or infinite."""
-    try:
-        ends = (*t_span,)  # type: ignore[misc]  # the same
-    except TypeError:
-        ends = ()
+    ends = items(t_span) or ()
     if len(ends) != 2:
-        raise ValueError(f"t_span must be a pair (t0, tf), got {t_span!r}")
+        raise ValueError(f"t_span must be a pair (t0, tf), got {shown(t_span)}")
     t0, tf = number("t_span[0]", ends[0]), number("t_span[1]", ends[1])
     if math.isinf(t0):
         raise ValueError(f"t_span[0] must be finite, got {t0!r}")
@@ -131,20 +165,52 @@ def kept(value: _Value) -> _Value:
     return value if value is None or isinstance(value, float) else copy(value)
 
 
-def numbers(name: str, value: ArrayLike) -> Array:
-    """A new array of float64 or complex128."""
-    array = np.asarray(value)
+def _too_large(name: str, value: object) -> ValueError:
+    return ValueError(f"{name} must be within the range of a double, up to 1.8e308, got {shown(value)}")
+
+
+def as_array(name: str, value: object) -> Array:
+    """What was given as an array of any type and shape."""
     try:
-        return np.array(array, dtype=complex if np.issubdtype(array.dtype, np.complexfloating) else float)
+        return np.asarray(value)
+    except ValueError:
+        if hasattr(value, "__array__"):  # an error of its own
+            raise
+        raise ValueError(
+            f"{name} must be a number or an array of numbers, with rows of equal length, got {shown(value)}"
+        ) from None
+
+
+def numbers(name: str, value: object) -> Array:
+    """A new array of float64 or complex128."""
+    array = as_array(name, value)
+    try:
+        # NumPy makes numbers of dates and of digits in text, and NaN of None.
+        if array.dtype.kind not in _NUMERIC or (array.dtype.kind == "O" and any(one is None for one in array.flat)):
+            raise TypeError
+        return np.array(array, dtype=complex if array.dtype.kind == "c" else float)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must hold numbers, got {value!r}") from None
+        raise TypeError(f"{name} must hold numbers, got {shown(value)}") from None
+    except OverflowError:
+        raise _too_large(name, value) from None
+
+
+def real_numbers(name: str, value: object) -> Array:
+    """A new array of float64."""
+    try:
+        array = numbers(name, value)
+    except TypeError:
+        array = None
+    if array is None or array.dtype.kind == "c":
+        raise TypeError(f"{name} must hold real numbers, got {shown(value)}")
+    return array
 
 
 def state(y0: ArrayLike) -> Array:
     """The initial state as a new array of shape (n,)."""
-    y = np.asarray(y0)
+    y = as_array("y0", y0)
     if y.ndim != 1:
-        raise ValueError(f"y0 must be 1-dimensional, got shape {y.shape}")
+        raise ValueError(f"y0 must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
     y = numbers("y0", y)
     if not np.isfinite(y).all():
         i = int(np.flatnonzero(~np.isfinite(y))[0])
@@ -155,13 +221,13 @@ def state(y0: ArrayLike) -> Array:
 def tolerance(name: str, value: ArrayLike, n: int) -> Array:
     """A tolerance as an array of shape () or (n,), finite and not negative."""
     try:
-        result = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a number or {n} numbers, got {value!r}") from None
+        result = real_numbers(name, value)
+    except TypeError:
+        raise TypeError(f"{name} must be a number or {n} numbers, got {shown(value)}") from None
     if result.ndim > 1 or (result.ndim == 1 and result.shape != (n,)):
         raise ValueError(f"{name} must be a number or have shape ({n},), got shape {result.shape}")
     if not np.isfinite(result).all() or (result < 0).any():
-        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+        raise ValueError(f"{name} must be finite and not negative, got {shown(value)}")
     return result
 
 
@@ -188,10 +254,7 @@ def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, float
 
 def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     """t_eval as an array, inside the interval and in the order of integration."""
-    try:
-        times = np.array(t_eval, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"t_eval must hold real numbers, got {t_eval!r}") from None
+    times = real_numbers("t_eval", t_eval)
     if times.ndim != 1:
         raise ValueError(f"t_eval must be 1-dimensional, got shape {times.shape}")
     low, high = min(t0, tf), max(t0, tf)
@@ -206,10 +269,22 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
 def extra_arguments(args: object) -> tuple[Any, ...]:
     if args is None:
         return ()
-    try:
-        return (*args,)  # type: ignore[misc]  # the same
-    except TypeError:
-        raise TypeError(f"args must be a tuple of the extra arguments, for one argument args=({args!r},)") from None
+    listed = items(args)
+    if listed is None:
+        raise TypeError(f"args must be a tuple of the extra arguments, for one argument args=({shown(args)},)")
+    return tuple(listed)
+
+
+def distinct_labels(labels: object, n: int) -> list[str]:
+    """Names of n components."""
+    names = None if isinstance(labels, str) else items(labels)
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"labels must be a list of {n} str, got {shown(labels)}")
+    if len(names) != n:
+        raise ValueError(f"labels must name the {n} components of y0, got {shown(labels)}")
+    if len(set(names)) < n:
+        raise ValueError(f"labels must differ from each other, got {shown(labels)}")
+    return names
 
 
 def unknown_option(name: str, known: Iterable[str]) -> TypeError:

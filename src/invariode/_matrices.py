@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from . import _core
-from ._arguments import EPS, Array, warn
+from ._arguments import EPS, Array, as_array, shown, warn
 from .compiled import is_native, to_native
 from .description import Matrices
 
@@ -149,7 +149,14 @@ def _mass(mass: Any, storage: _Storage, args: tuple[Any, ...]) -> Any:
 
 
 def _null_basis(storage: _Storage, mass: Any, t0: float) -> sp.csc_array:
-    return null_basis(_whole(storage, mass(t0) if callable(mass) else mass))
+    whole = _whole(storage, mass(t0) if callable(mass) else mass)
+    if not np.isfinite(whole.data).all():
+        entries = sp.coo_array(whole)
+        k = int(np.flatnonzero(~np.isfinite(entries.data))[0])
+        i, j = (int(index[k]) // (2 if storage.complex else 1) for index in (entries.row, entries.col))
+        at = f"({t0})" if callable(mass) else ""
+        raise ValueError(f"mass{at} must be finite, got mass{at}[{i}, {j}] = {entries.data[k]}")
+    return null_basis(whole)
 
 
 class _JacobianFunction:
@@ -209,23 +216,67 @@ def _regular(A: sp.csc_array) -> bool:
         A = sp.csc_array(factors @ A if axis == 1 else A @ factors)
     try:
         probe = splu(A).solve(np.where(np.arange(A.shape[0]) % 3 == 0, -1.0, 1.0))
-    except RuntimeError:  # SuperLU: exactly singular
-        return False
+    except RuntimeError as failed:
+        if "singular" in str(failed):
+            return False
+        raise MemoryError(
+            f"no memory for the LU factors of mass ({A.shape[0]} rows, {A.nnz} entries): {failed}. Give a mass of "
+            "fewer entries, or of narrower bands"
+        ) from failed
     return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
 
 
 def _matrix(name: str, given: Any, is_complex: bool) -> Any:
     """A 2-d array or sparse matrix of numbers of the right kind, its values not checked."""
-    matrix: Any = given if sp.issparse(given) else np.asarray(given)
+    matrix: Any = _sound(name, given) if sp.issparse(given) else as_array(name, given)
     if matrix.ndim == 0 and not sp.issparse(matrix):  # one component
         matrix = matrix.reshape(1, 1)
     if matrix.dtype == object or not (np.issubdtype(matrix.dtype, np.number) or matrix.dtype == bool):
-        raise TypeError(f"{name} must hold numbers, got {given!r}")
+        raise TypeError(f"{name} must hold numbers, got {shown(given)}")
     if np.issubdtype(matrix.dtype, np.complexfloating) and not is_complex:
         raise TypeError(f"{name} is complex, expected real numbers (for a complex problem give a complex y0)")
     if matrix.ndim != 2:
         raise ValueError(f"{name} must be 2-dimensional, got shape {matrix.shape}")
     return matrix
+
+
+def _sound(name: str, given: Any) -> Any:
+    """A sparse matrix, once its indices are seen to fit its shape.
+
+    SciPy's constructors do not look at them all, and nothing stops who changes them later; its conversions, and the
+    core, would write where they point.
+    """
+    matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()
+    if matrix.ndim != 2:
+        return matrix
+    if matrix.format == "dia":
+        sound = matrix.data.ndim == 2 and len(matrix.offsets) == len(matrix.data) == len(set(matrix.offsets.tolist()))
+    elif matrix.format == "coo":
+        sound = len(matrix.row) == len(matrix.col) == len(matrix.data) and (
+            _within(matrix.row, matrix.shape[0]) and _within(matrix.col, matrix.shape[1])
+        )
+    else:
+        block = matrix.blocksize if matrix.format == "bsr" else (1, 1)
+        rows, columns = (size // side for size, side in zip(matrix.shape, block, strict=True))
+        lines, places = (columns, rows) if matrix.format == "csc" else (rows, columns)
+        starts, size = matrix.indptr, min(len(matrix.indices), len(matrix.data))
+        sound = (
+            len(starts) == lines + 1
+            and starts[0] == 0
+            and starts[-1] <= size
+            and bool((starts[1:] >= starts[:-1]).all())
+            and _within(matrix.indices[: starts[-1]], places)
+        )
+    if not sound:
+        raise ValueError(
+            f"{name} is a sparse matrix whose indices do not fit its shape {matrix.shape}: rows and columns count "
+            "from 0; check_format() of a matrix in compressed form tells more"
+        )
+    return matrix
+
+
+def _within(indices: Array, size: int) -> bool:
+    return len(indices) == 0 or bool(indices.min() >= 0 and indices.max() < size)
 
 
 def _bands(lband: Any, uband: Any, n: int) -> tuple[int, int] | None:
@@ -251,8 +302,11 @@ def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
 
 def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
     """(starts, rows, values) of compressed columns with ascending rows."""
-    A = sp.csc_array(A)
-    A.sum_duplicates()
+    # A new object: one that was changed may still say of itself that its rows ascend.
+    A = sp.csc_array((A.data, A.indices, A.indptr), A.shape)
+    if not A.has_canonical_format:
+        A = A.copy()  # the user's arrays stay as they are
+        A.sum_duplicates()
     return A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data.astype(float)
 
 

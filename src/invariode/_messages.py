@@ -22,20 +22,26 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: 
         return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
     if run.state == "start_undefined":
         return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
-    return -1, _step_failed(run, pairs)
+    return -1, _step_failed(run, names, pairs)
 
 
 def _component(run: Run, pairs: bool) -> str:
     return f"component {run.component // 2 if pairs else run.component}"
 
 
-def _step_failed(run: Run, pairs: bool) -> str:
+def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
         return f"{what} NaN or infinite also with the smallest step, {where}."
     if run.cause == "newton":
         return f"{_newton_failed(run, pairs)} {where}."
+    if run.cause == "projection" and run.finding == "undefined":
+        return (
+            f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, also "
+            f"with the smallest step, {where}. If the solution should not come there, try a smaller atol for the "
+            "components that come close (or a smaller rtol); if it should, stop it before by a terminal event."
+        )
     if run.cause == "projection":
         return (
             f"The projection onto the invariants fails also with the smallest step, {where}: "

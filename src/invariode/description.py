@@ -9,7 +9,7 @@ from typing import Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from ._arguments import call_name, extra_arguments, function, interval, state
+from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
 from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
@@ -59,13 +59,11 @@ class Description:
         for event in self.events:
             terminal_count(event), direction_sign(event)
         self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
+        if name is not None and not isinstance(name, str):
+            raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         self.name = call_name(self.fun, "problem") if name is None else name
         self._title = name
-        self._labels = None if labels is None else list(labels)
-        if self._labels is not None and len(self._labels) != len(self.y0):
-            raise ValueError(f"labels must name the {len(self.y0)} components of y0, got {labels!r}")
-        if self._labels is not None and len(set(self._labels)) < len(self._labels):
-            raise ValueError(f"labels must differ from each other, got {labels!r}")
+        self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A problem that differs from this one in some arguments; this one does not change.

@@ -241,14 +241,14 @@ def solve_ensemble(
 def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     """The options of each trajectory."""
     for name, value in given.items():
-        if name in _OF_SINGLE_RUNS and value != TABLE[name].default:
+        if name in _OF_SINGLE_RUNS and not (np.isscalar(value) and value == TABLE[name].default):
             raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
     options = given.copy()
     if t_eval is not None:
         options["t_eval"] = t_eval
         return options
     for name, kept in (("keep", given.get("keep")), ("save", given.get("save"))):
-        if kept in ("all", "outputs"):
+        if isinstance(kept, str) and kept in ("all", "outputs"):
             raise ValueError(f"{name}={kept!r} of an ensemble needs t_eval: trajectories have steps of their own")
     if options.get("save") is None:
         options["keep"] = "end"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
-from ._arguments import Array, call_name, flag, function
+from ._arguments import Array, call_name, flag, function, number, shown
 from ._types import EventFunction, EventsLike, Function
 from .compiled import is_native, to_native
 
@@ -54,7 +54,7 @@ class Event:
         rehold: bool = True,
     ) -> None:
         if not callable(fun) and not is_native(fun):
-            raise TypeError(f"an event must be a function event(t, y), got {fun!r}")
+            raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
         self.fun: Any = fun
         self.terminal = terminal
         self.direction = direction
@@ -77,9 +77,12 @@ def to_events(events: EventsLike) -> list[Event]:
     if callable(events) or is_native(events):
         events = [cast("EventFunction", events)]
     elif not isinstance(events, Sequence):
-        raise TypeError(f"events must be a function event(t, y) or a list of these, got {events!r}")
+        raise TypeError(f"events must be a function event(t, y) or a list of these, got {shown(events)}")
     return [event if isinstance(event, Event) else _from_function(event) for event in events]
 
+
+#: Up to here doubles are integers, and every count fits into the core's.
+_MOST_OCCURRENCES = 2**53
 
 _ATTRIBUTES = ("terminal", "direction", "action", "rehold")
 
@@ -92,24 +95,23 @@ def _from_function(fun: EventFunction) -> Event:
 def terminal_count(event: Event) -> int:
     """The occurrence that ends the integration, 0 for none (SciPy's rule)."""
     terminal = event.terminal
-    if not terminal:
+    if terminal is None:
         return 0
     try:
-        count = int(terminal)
+        count = number("terminal", terminal)
     except (TypeError, ValueError):
         count = -1
-    if count != terminal or count < 0:
-        raise ValueError(f"terminal of {event.__name__} must be a boolean or a positive integer, got {terminal!r}")
-    return count
+    if not 0 <= count < _MOST_OCCURRENCES or count != int(count):
+        raise ValueError(
+            f"terminal of {event.__name__} must be a boolean or a positive integer below 2**53, got {shown(terminal)}"
+        )
+    return int(count)
 
 
 def direction_sign(event: Event) -> int:
     """The direction as -1, 0 or 1."""
-    direction = event.direction
-    try:
-        return int(direction > 0) - int(direction < 0)
-    except TypeError:
-        raise TypeError(f"direction of {event.__name__} must be a number, got {direction!r}") from None
+    direction = number(f"direction of {event.__name__}", event.direction)
+    return int(direction > 0) - int(direction < 0)
 
 
 class EventSpec(NamedTuple):

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import os
 import secrets
+import stat
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,7 +80,7 @@ class Exports(Result):
         ----------
         path : str or path-like
             The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced, all at
-            once when the new one is complete.
+            once when the new one is complete, which keeps its mode. A pipe or a device is written to.
 
         Raises
         ------
@@ -191,15 +194,48 @@ def _tolerance(given: ArrayLike) -> float | list[float]:
 def save(solution: Result, path: str | os.PathLike[str]) -> None:
     """See `Solution.save`."""
     arrays = _to_arrays(solution)
-    target = Path(os.path.realpath(path))
+    try:
+        there = os.stat(path)
+    except FileNotFoundError:
+        there = None
+    if there is None or stat.S_ISREG(there.st_mode):
+        _replace(Path(os.path.realpath(path)), there, arrays)
+    else:  # a pipe, a device, where an archive cannot go back; of a directory this says what it is
+        with open(path, "wb") as file:
+            whole = io.BytesIO()
+            np.savez(whole, **arrays)
+            file.write(whole.getbuffer())
+
+
+def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any]) -> None:
+    """Writes the file beside the target, and puts it in its place once it is complete."""
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     try:
-        with open(temporary, "xb") as file:
+        nameless = _nameless(target.parent)
+        with nameless or open(temporary, "xb") as file:
             np.savez(file, **arrays)
+            file.flush()
+            if there is not None and hasattr(os, "fchmod"):
+                if there.st_uid != os.fstat(file.fileno()).st_uid:
+                    with suppress(PermissionError):
+                        os.fchown(file.fileno(), there.st_uid, there.st_gid)
+                os.fchmod(file.fileno(), stat.S_IMODE(there.st_mode))
+            if nameless:  # src_dir_fd: without it Python's os.link does not follow symbolic links
+                os.link(f"/proc/self/fd/{file.fileno()}", temporary, src_dir_fd=file.fileno(), follow_symlinks=True)
         os.replace(temporary, target)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _nameless(folder: Path) -> Any:
+    """A file without a name, which is gone when the process is killed; None where the system has no such files."""
+    if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
+        return None
+    try:
+        return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_RDWR, 0o666), "w+b")
+    except OSError:  # not on this file system
+        return None
 
 
 def _to_arrays(solution: Result) -> dict[str, Any]:

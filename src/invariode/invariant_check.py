@@ -36,12 +36,15 @@ class CheckReport:
         d/dt of the invariant along f, at the nearest point of the manifold.
     angle : ndarray
         That in units of the size of its terms: roundoff for invariants.
+    detectable : ndarray
+        The smallest angle that the check tells from roundoff and from errors of the derivatives. (A run sees smaller
+        ones, where its tolerance asks for it.)
     redundant : ndarray of bool
         Dependent on the others.
     stationary : ndarray of bool
         The gradient is 0.
     conserved : ndarray of bool
-        The rate is roundoff.
+        The rate is roundoff: the angle is not above what is detectable, or differs at points nearby.
     on_manifold : ndarray of bool
         The distance is at most 1.
     derivatives : list of str
@@ -58,6 +61,7 @@ class CheckReport:
     distance: Array
     rate: Array
     angle: Array
+    detectable: Array
     redundant: Array
     stationary: Array
     conserved: Array
@@ -130,6 +134,8 @@ def check_invariants(
     at, point, extra = number("t", t), state(y), extra_arguments(args)
     least, threshold, scale = tolerances(rtol, atol, point)
     listed = to_invariants(invariants)
+    if not listed:
+        raise ValueError("check_invariants needs at least one invariant")
     bound = bind(listed, at, point, extra, threshold)
     p = native_parameters(extra, [fun, *(f for one in listed for f in (one.fun, one.jac))])
     n = reals(point)
@@ -166,6 +172,7 @@ def check_invariants(
         distance=found.distance,
         rate=found.rate,
         angle=found.angle,
+        detectable=found.detectable,
         stationary=stationary,
         redundant=redundant,
         conserved=conserved,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, extra_arguments, function, interval, positive_integer, state
+from ._arguments import Array, distinct_labels, extra_arguments, function, interval, positive_integer, state
 from ._types import Span
 from .invariants import Invariants
 from .ivp import solve_ivp
@@ -140,6 +140,8 @@ def find_invariants(
     start, extra = state(y0), extra_arguments(args)
     if not np.isfinite(tf):
         raise ValueError(f"t_span must be finite for find_invariants, got {t_span!r}")
+    if not len(start):
+        raise ValueError("find_invariants needs at least one component, got an empty y0")
     if np.iscomplexobj(start):
         raise ValueError("find_invariants is for real problems; write a complex y0 as its real and imaginary parts")
     degree, n = positive_integer("degree", degree), len(start)
@@ -148,9 +150,7 @@ def find_invariants(
             f"{n} components have {comb(n + degree, degree) - 1} monomials up to degree {degree}, more than "
             f"{_MOST_MONOMIALS}: give a smaller degree"
         )
-    names = [f"y[{i}]" for i in range(n)] if labels is None else list(labels)
-    if len(names) != n:
-        raise ValueError(f"labels must name the {n} components of y0, got {labels!r}")
+    names = [f"y[{i}]" for i in range(n)] if labels is None else distinct_labels(labels, n)
     search = _Search(fun, (t0, tf), start, extra)
     found: list[PolynomialInvariant] = []
     for d in range(1, degree + 1):
@@ -167,6 +167,7 @@ class _Search:
     def __init__(self, fun: Callable[..., Any], t_span: tuple[float, float], y0: Array, args: tuple[Any, ...]) -> None:
         self._fun, self._t_span, self._args = fun, t_span, args
         self._random = np.random.default_rng(20260)
+        self._largest = np.abs(y0).max(initial=0) or 1.0
         first = self._trajectory(y0, 1e-6)
         self._size = np.abs(first[1]).max(axis=1) if first else np.abs(y0)
         self._size[self._size == 0] = 1.0
@@ -185,7 +186,11 @@ class _Search:
         def labours(t: float, y: Array) -> bool:
             return next(steps) > _MOST_STEPS
 
-        options: dict[str, Any] = {"args": self._args, "rtol": rtol, "atol": 1e-4 * rtol * np.maximum(np.abs(y0), 1e-4)}
+        options: dict[str, Any] = {
+            "args": self._args,
+            "rtol": rtol,
+            "atol": 1e-4 * rtol * np.maximum(np.abs(y0), 1e-4 * self._largest),
+        }
         try:
             sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
             if not sol.success or sol.status == 2:

@@ -16,20 +16,24 @@ from . import _core
 from ._arguments import (
     EPS,
     Array,
+    as_array,
     call_name,
     choice,
     distinct,
     extra_arguments,
     function,
+    items,
     numbers,
     positive_integer,
+    real_numbers,
     reals,
+    shown,
     tolerances,
 )
 from ._types import Function, JacobianKind, Numbers
 from .compiled import is_native, native_parameters, to_native
 
-__all__ = ["ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
+__all__ = ["AccuracyWarning", "ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
 
 
 #: How a Jacobian can be had without a function for it.
@@ -56,7 +60,7 @@ class Invariants:
         ``g(t, y, *args)``, a number or an array of shape (m,); y has shape (n,). For complex y the values are real.
     jac : callable or {'complex-step', '3-point', '2-point'}, optional
         ``jac(t, y, *args)``, the Jacobian ∂g/∂y of shape (m, n), or (n,) for m = 1. For complex y row i holds
-        ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Or how it is to be had: by complex steps, Im g(y + i h e_j) / h, exact to
+        ∂g_i/∂(Re y) + 1j ∂g_i/∂(Im y). Or how to compute it: by complex steps, Im g(y + i h e_j) / h, exact to
         roundoff, n evaluations of g at complex y; by central differences, 2n evaluations; by forward differences,
         n + 1. Default: complex steps where g takes complex y and they agree with a difference at the start, else
         central differences.
@@ -65,7 +69,7 @@ class Invariants:
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
     iterations : int, optional
-        Projection iterations per step. Default: that of the method, 1, or 2 for ode45, dop853 and ode78 (paper,
+        Projection iterations per step. Default: that of the method, 1, or 2 for the pairs of order 5 and more (paper,
         section 4).
     when : {'always', 'needed'}, default 'always'
         Project after every step (paper, section 4), or leave alone what is closer to the manifold than 0.01 of the
@@ -126,26 +130,33 @@ class Invariants:
         return f"{type(self).__name__}({', '.join(self.names or [call_name(self.fun, 'g')])}{held})"
 
 
+class AccuracyWarning(UserWarning):
+    """Projection moves a component of the solution by much more than its estimated error: it may do harm there."""
+
+
 #: Invariants as arguments: a function, an `Invariants`, or several of these.
 InvariantsLike: TypeAlias = Function | Invariants | Iterable[Function | Invariants]
 
 
 def _values(value: ArrayLike) -> Array:
     try:
-        values = np.atleast_1d(np.array(value, dtype=float))
-    except (TypeError, ValueError):
-        raise TypeError(f"value of an invariant must be a number or an array of numbers, got {value!r}") from None
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError(f"value of an invariant must be finite, of shape (m,), got {value!r}")
+        values = np.atleast_1d(real_numbers("value of an invariant", value))
+    except TypeError:
+        raise TypeError(f"value of an invariant must be a number or an array of numbers, got {shown(value)}") from None
+    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
+        raise ValueError(f"value of an invariant must be finite, of shape (m,) with m >= 1, got {shown(value)}")
     return values
 
 
 def _names(names: object) -> list[str]:
     if isinstance(names, str):
         return [names]
-    if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
-        raise TypeError(f"names of invariants must be str, or a list of str, got {names!r}")
-    return list(names)
+    listed = items(names)
+    if listed is None or not all(isinstance(name, str) for name in listed):
+        raise TypeError(f"names of invariants must be str, or a list of str, got {shown(names)}")
+    if not listed:
+        raise ValueError("names of an invariant must be one str for each of its values, got none; leave names out")
+    return listed
 
 
 def _level(level: object) -> int:
@@ -176,9 +187,12 @@ def to_invariants(invariants: object) -> list[Invariants]:
         return [invariants]
     if callable(invariants) or is_native(invariants):
         return [Invariants(cast("Callable[..., Any]", invariants))]
-    if isinstance(invariants, Iterable) and not isinstance(invariants, (str, bytes)):
-        return [one for item in invariants for one in to_invariants(item)]
-    raise TypeError(f"invariants must be a function g(t, y), an Invariants, or a list of these, got {invariants!r}")
+    listed = None if isinstance(invariants, (str, bytes)) else items(invariants)
+    if listed is not None:
+        return [one for item in listed for one in to_invariants(item)]
+    raise TypeError(
+        f"invariants must be a function g(t, y), an Invariants, or a list of these, got {shown(invariants)}"
+    )
 
 
 class InvariantSpec(NamedTuple):
@@ -468,13 +482,13 @@ def at_complex(fun: Callable[..., Any], m: int) -> Callable[..., Any]:
 
 def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:
     returned = one.fun(t, y.copy(), *args)
-    values = np.asarray(returned)
+    values = as_array(f"what invariant {name} returns", returned)
     if values.dtype.kind not in "biufO" or values.ndim > 1 or values.size == 0 or returned is None:
         what = (
             f"shape {values.shape} of type {values.dtype}" if returned is not None else "None (is a `return` missing?)"
         )
         raise ValueError(f"invariant {name} returned {what}, expected a real number or shape (m,)")
-    values = np.atleast_1d(values).astype(float)
+    values = np.atleast_1d(real_numbers(f"what invariant {name} returns", values))
     if not np.isfinite(values).all():
         raise ValueError(f"invariant {name} is not finite at t = {t}: {returned}")
     return values
@@ -624,7 +638,7 @@ def impose(
     if value is not None:
         demanded = _values(value)
         if len(demanded) not in (1, len(bound)):
-            raise ValueError(f"value must have shape ({len(bound)},), as the invariants have, got {value!r}")
+            raise ValueError(f"value must have shape ({len(bound)},), as the invariants have, got {shown(value)}")
         bound = replace(bound, value=demanded + np.zeros(len(bound)))
     result = bound.impose(times, points, rtol, atol)
     if dense is not None:
@@ -636,14 +650,11 @@ def impose(
 
 def _points(t: Any, y: ArrayLike) -> tuple[Array, Array]:
     """Points as (n, n_t), times as (n_t,)."""
-    y = np.asarray(y)
-    if y.ndim not in (1, 2):
-        raise ValueError(f"y must have shape (n,) or (n, n_t), got {y.shape}")
-    points = numbers("y", y).reshape(len(y), -1)
-    try:
-        times = np.array(t, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"t must hold real numbers, got {t!r}") from None
+    given = numbers("y", y)
+    if given.ndim not in (1, 2) or len(given) == 0:
+        raise ValueError(f"y must have shape (n,) or (n, n_t) with n >= 1, got {given.shape}")
+    points = given[:, None] if given.ndim == 1 else given
+    times = real_numbers("t", t)
     if times.shape not in ((), (points.shape[1],)):
         raise ValueError(f"t must have one time per point, shape ({points.shape[1]},), got {times.shape}")
     if not all(math.isfinite(one) for one in times.ravel()):

@@ -8,6 +8,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ._arguments import flag
 from ._docstrings import documented
 from ._options import (
     CallingOptions,
@@ -104,7 +105,7 @@ def solve_ivp(
     """
     describing, running = parted(options, DescribingOptions)
     unused(method, describing)
-    alone = one_column(fun) if vectorized and not is_native(fun) else fun
+    alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
     problem = Problem(alone, t_span, y0, args=args, events=events, **describing)
     return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **running)
 

@@ -22,7 +22,8 @@ def _function_of(method: Method) -> Callable[..., Solution]:
     """`solve_ivp` with the method, and its own number of points per step where the output is not fixed otherwise."""
 
     def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
-        if options.get("t_eval") is None and "end" not in (options.get("keep"), options.get("save")):
+        kept = (options.get("keep"), options.get("save"))
+        if options.get("t_eval") is None and not any(isinstance(one, str) and one == "end" for one in kept):
             options.setdefault("refine", method.refine)
         return solve_ivp(fun, t_span, y0, method.name, **options)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import operator
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import wraps
 from importlib.util import find_spec
@@ -29,7 +29,9 @@ if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-__all__ = ["plot", "plot_drift", "plot_phase", "plot_steps"]
+    from .animation import Film
+
+__all__ = ["animate", "plot", "plot_drift", "plot_phase", "plot_steps"]
 
 #: Curves that can be told apart: as many as there are colours, solid and dash-dotted.
 _MOST = len(COLOURS) * len(DASHES)
@@ -125,14 +127,14 @@ class Plots(Result):
         for k in chosen:
             colour, dashes = _unused(ax)
             for style, part, values in zip(dashes, *_parts(y[k]), strict=False):
-                label = _joined(f"{part}{names[k]}", given)
+                label = _joined(f"{part}{drawable(names[k])}", given)
                 _draw(ax, self, t, values, {"color": colour, "linestyle": style, "label": label, **line})
         for label, marker, times, states in _occurrences(self):
             values = np.concatenate([part for k in chosen for part in _parts(states[:, k])[1]] or [times[:0]])
             _mark(ax, np.resize(times, len(values)), values, label, marker)
         ax.set_xlabel("$t$")
         if len(chosen) == 1:
-            ax.set_ylabel(names[chosen[0]])
+            ax.set_ylabel(drawable(names[chosen[0]]))
         left_out = components is None and len(names) > len(chosen)
         _legend(ax, f"{len(chosen)} of {len(names)} components" if left_out else None)
         return ax
@@ -171,14 +173,14 @@ class Plots(Result):
                     f"the solution is complex: plot_phase({i!r}) draws one component in the complex plane, "
                     f"got j = {j!r}"
                 )
-            labels = f"Re {names[a]}", f"Im {names[a]}"
+            labels = f"Re {drawable(names[a])}", f"Im {drawable(names[a])}"
         elif j is None:
             if len(names) == 1:
                 raise ValueError(f"plot_phase needs two components, and this problem has one, {names[0]}")
             raise ValueError(f"plot_phase needs two components of {_listed(names)}, got only {i!r}")
         else:
             b = _component(names, j)
-            labels = names[a], names[b]
+            labels = drawable(names[a]), drawable(names[b])
 
         def plane(states: Array) -> tuple[Array, Array]:
             return (states[a].real, states[a].imag) if j is None else (states[a], states[b])
@@ -256,14 +258,14 @@ class Plots(Result):
             floor = max(EPS / 2 * max(abs(value), before, r.max(initial=0)), r[r > 0].min(initial=np.inf) / 2)
             floor = floor if 0 < floor < np.inf else EPS / 2
             drawn = _interrupted(self, np.where(defining & (r == 0), np.nan, np.maximum(r, floor)))
-            label = _joined(name, given)
+            label = _joined(drawable(name), given)
             curve = _draw(ax, self, t, drawn, {"color": colour, "linestyle": dashes[0], "label": label, **line})
             if before > 0:
                 ax.plot(self.t[[0, -1]], [before, before], ":", color=curve.get_color(), lw=1)
         if largest.any():
             ax.plot([], [], ":", color="0.5", lw=1, label=_once(ax, "largest before\nprojection"))
         ax.set_xlabel("$t$")
-        ax.set_ylabel(f"residual of {g.names[0]}" if len(g) == 1 else r"residual $|g - \mathrm{value}|$")
+        ax.set_ylabel(f"residual of {drawable(g.names[0])}" if len(g) == 1 else r"residual $|g - \mathrm{value}|$")
         _legend(ax, f"{_MOST} of {len(g)} invariants" if len(g) > _MOST else None)
         return ax
 
@@ -316,8 +318,78 @@ class Plots(Result):
                 panel.label_outer()
         return panels
 
+    def animate(
+        self,
+        points: Any,
+        *,
+        links: Iterable[Sequence[int]] = (),
+        trace: Iterable[int] = (),
+        duration: float | None = None,
+        fps: float = 25,
+        ax: Axes | None = None,
+        **line: Any,
+    ) -> Film:
+        """Shows the motion of points in the plane or in space as a film.
+
+        Parameters
+        ----------
+        points : callable or array_like of shape (k, 2) or (k, 3)
+            ``points(t, y)`` returns where the points are, an array of shape (k, 2) or (k, 3); y has shape (n,). Fixed
+            points, as the pivot of a pendulum, are points too. Or which components are the coordinates, a row of
+            indices or labels for each point.
+        links : sequence of sequences of int, optional
+            Points to be joined by lines: ``[(0, 1), (1, 2, 3)]``. Default: none.
+        trace : sequence of int, optional
+            Points whose path up to the moment is drawn. Default: none.
+        duration : float, optional
+            Seconds that the film takes. Default: as long as the motion, from 4 to 8.
+        fps : float, default 25
+            Frames per second.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; for points in space, axes with ``projection="3d"``. Default: a new figure.
+        **line
+            Properties of the links, as for ``Axes.plot``.
+
+        Returns
+        -------
+        Film
+            A ``matplotlib.animation.FuncAnimation``. ``film.save("motion.gif")`` makes a file: a GIF, a page with
+            controls (``.html``), or where ffmpeg is installed a video (``.mp4``). In a notebook it shows itself.
+
+        Raises
+        ------
+        ValueError
+            `points` returns another shape, or values that are not finite; `links` or `trace` name points that are not
+            there; the axes have another number of dimensions.
+
+        Notes
+        -----
+        Frames are equally spaced in t, at states of ``sol.sol``. Without dense output each shows the nearest point of
+        the output: give ``dense_output=True``, or many points in `t_eval`, for smooth motion.
+        """
+        _require_matplotlib()
+        from .animation import Film, film_size, motion, polylines
+
+        placed = points if callable(points) else _coordinates(self, points)
+        shown = motion(self, placed, trace=trace, duration=duration, fps=fps)
+        joined = polylines("links", links, shown.points.shape[1])
+        space = shown.points.shape[2] == 3
+        if ax is not None:
+            if (ax.name == "3d") != space:
+                wanted = 'axes with projection="3d"' if space else "axes of the plane"
+                raise ValueError(f"the points have {shown.points.shape[2]} coordinates: give {wanted}")
+            return Film(ax, shown, joined, fps, line)
+        projection = {"subplot_kw": {"projection": "3d"}} if space else {}
+        ax = _new(self, figsize=film_size(shown.points), **projection)
+        ax.set(xlabel="$x$", ylabel="$y$", **({"zlabel": "$z$"} if space else {}))
+        film = Film(ax, shown, joined, fps, line)
+        film.figure.draw_without_rendering()  # laid out once: the frames stand still
+        film.figure.set_layout_engine("none")
+        return film
+
 
 plot, plot_phase, plot_drift, plot_steps = Plots.plot, Plots.plot_phase, Plots.plot_drift, Plots.plot_steps
+animate = Plots.animate
 
 
 def _over_steps(steps: Steps, values: Array) -> tuple[Array, Array]:
@@ -383,9 +455,20 @@ def _new_panels(sol: Result, rows: int = 3, **options: Any) -> Array:
     for ax in axes.flat:
         ax.grid(True, color="0.5", alpha=0.2, lw=0.7)  # on dark backgrounds too
     if sol._names.title is not None:
-        axes[0, 0].set_title(sol._names.title)
+        axes[0, 0].set_title(drawable(sol._names.title))
     panels: Array = axes[:, 0]
     return panels
+
+
+def drawable(name: str) -> str:
+    """A name as text of a picture: dollar signs that enclose no formula that matplotlib reads stand for themselves."""
+    from matplotlib.mathtext import MathTextParser
+
+    try:
+        MathTextParser("path").parse(name)
+    except ValueError:
+        return name.replace("$", r"\$")
+    return name
 
 
 def _legend(ax: Axes, title: str | None = None) -> None:
@@ -423,6 +506,15 @@ def _components(sol: Result, components: Any) -> list[int]:
         return list(range(min(len(names), _MOST)))
     listed = [components] if isinstance(components, str) or not np.iterable(components) else components
     return [_component(names, one) for one in listed]
+
+
+def _coordinates(sol: Result, points: Any) -> Array:
+    """Indices of components, (k, 2 or 3), from indices or labels."""
+    rows = [points] if len(points) and (isinstance(points[0], str) or not np.iterable(points[0])) else list(points)
+    sizes = {len(row) for row in rows}
+    if sizes not in ({2}, {3}):
+        raise ValueError(f"points must be points(t, y), or rows of two or three components, got {points!r}")
+    return np.array([[_component(sol._names.components, one) for one in row] for row in rows])
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -495,7 +587,7 @@ def _occurrences(sol: Result) -> Iterator[tuple[str, str, Array, Array]]:
         return
     for k, (name, t, y) in enumerate(zip(sol._names.events, sol.t_events, sol.y_events, strict=True)):
         if len(t):
-            yield name, _MARKERS[k % len(_MARKERS)], t, y
+            yield drawable(name), _MARKERS[k % len(_MARKERS)], t, y
 
 
 def _mark(ax: Axes, x: Array, y: Array, label: str, marker: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array
+from ._arguments import Array, real_numbers
 from ._core import Dense
 from .invariants import BoundInvariants, as_columns
 
@@ -242,7 +242,7 @@ class DenseSolution:
         self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
 
     def __call__(self, t: ArrayLike) -> Array:
-        times = np.asarray(t, dtype=float)
+        times = t if isinstance(t, np.ndarray) and t.dtype == float else real_numbers("t", t)
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         g = self._invariants

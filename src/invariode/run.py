@@ -14,7 +14,7 @@ from ._progress import run_bar
 from ._types import MethodName
 from .description import Description
 from .events import terminal_count
-from .invariants import Jump, as_columns
+from .invariants import AccuracyWarning, Jump, as_columns
 from .plan import Plan, make_plan, solver
 from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
 from .solution import Solution
@@ -92,9 +92,13 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
         run = core.integrate(y0, None)
     if exception := plan.exception(run):
         raise exception
-    if run.dropped:
-        _warn_dropped(run, plan.names)
-    return _solution(run, plan, source)
+    dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
+    sol = _solution(run, plan, source)
+    if dropped:
+        _warn_dropped(dropped, first, plan.names, sol._drift)
+    if harmed >= 0 and sol.success:
+        _warn_harmed(sol._names.components[harmed // 2 if plan.functions.complex else harmed], harm)
+    return sol
 
 
 def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
@@ -149,13 +153,32 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
     return stats
 
 
-def _warn_dropped(run: _core.Run, names: list[str]) -> None:
-    listed = ", ".join(names[i] for i in run.dropped)
-    several = len(run.dropped) > 1
+def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: BeforeProjection) -> None:
+    listed = ", ".join(names[i] for i in dropped)
+    several = len(dropped) > 1
+    off = max(drift.distance[i] for i in dropped)
+    if off <= 1:
+        then = (
+            f"That does no harm: {'they' if several else 'it'} never left the tolerance (by {off:.2g} of it at most)."
+        )
+    else:
+        then = (
+            f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
+            "fewer invariants, or try a smaller rtol."
+        )
     warn(
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
-        f"t = {run.dropped_at:.6g} (dependent on the others to within rtol, or stationary there), and "
-        f"{'were' if several else 'was'} left out there"
+        f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
+        f"{'were' if several else 'was'} left out in such steps. {then}"
+    )
+
+
+def _warn_harmed(component: str, ratio: float) -> None:
+    warn(
+        f"projection moved {component} by {ratio:.2g} times its estimated errors: it corrects other components at the "
+        "cost of this one, which may then be less accurate than without invariants. Try an atol per component, larger "
+        "for what changes fast (for velocities, than for positions, by the highest frequency), and a smaller rtol",
+        AccuracyWarning,
     )
 
 

@@ -136,6 +136,28 @@ TEST(differences_keep_their_accuracy_where_components_differ_by_twenty_orders) {
   CHECK(J[0] == 0 && J[3] == 0);
 }
 
+TEST(entries_that_are_roundoff_are_told_and_wide_increments_replace_them) {
+  // y₁ starts at 0, and the first row has a term beside which its change is an ulp or none.
+  Function f = [](double, const double* y, double* out) {
+    out[0] = 1.389e-12 * y[0] - 2e4 * y[1];
+    out[1] = 2e4 * y[1];
+  };
+  Callback callback = as_callback(f);
+  const Weights weights(1e-4, {1e-20, 1e-20}, {});
+  Jacobian jacobian(Jacobian::Kind::differences, Matrix({.n = 2}), {}, weights);
+  const double y[] = {1, 0};
+  double slope[2];
+  f(0, y, slope);
+  CHECK(jacobian.evaluate(callback, 0, y, slope) == Status::ok);
+  const std::vector<double>& J = jacobian.matrix().values;
+  CHECK(std::abs(J[1] / -2e4 - 1) > 0.01);
+  CHECK(jacobian.noise() > 0);
+  jacobian.widen_increments();
+  CHECK(jacobian.evaluate(callback, 0, y, slope) == Status::ok);
+  CHECK_CLOSE(J[1] / -2e4, 1, 1e-3);
+  CHECK(jacobian.noise() == 0);
+}
+
 TEST(differences_go_to_the_other_side_where_f_is_not_defined) {
   Function f = [](double, const double* y, double* out) { out[0] = std::sqrt(1 - y[0]); };
   Callback callback = as_callback(f);

@@ -3,6 +3,7 @@
 #include "run/run.hpp"
 
 #include <functional>
+#include <new>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -41,6 +42,31 @@ TEST(a_run_of_each_method_keeps_its_invariant_and_reaches_the_end) {
     CHECK(result.derivatives.size() == 1 && result.derivatives[0] == Derivative::given);
     CHECK(result.counted()[0] == result.counts.steps);
     CHECK((result.linear.jacobians > 0) == method.implicit());
+  }
+}
+
+TEST(out_of_memory_in_any_function_is_an_exception_of_the_run) {
+  const auto throws = [](void*, double, const double*, double*) -> Status { throw std::bad_alloc(); };
+  for (const Method& method : methods()) {
+    const check::Case label(method.name);
+    for (const int which : {0, 1, 2, 3}) {
+      Oscillator oscillator;
+      oscillator.add_event(0);
+      Problem problem = oscillator.problem();
+      const Callback out_of_memory(throws, nullptr);
+      (which == 0   ? problem.f
+       : which == 1 ? problem.invariants[0].g
+       : which == 2 ? problem.invariants[0].jacobian
+                    : problem.events[0].function) = out_of_memory;
+      bool thrown = false;
+      try {
+        const Solver solver(method, problem, oscillator.weights(), oscillator.settings(), {});
+        solve(solver, oscillator.y0.data());
+      } catch (const std::bad_alloc&) {
+        thrown = true;
+      }
+      CHECK(thrown);
+    }
   }
 }
 

@@ -17,6 +17,7 @@ from .._style import BLACK, INK, SHADE
 from .._style import COLOURS as PALETTE
 from ..methods import METHODS
 from ..paper.plots import STYLE
+from ..plotting import drawable
 from .precision import WAYS, Reference, Row
 
 __all__ = ["draw"]
@@ -37,7 +38,7 @@ def draw(rows: Sequence[Row], truth: Reference, name: str, path: Path) -> None:
             _curves(one, rows, cost, truth)
         axes[0].set(xlabel="evaluations of $f$", ylabel="error of the final state")
         axes[1].set(xlabel="time in seconds")
-        figure.suptitle(name, fontsize=10.5, color=INK)
+        figure.suptitle(drawable(name), fontsize=10.5, color=INK)
         methods = list(dict.fromkeys(row.method for row in rows))
         keys = _keys(methods, any(row.projected for row in rows))
         columns = math.ceil(len(keys) / math.ceil(len(keys) / IN_A_LINE))

@@ -155,7 +155,7 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
             if len(found) == len(pair) and found[0].status == found[1].status:
                 return _agreed(found[0], found[1], _names(pair, rtol))
             if not found:
-                break  # tighter or looser, the first method is none for this problem
+                break  # tighter or looser, the first method cannot solve this problem
     first = obstacles[0] if obstacles else "They end at different events."
     raise NoReferenceError(f"No two methods reach the end with stringent tolerances. {first}")
 
@@ -188,7 +188,7 @@ def compare_runs(
 ) -> Iterator[Row]:
     """All runs, method after method from the crudest tolerance on. A method that takes too long is given up.
 
-    Raises InvariantError where a run finds that an invariant is none.
+    Raises InvariantError where a run finds that f does not conserve an invariant.
     """
     plain = unprojected(problem)
     for method in methods:

@@ -234,10 +234,11 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     from ..paper.plots import STYLE
+    from ..plotting import drawable
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")
         axes = figure.add_subplot()
         sol.plot(ax=axes)
-        axes.set_title(name)
+        axes.set_title(drawable(name))
         figure.savefig(path, dpi=200)

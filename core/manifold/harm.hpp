@@ -1,0 +1,62 @@
+#pragma once
+// Does projection do harm? (docs/algorithms.md, 'Guard'; beyond the paper)
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "report.hpp"
+#include "step.hpp"
+#include "weights.hpp"
+
+namespace invariode {
+
+/// Compares, component by component, what projections move with the estimated errors of the steps. A projection spreads
+/// a correction over the components by their weights. Where weights do not say how accurate a component is, as with one
+/// atol for positions and velocities, it corrects the errors of some at the cost of others that had none.
+class HarmDetector {
+ public:
+  explicit HarmDetector(std::size_t n) : error_(n), errors_(n), corrections_(n) {}
+
+  /// Step number `step`, from the candidate to y1, is about to be accepted. Looks at one step in eight.
+  void note(const Step& method, std::int64_t step, const double* candidate, const double* y1, const double* w) {
+    if (step % every != 0 || !method.errors(error_.data())) return;
+    ++looks_;
+    for (std::size_t i = 0; i < error_.size(); ++i) {
+      errors_[i] += std::abs(error_[i]) / w[i];
+      corrections_[i] += std::abs(y1[i] - candidate[i]) / w[i];
+    }
+  }
+
+  [[nodiscard]] Harm harm(double rtol) const {
+    Harm worst;
+    if (looks_ < fewest) return worst;
+    const double smallest = std::numeric_limits<double>::min();
+    const double usual = largest(corrections_) / std::max(largest(errors_), smallest);
+    for (std::size_t i = 0; i < error_.size(); ++i) {
+      const double ratio = corrections_[i] / std::max(errors_[i], smallest);
+      const bool matters = static_cast<double>(every) * corrections_[i] > rtol;
+      if (matters && ratio > harmful && ratio > uneven * usual && ratio > worst.ratio)
+        worst = {.component = static_cast<int>(i), .ratio = ratio};
+    }
+    return worst;
+  }
+
+ private:
+  static double largest(const std::vector<double>& v) { return *std::max_element(v.begin(), v.end()); }
+
+  static constexpr std::int64_t every = 8;   // so that it costs less than 1 % of a step
+  static constexpr std::int64_t fewest = 5;  // looks before it says anything
+  // Where projection helps, components were moved by up to 25 times their estimated errors, but then all alike, within
+  // a factor of 5; on the car axis of the IVP Test Set, with one atol, one by 27 times or more, 700 times what is
+  // usual.
+  static constexpr double harmful = 10;
+  static constexpr double uneven = 200;
+
+  std::int64_t looks_ = 0;
+  std::vector<double> error_, errors_, corrections_;
+};
+
+}  // namespace invariode

@@ -1,0 +1,192 @@
+"""Films show where the points are, in frames that stand still, and make files that need nothing else."""
+
+from __future__ import annotations
+
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.animation import writers
+from PIL import Image
+
+import invariode as iv
+
+
+@pytest.fixture(autouse=True)
+def _figures_are_closed():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture
+def films():
+    """Makes films and draws each once, which matplotlib asks for before they go."""
+    made = []
+
+    def animate(sol, *args, **options):
+        made.append(sol.animate(*args, **{"duration": 0.4, **options}))
+        return made[-1]
+
+    yield animate
+    for film in made:
+        film._init_draw()
+        film._draw_was_started = True
+
+
+def turning(**options):
+    problem = iv.Problem(lambda t, y: [-y[1], y[0]], (0, 6), [1.0, 0.0], labels=["east", "north"], name="Turning")
+    return problem.solve(rtol=1e-6, **{"dense_output": True, **options})
+
+
+def lines(film):
+    return film.figure.axes[0].lines
+
+
+def hand(t, y):
+    return [[0, 0], y]
+
+
+def test_each_frame_shows_the_points_of_its_time(films):
+    sol = turning()
+    film = films(sol, hand, links=[(0, 1)])
+    assert (len(film.times), film.times[0], film.times[-1]) == (10, 0, 6)
+    link, dots = lines(film)
+    for frame, t in enumerate(film.times):
+        film.show(frame)
+        np.testing.assert_array_equal(film.points[frame], [[0, 0], sol.sol(t)])
+        np.testing.assert_array_equal(link.get_xydata(), film.points[frame])
+        np.testing.assert_array_equal(dots.get_xydata(), film.points[frame])
+        assert film.figure.axes[0].texts[0].get_text() == f"$t$ = {t:.2f}"
+
+
+def test_backwards_and_without_dense_output_frames_are_the_nearest_outputs(films):
+    for t_span in ((0, 6), (0, -6)):
+        sol = iv.ode45(lambda t, y: [-y[1], y[0]], t_span, [1.0, 0.0], refine=1)
+        film = films(sol, [[0, 1]])
+        for t, (point,) in zip(film.times, film.points, strict=True):
+            nearest = np.abs(sol.t - t)
+            assert any(np.array_equal(point, sol.y[:, k]) for k in np.flatnonzero(nearest == nearest.min()))
+
+
+def test_points_can_be_labels_or_indices(films):
+    sol = turning()
+    for points in (["east", "north"], [0, 1], [["east", 1]], np.array([[0, -1]])):
+        np.testing.assert_array_equal(films(sol, points).points[:, 0], sol.sol(films(sol, points).times).T)
+
+
+def test_a_path_grows_behind_its_point_and_has_no_corners(films):
+    film = films(turning(), hand, trace=[1])
+    path = lines(film)[0]
+    for frame in (0, 4, 9):
+        film.show(frame)
+        drawn = path.get_xydata()
+        np.testing.assert_array_equal(drawn[-1], film.points[frame, 1])
+        np.testing.assert_array_equal(drawn[0], film.points[0, 1])
+        angle = np.unwrap(np.arctan2(*drawn.T[::-1]))
+        assert (np.diff(angle) < 0.01).all()
+
+
+def test_the_axes_hold_the_motion_and_have_one_scale(films):
+    film = films(turning(), hand, links=[(0, 1)], color="green")
+    ax = film.figure.axes[0]
+    before = ax.get_xlim(), ax.get_ylim(), ax.get_position().bounds
+    for frame in range(len(film.times)):
+        film.show(frame)
+        film.figure.canvas.draw()
+        assert (ax.get_xlim(), ax.get_ylim(), ax.get_position().bounds) == before
+    (x0, x1), (y0, y1) = before[:2]
+    assert x0 < film.points[..., 0].min() <= film.points[..., 0].max() < x1
+    assert y0 < film.points[..., 1].min() <= film.points[..., 1].max() < y1
+    scale = ax.transData.transform([[0, 0], [1, 1]])
+    assert np.ptp(scale[:, 0]) == pytest.approx(np.ptp(scale[:, 1]))
+    assert lines(film)[0].get_color() == "green"
+    assert ax.get_title() == "Turning"
+
+
+def test_in_space(films):
+    sol = iv.ode45(lambda t, y: [-y[1], y[0], 0.1], (0, 6), [1.0, 0.0, 0.0], dense_output=True)
+    film = films(sol, lambda t, y: [[0, 0, 0], y], links=[(0, 1)], trace=[1])
+    film.show(7)
+    assert film.figure.axes[0].name == "3d"
+    np.testing.assert_array_equal(np.transpose(lines(film)[1].get_data_3d()), film.points[7])
+    given = plt.figure().add_subplot(projection="3d")
+    assert films(sol, [0, 1, 2], ax=given).figure is given.figure
+
+
+def test_on_axes_that_are_given(films):
+    ax = plt.figure().add_subplot()
+    ax.plot([-3, 3], [0, 0])
+    assert films(turning(), hand, ax=ax).figure is ax.figure
+    assert ax.get_xlim()[0] < -3
+    assert len(plt.get_fignums()) == 1
+
+
+def test_a_gif_has_all_frames_and_they_differ(films, tmp_path):
+    film = films(turning(), hand, links=[(0, 1)], duration=0.2)
+    film.save(tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert picture.n_frames == len(film.times) == 5
+        assert picture.info["duration"] == 40  # milliseconds: 25 frames per second
+        seen = set()
+        for frame in range(5):
+            picture.seek(frame)
+            seen.add(picture.convert("RGB").tobytes())
+        assert len(seen) == 5
+
+
+def test_a_page_has_its_frames_and_controls_and_needs_no_network(films, tmp_path):
+    film = films(turning(), hand, duration=0.2)
+    film.save(tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64") == len(film.times)
+    assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", page)
+    assert 'class="fa' not in page
+    assert page.count("<button") == 9
+    assert film._repr_html_() in page
+
+
+@pytest.mark.skipif(writers.is_available("ffmpeg"), reason="ffmpeg is here, and makes the file")
+def test_without_ffmpeg_an_mp4_is_refused_with_advice(films, tmp_path):
+    with pytest.raises(RuntimeError, match=r"\.mp4 needs the program ffmpeg.*save as \.gif or \.html"):
+        films(turning(), hand).save(tmp_path / "a.mp4")
+
+
+@pytest.mark.skipif(not writers.is_available("ffmpeg"), reason="ffmpeg is not installed")
+def test_with_ffmpeg_there_are_mp4s(films, tmp_path):
+    films(turning(), hand).save(tmp_path / "a.mp4")
+    assert (tmp_path / "a.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_a_film_takes_as_long_as_it_is_told(films):
+    assert len(films(turning(), hand, duration=3, fps=10).times) == 30
+    assert len(turning().animate(hand, fps=5).times) == 30  # six seconds, as the motion
+    for film in (turning().animate(hand, fps=5),):
+        film._draw_was_started = True
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"points": lambda t, y: 1.0}, r"returned shape \(\).*return real numbers of shape \(k, 2\)"),
+        ({"points": lambda t, y: [[1, 2, 3, 4]]}, r"returned shape \(1, 4\)"),
+        ({"points": lambda t, y: [[0, np.nan]]}, "point 0 is not finite"),
+        ({"points": [[0, 5]]}, "there is no component 5"),
+        ({"points": [[0]]}, "rows of two or three components"),
+        ({"points": hand, "links": [(0, 2)]}, "links must name points by indices from 0 to 1, got 2"),
+        ({"points": hand, "trace": ["a"]}, "trace must name points by indices from 0 to 1, got 'a'"),
+        ({"points": hand, "fps": 0}, "fps must be positive"),
+        ({"points": hand, "duration": -1}, "duration must be positive"),
+        ({"points": lambda t, y: [*y, 0], "ax": "plane"}, 'give axes with projection="3d"'),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(options, message):
+    if options.get("ax"):
+        options = {**options, "ax": plt.figure().add_subplot()}
+    with pytest.raises(ValueError, match=message):
+        turning().animate(**options)
+
+
+def test_nothing_moves_in_one_point():
+    with pytest.raises(ValueError, match="nothing moves"):
+        turning(keep="end", dense_output=False).animate(hand)

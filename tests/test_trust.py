@@ -1,0 +1,344 @@
+"""What is wrong is said, however little it is; what is right is neither accused nor harmed."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from gallery import GALLERY
+from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
+
+sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
+import campaign_invariants as campaign
+
+EPS = np.finfo(float).eps
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Wrong by little
+
+
+@pytest.mark.parametrize("rtol", [1e-9, 1e-11])
+@pytest.mark.parametrize("p", [1e-7, 1e-6])
+def test_a_coefficient_wrong_by_less_than_one_in_a_million_is_found_where_it_matters(method, p, rtol):
+    sol = iv.solve_ivp(
+        henon_heiles,
+        (0, 10),
+        [0, 0.1, 0.45, 0.1],
+        method,
+        rtol=rtol,
+        atol=1e-3 * rtol,
+        invariants=lambda t, y: henon_heiles_energy(t, y) + p * y[0] ** 2 * y[1],
+        save="end",
+    )
+    assert sol.status == -2, sol.message
+
+
+def test_right_invariants_are_never_accused_in_random_runs():
+    assert [str(case) for case in campaign.cases(60, 5, right=True) if campaign.accused(case)] == []
+
+
+@pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
+def test_what_is_not_found_costs_little():
+    """In random runs with derivatives of all kinds, and errors of a coefficient from 1e-9 to 1e-2 of it."""
+    lost = [(campaign.loss(case), str(case)) for case in campaign.cases(60, 6, right=False)]
+    assert sum(loss is None for loss, _ in lost) > 20  # found
+    assert [case for loss, case in lost if loss is not None and loss > 30] == []
+
+
+ROUNDED = 10  # decimals
+
+
+@pytest.mark.parametrize(("p", "status"), [(0, 0), (0.01, -2)])
+def test_an_invariant_that_cannot_be_met_to_roundoff_is_judged_all_the_same(p, status):
+    """Where the projection does not reach roundoff, rates before and after it tell as much."""
+    held = iv.Invariants(lambda t, y: np.round(y[1] ** 2 / 2 + 2 * (1 + p) * y[0] ** 2, ROUNDED), value=None)
+    try:
+        sol = iv.solve_ivp(lambda t, y: [y[1], -4 * y[0]], (0, 10), [0.1, 1], invariants=held)
+    except iv.InvariantError:
+        assert status == -2
+    else:
+        assert sol.status == status, sol.message
+
+
+def test_the_check_says_how_little_it_sees():
+    for jac, least, most in ((None, EPS, 1e-10), ("3-point", 1e-10, 1e-8), ("2-point", 1e-8, 1e-6)):
+        for p, conserved in ((0.0, True), (most, False)):
+            held = iv.Invariants(lambda t, y, p=p: y[1] ** 2 / 2 + 2 * (1 + 100 * p) * y[0] ** 2, jac)
+            report = iv.check_invariants(lambda t, y: [y[1], -4 * y[0]], held, 0, [1, 0.5])
+            assert least < report.detectable[0] < most
+            assert report.conserved[0] == conserved, report
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Units
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-4, 1.0, 1e9])
+def test_the_check_knows_no_unit_of_time(unit):
+    for factor, conserved in ((1.0, True), (1.01, False)):
+        report = iv.check_invariants(
+            lambda t, y: [np.cos(t / unit) / unit],
+            lambda t, y, factor=factor: y[0] - factor * np.sin(t / unit),
+            0.3 * unit,
+            [0.5],
+        )
+        assert report.conserved[0] == conserved, report
+
+
+@pytest.mark.parametrize("size", [1e-100, 1e-12, 1.0, 1e100])
+def test_the_guard_knows_no_unit_of_the_state(method, size):
+    for p, found in ((0.0, False), (1e-2, True)):
+        held = iv.Invariants(lambda t, y, p=p: y[1] ** 2 / 2 + 2 * (1 + p) * y[0] ** 2)
+        try:
+            sol = iv.solve_ivp(
+                lambda t, y: [y[1], -4 * y[0]], (0, 10), [size, 0.3 * size], method, atol=1e-6 * size, invariants=held
+            )
+        except iv.InvariantError:
+            assert found
+        else:
+            assert sol.status == (-2 if found else 0), sol.message
+
+
+def test_the_search_knows_no_unit_of_the_state():
+    for size in (1e-12, 1e12):
+        (found,) = iv.find_invariants(lambda t, y: [y[1], -4 * y[0]], (0, 10), [size, 0.5 * size], labels=["x", "v"])
+        assert found.formula == "x**2 + 1/4*v**2"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Projection
+
+
+def test_impose_where_the_terms_of_an_invariant_vanish_with_its_residual():
+    for off in (1e-3, 1e-6, 1e-9, 1e-13):
+        found = iv.impose(iv.Invariants(pendulum_constraints, value=0), 0, np.array([0, -1 + off, 0, off]))
+        assert found.converged
+        np.testing.assert_allclose(found.y, [0, -1, 0, 0], rtol=4 * EPS, atol=1e-3 * 40 * EPS)  # 1e-3: the weight
+
+
+def pole(t, y):
+    return np.exp(y[0] + 2 * y[1]) / (y[0] * y[1] ** 2)
+
+
+def logarithm(t, y):
+    return y[0] - np.log(y[0]) + 2 * (y[1] - np.log(y[1]))
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
+@pytest.mark.parametrize("g", [pole, logarithm])
+@pytest.mark.parametrize("y0", [(1e-6, 0.5), (1e-6, 2), (1e-6, 3), (1e-4, 1)], ids=str)
+def test_projection_does_not_leave_the_domain_of_an_invariant(method, g, y0):
+    """A population far below its tolerance, which the correction of a step may take to the other side of 0."""
+    sol = iv.solve_ivp(lambda t, y: [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])], (0, 50), y0, method, invariants=g)
+    assert sol.success, sol.message
+    assert sol.y.min() > 0
+
+
+@pytest.mark.parametrize("when", ["always", "needed"])
+def test_a_run_that_leaves_the_domain_of_an_invariant_says_so(method, when):
+    held = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 if t < 5 else np.nan, names="radius", when=when)
+    sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], method, invariants=held)
+    assert sol.status == -1
+    assert "Invariant radius, or its Jacobian, is not defined where the solution goes" in sol.message
+
+
+def tumbling(t, y):
+    return np.asarray(campaign.FAMILIES[5].fun(t, y))
+
+
+def laws(t, y):
+    norm, energy, x = campaign.FAMILIES[5].g(t, y, 0)
+    a, b, c, d = y[:4]
+    u, v, w = y[4], 2 * y[5], 3 * y[6]
+    return [
+        norm,
+        energy,
+        x,
+        2 * (b * c + a * d) * u + (a * a - b * b + c * c - d * d) * v + 2 * (c * d - a * b) * w,
+        2 * (b * d - a * c) * u + 2 * (c * d + a * b) * v + (a * a - b * b - c * c + d * d) * w,
+    ]
+
+
+def test_invariants_that_depend_on_each_other_in_a_step_or_two_are_not_called_redundant(method):
+    """From the identity a quaternion has components far below their tolerance: there, and only there, they do."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sol = iv.solve_ivp(tumbling, (0, 60), [1, 0, 0, 0, 0.2, 1, 0.1], method, invariants=laws)
+    assert sol.success
+
+
+def test_a_warning_of_redundant_invariants_says_whether_it_matters(method):
+    with pytest.warns(UserWarning, match=r"redundant.*(does no harm|tolerances off)"):
+        iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, rtol=1e-6, invariants=kepler_invariants)
+
+
+@pytest.mark.parametrize("rtol", [1e-9, 1e-11])
+def test_redundant_invariants_by_differences_cost_no_accuracy(method, rtol):
+    problem = PROBLEMS["rigid body"]
+    if method in ("ode23", "ode15s") and rtol < 1e-9:
+        pytest.skip("too many steps")
+
+    def run(g, jac):
+        return iv.solve_ivp(
+            problem.fun, (0, 5), problem.y0, method, rtol=rtol, atol=1e-3 * rtol, invariants=iv.Invariants(g, jac)
+        ).y[:, -1]
+
+    def four(t, y):
+        a, b = problem.g(t, y)
+        return [a, b, a + 2 * b, a - 0.3 * b]
+
+    exact = run(problem.g, problem.jac)
+    with pytest.warns(UserWarning, match="redundant"):
+        np.testing.assert_allclose(run(four, "2-point"), exact, rtol=0, atol=10 * rtol)
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.01, 30])
+def test_when_needed_keeps_its_promise_after_a_jump(method, factor):
+    jump = iv.Event(lambda t, y: t - 5, action=lambda t, y: factor * y)
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -y[0]],
+        (0, 20),
+        [1, 0.3],
+        method,
+        rtol=1e-6,
+        atol=1e-9,
+        events=jump,
+        invariants=iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2, when="needed"),
+    )
+    assert sol.success
+    assert sol.drift().distance_after.max() < 0.02  # 0.01 of the tolerance, and what one iteration leaves
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7])
+def test_when_needed_keeps_its_promise_where_gradients_change_fast(method, rtol):
+    e = 0.99
+    start = [1 - e, 0, 0, np.sqrt((1 + e) / (1 - e))]
+    held = iv.Invariants(kepler_invariants, when="needed")
+    sol = iv.solve_ivp(kepler, (0, 13), start, method, rtol=rtol, atol=1e-3 * rtol, invariants=held)
+    assert sol.success
+    assert sol.stats.skipped > 0
+    assert sol.drift().distance_after.max() < 0.05
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Harm
+
+STIFFNESS = 1e-2**2 * 10 / 2  # of the car axis, eps² M / 2
+
+
+def base(t):
+    """Where the right wheel is, how fast it moves and how that changes."""
+    y = 0.1 * np.sin(10 * t)
+    x = np.sqrt(1 - y * y)
+    dy, ddy = np.cos(10 * t), -10 * np.sin(10 * t)
+    dx = -y * dy / x
+    return x, y, dx, dy, -(dy * dy + y * ddy + dx * dx) / x, ddy
+
+
+def car_axis(t, state):
+    """The car axis of the IVP Test Set, as an ODE: k q'' = F + Gᵀ λ with the λ for which G q'' + … = 0."""
+    q, v = state[:4], state[4:]
+    x, y, dx, dy, ddx, ddy = base(t)
+    left, right = np.hypot(q[0], q[1]), np.hypot(q[2] - x, q[3] - y)
+    force = np.array(
+        [
+            (0.5 - left) * q[0] / left,
+            (0.5 - left) * q[1] / left - STIFFNESS,
+            (0.5 - right) * (q[2] - x) / right,
+            (0.5 - right) * (q[3] - y) / right - STIFFNESS,
+        ]
+    )
+    bar, turn = q[:2] - q[2:], v[:2] - v[2:]
+    G = np.array([[x, y, 0, 0], [*(2 * bar), *(-2 * bar)]])
+    rest = [2 * (v[0] * dx + v[1] * dy) + q[0] * ddx + q[1] * ddy, 2 * turn @ turn]
+    multipliers = np.linalg.solve(G @ G.T, -STIFFNESS * np.array(rest) - G @ force)
+    return np.concatenate([v, (force + G.T @ multipliers) / STIFFNESS])
+
+
+def car_constraints(t, state):
+    q, v = state[:4], state[4:]
+    x, y, dx, dy, _, _ = base(t)
+    bar, turn = q[:2] - q[2:], v[:2] - v[2:]
+    return [
+        q[0] * x + q[1] * y,
+        bar @ bar - 1,
+        v[0] * x + v[1] * y + q[0] * dx + q[1] * dy,
+        2 * bar @ turn,
+    ]
+
+
+CAR = [0, 0.5, 1, 0.5, -0.5, 0, -0.5, 0]
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
+def test_a_projection_that_harms_a_component_says_so_once(tolerance):
+    """Positions and velocities with one atol: projected together, the velocities lose a factor of 5 to 10."""
+    held = iv.Invariants(car_constraints, value=0)
+    options = {"rtol": tolerance, "atol": tolerance}
+    exact = iv.solve_ivp(car_axis, (0, 3), CAR, "dop853", rtol=1e-12, atol=1e-13).y[:, -1]
+    with pytest.warns(iv.AccuracyWarning, match="atol per component") as said:
+        projected = iv.solve_ivp(car_axis, (0, 3), CAR, "ode45", invariants=held, **options).y[:, -1]
+    assert len(said) == 1
+    plain = iv.solve_ivp(car_axis, (0, 3), CAR, "ode45", **options).y[:, -1]
+    assert np.abs(projected - exact).max() > 3 * np.abs(plain - exact).max()
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-7])
+def test_no_harm_is_seen_where_projection_helps(method, problem, rtol):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", iv.AccuracyWarning)
+        for ratio in (1e-3, 1):
+            problem.solve(method, rtol=rtol, atol=ratio * rtol)
+
+
+@pytest.mark.parametrize("name", GALLERY)
+def test_where_harm_is_seen_a_component_is_less_accurate(name):
+    """With ode113, whose estimates are small: of all codes it warns most."""
+    p = GALLERY[name]
+    held = iv.Invariants(p.g, None, p.value)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        projected = iv.solve_ivp(p.fun, p.t_span, p.y0, "ode113", rtol=1e-6, invariants=held).y[:, -1]
+    if not any(issubclass(one.category, iv.AccuracyWarning) for one in said):
+        return
+    plain, exact = (iv.solve_ivp(p.fun, p.t_span, p.y0, "ode113", rtol=r, atol=r).y[:, -1] for r in (1e-6, 1e-12))
+    assert (np.abs(projected - exact) > 3 * np.abs(plain - exact)).any()
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Between steps
+
+
+def test_a_huge_stage_of_the_extension_is_not_believed(pair):
+    """f has a spike where only the extension asks: between the steps the solution stays what its ends say."""
+    asked: list[float] = []
+
+    def decay(t, y):
+        asked.append(t)
+        return -y
+
+    options = {"first_step": 0.5, "max_step": 0.5, "rtol": 1e-2}
+    iv.solve_ivp(decay, (0, 0.5), [1.0], pair, **options)
+    plain = set(asked)
+    asked.clear()
+    iv.solve_ivp(decay, (0, 0.5), [1.0], pair, dense_output=True, **options)
+    for height in (1e4, 1e150, 1e300):
+        for at in sorted(set(asked) - plain):
+            spiked = iv.solve_ivp(
+                lambda t, y, at=at, height=height: -y * (height if abs(t - at) < 1e-9 else 1),
+                (0, 0.5),
+                [1.0],
+                pair,
+                dense_output=True,
+                **options,
+            )
+            t = np.linspace(0, 0.5, 51)
+            assert np.abs(spiked.sol(t)[0] - np.exp(-t)).max() < 1e-2
