@@ -1,6 +1,6 @@
 """What corrections in levels gain on mechanisms: ``python benchmarks/mechanics.py [--write]``, or ``make bench``.
 
-Andrews' squeezing mechanism, Arévalo's problem, the paper's pendulum, a chain: plain, projected jointly, projected in
+Andrews' squeezing mechanism, Arévalo's problem, the paper's pendulum, chains: plain, projected jointly, projected in
 levels, and on the squeezing mechanism with Baumgarte's stabilisation. ``--write`` puts the tables into
 docs/benchmarks.md.
 """
@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 from measure import interleaved, machine, run, table
-from mechanisms import Array, Case, arevalo, chain, pendulum, squeezer
+from mechanisms import Array, Case, arevalo, chain, closed_chain, energy_of_unit_masses, pendulum, squeezer
 
 import invariode as iv
 
@@ -110,6 +110,29 @@ def papers_pendulum() -> str:
     return table(["The paper's pendulum, ode45", "steps", "failed", "f", "off by"], rows)
 
 
+def closed_loop() -> str:
+    """What is left of the constraints and of the energy after 60 s at 1e-6."""
+    case, rows = closed_chain(), []
+    n = len(case.q0)
+    for method in METHODS:
+        for way in WAYS:
+            problem = case.system.problem(case.t_span, case.q0, case.v0, correction=way)
+            sol = problem.solve(method, rtol=1e-6, atol=1e-8)
+            lengths = max(np.abs(case.system.constraints(0, y[:n])).max() for y in sol.y.T)
+            energy = np.array([energy_of_unit_masses(0, y[:n], y[n:]) for y in sol.y.T])
+            rows.append(
+                [
+                    method,
+                    way,
+                    str(sol.stats.steps),
+                    str(sol.nfev),
+                    f"{lengths:.0e}",
+                    f"{np.abs(energy - energy[0]).max():.0e}",
+                ]
+            )
+    return table(["closed five-link chain, 60 s, rtol 1e-6", "", "steps", "f", "φ", "energy"], rows)
+
+
 CALLS = 20  # of f, timed together
 
 
@@ -132,7 +155,9 @@ def links(repetitions: int) -> str:
 
 def report(repetitions: int) -> str:
     head = f"{machine('invariode', 'numpy')}. All functions in Python, derivatives ours; atol = rtol."
-    return "\n\n".join([head, squeezing(repetitions), multipliers(), papers_pendulum(), links(repetitions)])
+    return "\n\n".join(
+        [head, squeezing(repetitions), multipliers(), papers_pendulum(), closed_loop(), links(repetitions)]
+    )
 
 
 if __name__ == "__main__":

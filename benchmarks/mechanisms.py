@@ -155,3 +155,35 @@ def chain(links: int) -> Case:
     q0 = np.array([(i + 1, 0) for i in range(links)], dtype=float).ravel()
     system = MechanicalSystem(np.ones(2 * links), gravity, lengths, name="chain")
     return Case(system, (0.0, 4.0), q0, np.zeros(2 * links), np.full(4 * links, np.nan))
+
+
+def closed_chain() -> Case:
+    """A closed planar chain of five links: four of length 1, and the ground from (0, 0) to (2, 0)."""
+    ends = np.array([0.0, 0.0]), np.array([2.0, 0.0])
+
+    def lengths(t: float, q: Array) -> Array:
+        joints = np.vstack([ends[0], q.reshape(-1, 2), ends[1]])
+        return (np.diff(joints, axis=0) ** 2).sum(axis=1) - 1
+
+    system = MechanicalSystem(
+        np.ones(6), lambda t, q, v: np.tile([0.0, -1.0], 3), lengths, energy=energy_of_unit_masses, name="closed chain"
+    )
+    side = np.sqrt(3) / 2  # of the first and the last link, which lean inwards by 30 degrees
+    q0 = np.array([0.5, side, 1.0, 2 * side, 1.5, side])
+    return Case(system, (0.0, 60.0), q0, _swaying(q0), np.full(12, np.nan))
+
+
+def energy_of_unit_masses(t: float, q: Array, v: Array) -> float:
+    """Of unit masses in the plane, gravity 1."""
+    return (v @ v) / 2 + q[1::2].sum()
+
+
+def _swaying(q0: Array) -> Array:
+    """Velocities across the first and the last link that the middle ones, by symmetry, follow sideways."""
+    left, right = q0[:2], q0[4:] - [2, 0]
+    sway = 0.3 * np.array([left[1], -left[0], 0, 0, right[1], -right[0]])
+    # the middle joint keeps its distances from both neighbours
+    middle = q0[2:4]
+    rows = np.array([middle - q0[:2], middle - q0[4:]])
+    sway[2:4] = np.linalg.solve(rows, [rows[0] @ sway[:2], rows[1] @ sway[4:]])
+    return sway
