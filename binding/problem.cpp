@@ -40,6 +40,8 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.g = functions.vector(spec.fun, name, spec.m);
   block.m = spec.m;
   block.held = spec.held;
+  block.level = spec.level;
+  block.moves = spec.moves;
   if (!nb::isinstance<nb::str>(spec.jac)) {
     block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
     return block;
@@ -169,10 +171,12 @@ void define_functions(nb::module_& module) {
   nb::class_<InvariantSpec>(module, "Invariant", nb::type_slots(slots<InvariantSpec>), "An invariant, for the core.")
       .def(
           "__init__",
-          [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held) {
-            new (self) InvariantSpec{std::move(fun), std::move(jac), m, std::move(name), held};
+          [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
+             std::vector<std::size_t> moves) {
+            new (self) InvariantSpec{std::move(fun), std::move(jac), m, std::move(name), held, level, std::move(moves)};
           },
-          nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"));
+          nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
+          nb::arg("moves") = std::vector<std::size_t>{});
   nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")
       .def(
           "__init__",

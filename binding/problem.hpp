@@ -18,13 +18,15 @@
 
 namespace invariode::binding {
 
-/// An invariant: g, its Jacobian or the name of what takes its place, number and name of its values, and whether they
-/// are held, not demanded.
+/// An invariant: g, its Jacobian or the name of what takes its place, number and name of its values, whether they are
+/// held, not demanded; its level, and the reals of y that its correction may move (none: all).
 struct InvariantSpec {
   nb::object fun, jac;
   std::size_t m;
   std::string name;
   bool held;
+  int level = 0;
+  std::vector<std::size_t> moves;
 };
 
 struct EventSpec {

@@ -61,7 +61,9 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       z_(index(invariants.m())),
       order_(invariants.m()),
       left_out_(invariants.m()),
-      dropped_(invariants.m()) {}
+      dropped_(invariants.m()) {
+  if (Levels::needed(invariants)) levels_.emplace(invariants);
+}
 
 Projected Projector::project(double t, const double* from, double* y) {
   tolerances_.fill(from, y, w_.data());
@@ -81,6 +83,7 @@ Projected Projector::project(double t, const double* from, double* y) {
     }
     did.rank = solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+    if (levels_ && settled()) break;
   }
   MaxNorm moved;
   for (std::size_t i = 0; i < w_.size(); ++i) moved.add((original_[i] - y[i]) / w_[i]);
@@ -96,12 +99,8 @@ Outcome Projector::onto(double t, const double* w, const double* target, double*
     if (const Outcome outcome = linearize(t, y); outcome != Outcome::ok) return outcome;
     for (std::size_t i = 0; i < r_.size(); ++i) r_[i] -= target[i];
     solve(t);
-    MaxNorm moved;
-    for (std::size_t i = 0; i < w_.size(); ++i) {
-      y[i] -= delta_[i];
-      moved.add(delta_[i] / w_[i]);
-    }
-    if (moved.value() <= last_correction) break;
+    for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
+    if (settled()) break;
   }
   return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
 }
@@ -260,6 +259,7 @@ std::size_t Projector::solve(double t) {
   const std::size_t n = w_.size();
   ++corrections_;
   std::fill(left_out_.begin(), left_out_.end(), 0);
+  if (levels_) return solve_in_levels(t);
   if (r_.size() > 1) return solve_several(t);
   if (norm_[0] == 0) {
     leave_out(0, t);
@@ -279,6 +279,21 @@ std::size_t Projector::solve_several(double t) {
   if (rank < r_.size()) ++deficient_;
   substitute(rank);
   return rank;
+}
+
+std::size_t Projector::solve_in_levels(double t) {
+  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w_.data(), pivot_threshold(), delta_.data());
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (levels_->left_out()[i] != 0) leave_out(i, t);
+  if (rank < r_.size()) ++deficient_;
+  return rank;
+}
+
+/// Whether the latest correction was so small that what it leaves is roundoff.
+bool Projector::settled() const {
+  MaxNorm moved;
+  for (std::size_t i = 0; i < w_.size(); ++i) moved.add(delta_[i] / w_[i]);
+  return moved.value() <= last_correction;
 }
 
 /// Q, in place of the scaled rows, and R by the modified Gram-Schmidt process with pivoting, in which each pivot is

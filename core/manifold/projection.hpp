@@ -5,10 +5,12 @@
 #include <Eigen/Core>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "manifold/invariants.hpp"
+#include "manifold/levels.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 
@@ -51,15 +53,16 @@ struct Imposed {
 ///
 /// Each row of J W, and with it r, is divided by the row's 2-norm. The scaled residual is then the distance to that
 /// invariant's level set in units of the weights, whatever the units of g. Rows that are zero, or that depend on others
-/// to within max(rtol, 1e-10, what their derivatives are good to), are left out.
+/// to within max(rtol, 1e-10, what their derivatives are good to), are left out. Invariants in levels are corrected
+/// level by level (`Levels`), otherwise alike.
 class Projector {
  public:
   /// `negligible`: candidates closer than this to the manifold, in units of rtol, are left alone; 0: all are projected.
   Projector(Invariants& invariants, const Weights& weights, int iterations, double negligible = 0);
 
   /// The paper's projection of the candidate y* (in `y`, overwritten by y₁) of a step from `from`: the given number of
-  /// iterations, each with g and J taken afresh, W = max(|from|, |y*|, thr) frozen. Not finite as well where g is not
-  /// defined at y₁, or y₁ is no nearer to the manifold.
+  /// iterations, each with g and J taken afresh, W = max(|from|, |y*|, thr) frozen; in levels at most so many, until a
+  /// correction leaves roundoff. Not finite as well where g is not defined at y₁, or y₁ is no nearer to the manifold.
   Projected project(double t, const double* from, double* y);
   /// At most `most` iterations towards r(t, y) = target with the given W: for points between steps.
   Outcome onto(double t, const double* w, const double* target, double* y, int most);
@@ -100,6 +103,8 @@ class Projector {
   [[nodiscard]] bool crossed_zero(const double* y) const;
   std::size_t solve(double t);
   std::size_t solve_several(double t);
+  std::size_t solve_in_levels(double t);
+  [[nodiscard]] bool settled() const;
   std::size_t factor(double t);
   void substitute(std::size_t rank);
   void remove_component(std::size_t i, std::size_t q);
@@ -123,6 +128,7 @@ class Projector {
   std::int64_t corrections_ = 0, deficient_ = 0;
   double dropped_at_ = 0;
   int undefined_ = -1;
+  std::optional<Levels> levels_;  // where the invariants have any
 };
 
 }  // namespace invariode

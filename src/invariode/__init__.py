@@ -17,6 +17,7 @@ from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariant
 from .ivp import solve_ivp
 from .loading import load
 from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
+from .mechanics import MechanicalSystem
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .problem import Problem
@@ -36,6 +37,7 @@ __all__ = [
     "ImposeResult",
     "InvariantError",
     "Invariants",
+    "MechanicalSystem",
     "Method",
     "PolynomialInvariant",
     "Problem",

@@ -18,7 +18,7 @@ def capsule_address(capsule: object) -> int:
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool) -> None: ...
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = []) -> None: ...
 
 class Event:
     """An event, for the core."""
@@ -382,6 +382,11 @@ def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), o
 def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
     """
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
+    """
+
+def solve_saddle(mass: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], force: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], right: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], threshold: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], int, bool]:
+    """
+    a and λ of M a = Q + Aᵀ λ, A a = γ; the rank of A; whether a is unique (else it is NaN).
     """
 
 class Examination:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -42,6 +43,10 @@ _KINDS = ("complex-step", "3-point", "2-point")
 _NEGLIGIBLE = 0.01
 
 
+#: Of corrections in levels at most: they converge quadratically, and end when roundoff is left.
+_LEVEL_ITERATIONS = 10
+
+
 class InvariantError(ValueError):
     """An invariant contradicts the problem: its value at the start, or its Jacobian, or f does not keep it."""
 
@@ -69,11 +74,21 @@ class Invariants:
     when : {'always', 'needed'}, default 'always'
         Project after every step (paper, section 4), or leave alone what is closer to the manifold than 0.01 of the
         tolerance, which saves the evaluation of the Jacobian there.
+    level : int, default 0
+        Order of correction. Invariants of level 0 are imposed first; those of a later level are imposed by corrections
+        that leave what the levels before hold as it is, to first order, and are iterated until roundoff is left, at
+        most `iterations` times, by default 10. All at level 0: one correction for all together (paper, section 3).
+    moves : sequence of int, optional
+        The components of y that the correction may move; one set for all invariants of a level. Default: all. The
+        others tell nothing of the distance to the manifold: an invariant must depend on some of these.
 
     Notes
     -----
     The units of g do not matter: distances to the manifold are measured in the weights of the error test. Redundant
     invariants are dropped with a warning. A function that is no invariant of the equations is refused.
+
+    Constraints of mechanics have levels: positions are put on φ(q) = 0 by moving q alone, then velocities on φ̇ = 0 by
+    moving v alone, so that errors of v do not move q. `MechanicalSystem` sets them.
 
     Examples
     --------
@@ -94,6 +109,8 @@ class Invariants:
         names: str | Sequence[str] | None = None,
         iterations: int | None = None,
         when: Literal["always", "needed"] = "always",
+        level: int = 0,
+        moves: Sequence[int] | None = None,
     ) -> None:
         self.fun: Any = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
         self.jac: Any = jac
@@ -105,6 +122,8 @@ class Invariants:
         self.names = None if names is None else _names(names)
         self.iterations = None if iterations is None else positive_integer("iterations", iterations)
         self.when = choice("when", when, ("always", "needed"))
+        self.level = _level(level)
+        self.moves = None if moves is None else _components(moves)
 
     def __repr__(self) -> str:
         held = "" if self.value is None else f", value={self.value.tolist()}"
@@ -140,6 +159,26 @@ def _names(names: object) -> list[str]:
     return listed
 
 
+def _level(level: object) -> int:
+    try:
+        result = operator.index(level)  # type: ignore[arg-type]  # what is no integer is told apart right here
+    except TypeError:
+        result = -1
+    if result < 0:
+        raise ValueError(f"level of an invariant must be an integer from 0 on, got {level!r}")
+    return result
+
+
+def _components(moves: object) -> list[int]:
+    try:
+        indices = [operator.index(index) for index in moves]  # type: ignore[attr-defined]  # the same
+    except TypeError:
+        raise TypeError(f"moves must be a list of indices of components of y, got {moves!r}") from None
+    if not indices or min(indices) < 0 or len(set(indices)) < len(indices):
+        raise ValueError(f"moves must list different components of y, from 0 on, got {moves!r}")
+    return indices
+
+
 def to_invariants(invariants: object) -> list[Invariants]:
     """The argument `invariants` as a list: a function, an Invariants, or a list of these."""
     if invariants is None:
@@ -164,6 +203,8 @@ class InvariantSpec(NamedTuple):
     m: int  # number of its values
     name: str
     held: bool  # at its initial value; False: at one that was demanded
+    level: int = 0
+    moves: Sequence[int] = ()  # the reals of y that its correction may move; none: all
 
 
 class Jump(NamedTuple):
@@ -323,14 +364,38 @@ def bind(
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
             evaluations += probe.evaluations
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
-        specs.append(InvariantSpec(fun, kind, m, name, held=one.value is None))
+        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, one.level, _moves(one, name, y)))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
+    levelled = _in_levels(specs)
     iterations = [one.iterations for one in invariants if one.iterations is not None]
     value = values[0] if len(values) == 1 else np.concatenate(values)
     negligible = _NEGLIGIBLE if all(one.when == "needed" for one in invariants) else 0.0
-    names, most = distinct(names), max(iterations, default=None)
+    names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
+
+
+def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
+    """The reals of y that the correction of an invariant may move."""
+    moves = one.moves or ()
+    if moves and max(moves) >= len(y):
+        raise ValueError(f"moves of invariant {name} must be indices of the {len(y)} components of y, got {moves}")
+    if y.dtype.kind != "c":
+        return moves
+    return [part for index in moves for part in (2 * index, 2 * index + 1)]
+
+
+def _in_levels(specs: list[InvariantSpec]) -> bool:
+    """Whether the invariants have levels, in which all may move the same components."""
+    first: dict[int, InvariantSpec] = {}
+    for spec in specs:
+        other = first.setdefault(spec.level, spec)
+        if set(other.moves) != set(spec.moves):
+            raise ValueError(
+                f"invariants {other.name} and {spec.name} are both of level {spec.level} and may move different "
+                "components: give them one set of moves, or different levels"
+            )
+    return any(spec.level or spec.moves for spec in specs)
 
 
 def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> tuple[Any, Array]:

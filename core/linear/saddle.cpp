@@ -1,0 +1,130 @@
+#include "linear/saddle.hpp"
+
+#include <Eigen/Cholesky>
+#include <Eigen/QR>
+#include <limits>
+#include <stdexcept>
+
+#include "weights.hpp"
+
+namespace invariode {
+namespace {
+
+using Matrix = Eigen::MatrixXd;
+using Vector = Eigen::VectorXd;
+using Index = Eigen::Index;
+
+constexpr double singular_pivots = 1000;  // in units of roundoff: smaller pivots of Cholesky are what it leaves of 0
+
+/// Cholesky's factors where all pivots stand out from the roundoff of `size`, the diagonal that they come from.
+bool factor(const Matrix& symmetric, const Vector& size, Eigen::LLT<Matrix>& llt) {
+  llt.compute(symmetric);
+  if (llt.info() != Eigen::Success) return false;
+  const Vector pivots = Vector(llt.matrixLLT().diagonal()).cwiseAbs2();
+  return (pivots.array() > singular_pivots * eps * size.array()).all();
+}
+
+/// A pivoted QR of columns that are scaled to norm 1 (zero ones stay): B S⁻¹ Π = Q R.
+class Columns {
+ public:
+  Columns(const Matrix& B, double threshold) : scale_(B.colwise().norm()), qr_(B.rows(), B.cols()) {
+    scale_ = (scale_.array() > 0).select(scale_, 1);
+    qr_.setThreshold(threshold);
+    qr_.compute(B * scale_.cwiseInverse().asDiagonal());
+  }
+  [[nodiscard]] Index rank() const { return qr_.rank(); }
+
+  /// The vector u of least norm with Bᵀ u = c, as far as its independent rows go.
+  [[nodiscard]] Vector least_norm(const Vector& c) const {
+    const Index r = rank();
+    const Vector first = (qr_.colsPermutation().transpose() * c.cwiseQuotient(scale_)).head(r);
+    Vector u = Vector::Zero(qr_.rows());
+    u.head(r) = R().triangularView<Eigen::Upper>().transpose().solve(first);
+    return qr_.householderQ() * u;
+  }
+  /// λ with B λ = u, where u is in the range of B.
+  [[nodiscard]] Vector coefficients(const Vector& u) const {
+    const Index r = rank();
+    Vector all = Vector::Zero(qr_.cols());
+    all.head(r) = R().triangularView<Eigen::Upper>().solve(Vector((qr_.householderQ().transpose() * u).head(r)));
+    return (qr_.colsPermutation() * all).cwiseQuotient(scale_);
+  }
+  /// An orthonormal basis of what is orthogonal to all columns.
+  [[nodiscard]] Matrix complement() const {
+    const Matrix all = qr_.householderQ() * Matrix::Identity(qr_.rows(), qr_.rows());
+    return all.rightCols(qr_.rows() - rank());
+  }
+
+ private:
+  [[nodiscard]] Matrix R() const { return qr_.matrixR().topLeftCorner(rank(), rank()); }
+
+  Vector scale_;
+  Eigen::ColPivHouseholderQR<Matrix> qr_;
+};
+
+/// The λ of least norm among those with B λ = u.
+Vector multipliers(const Matrix& B, const Columns& columns, const Vector& u, double threshold) {
+  if (columns.rank() == B.cols()) return columns.coefficients(u);
+  Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition(B.rows(), B.cols());
+  decomposition.setThreshold(threshold);
+  decomposition.compute(B);
+  return decomposition.solve(u);
+}
+
+/// M = L Lᵀ: with B = L⁻¹Aᵀ and Lᵀ a = L⁻¹ Q + B λ, the second equation is Bᵀ (Lᵀ a) = γ.
+void solve_definite(const Eigen::LLT<Matrix>& mass, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
+                    double threshold, ConstrainedSolution& found) {
+  const Vector free = mass.matrixL().solve(Q);
+  if (A.rows() == 0) {
+    found.a = mass.matrixU().solve(free);
+    return;
+  }
+  const Matrix B = mass.matrixL().solve(A.transpose());
+  const Columns columns(B, threshold);
+  const Vector u = columns.least_norm(gamma - B.transpose() * free);
+  found.rank = columns.rank();
+  found.a = mass.matrixU().solve(free + u);
+  found.lambda = multipliers(B, columns, u, threshold);
+}
+
+/// a = a₀ + Z w with A a₀ = γ, A Z = 0, and Zᵀ M Z w = Zᵀ (Q − M a₀).
+void solve_semidefinite(const MatrixView& M, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
+                        double threshold, ConstrainedSolution& found) {
+  found.unique = false;
+  found.a.setConstant(std::numeric_limits<double>::quiet_NaN());
+  found.lambda.setConstant(std::numeric_limits<double>::quiet_NaN());
+  if (A.rows() == 0) return;  // M itself would have to be definite
+  const auto mass = M.selfadjointView<Eigen::Lower>();
+  const Matrix At = A.transpose();
+  const Columns columns(At, threshold);
+  found.rank = columns.rank();
+  const Matrix Z = columns.complement();
+  Vector a = columns.least_norm(gamma);
+  if (Z.cols() > 0) {
+    Eigen::LLT<Matrix> llt;
+    const Matrix inside = Z.transpose() * (mass * Z);
+    if (!factor(inside, Vector::Constant(Z.cols(), M.diagonal().cwiseAbs().maxCoeff()), llt)) return;
+    a += Z * llt.solve(Z.transpose() * (Q - mass * a));
+  }
+  found.unique = true;
+  found.a = a;
+  found.lambda = multipliers(At, columns, mass * a - Q, threshold);
+}
+
+}  // namespace
+
+ConstrainedSolution solve_saddle(const MatrixView& M, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
+                                 double threshold) {
+  const Index n = M.rows(), k = A.rows();
+  if (M.cols() != n || A.cols() != n || Q.size() != n || gamma.size() != k)
+    throw std::invalid_argument("the sizes of M, A, Q and gamma do not match");
+  ConstrainedSolution found{.a = Vector(n), .lambda = Vector::Zero(k)};
+  Eigen::LLT<Matrix> llt;
+  if (factor(M, M.diagonal().cwiseAbs(), llt))
+    solve_definite(llt, A, Q, gamma, threshold, found);
+  else
+    solve_semidefinite(M, A, Q, gamma, threshold, found);
+  return found;
+}
+
+}  // namespace invariode

@@ -1,0 +1,30 @@
+#pragma once
+// The linear system of constrained mechanics (docs/algorithms.md, 'The right-hand side of mechanics').
+
+#include <Eigen/Core>
+#include <cstddef>
+
+namespace invariode {
+
+using MatrixView = Eigen::Ref<const Eigen::MatrixXd>;
+using VectorView = Eigen::Ref<const Eigen::VectorXd>;
+
+/// a and λ of
+///
+///   M a = Q + Aᵀ λ,   A a = γ,
+///
+/// where M (n, n) is positive definite on the null space of A (k, n).
+struct ConstrainedSolution {
+  Eigen::VectorXd a;       ///< (n); NaN where it is not unique
+  Eigen::VectorXd lambda;  ///< (k); of least norm where rows of A depend on each other
+  Eigen::Index rank = 0;   ///< of A
+  bool unique = true;      ///< M is positive definite on the null space of A
+};
+
+/// Where M is definite: M = L Lᵀ and a pivoted QR of L⁻¹Aᵀ, never the Gram matrix A M⁻¹ Aᵀ, whose condition is the
+/// square. Where it is not: a pivoted QR of Aᵀ, and Cholesky of M on the null space. Rows of A that depend on others to
+/// within `threshold`, whatever their units, are left out. M is symmetric; its lower triangle is read.
+ConstrainedSolution solve_saddle(const MatrixView& M, const MatrixView& A, const VectorView& Q, const VectorView& gamma,
+                                 double threshold);
+
+}  // namespace invariode

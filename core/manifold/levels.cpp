@@ -1,0 +1,147 @@
+#include "manifold/levels.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+namespace invariode {
+namespace {
+
+// A row of which less than this is left in the components that may move does not depend on them: roundoff.
+constexpr double least_share = 1e-13;
+
+Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
+
+std::vector<char> mask_of(const InvariantBlock& block, std::size_t n) {
+  std::vector<char> mask(n, block.moves.empty() ? 1 : 0);
+  for (const std::size_t j : block.moves) {
+    if (j >= n) throw std::invalid_argument("an invariant may move components that the state does not have");
+    mask[j] = 1;
+  }
+  return mask;
+}
+
+}  // namespace
+
+bool Levels::needed(const Invariants& invariants) {
+  return std::any_of(invariants.blocks().begin(), invariants.blocks().end(),
+                     [](const InvariantBlock& block) { return block.level != 0 || !block.moves.empty(); });
+}
+
+Levels::Levels(const Invariants& invariants)
+    : n_(invariants.n()),
+      m_(invariants.m()),
+      scaled_(index(n_), index(m_)),
+      R_(index(m_), index(m_)),
+      norm_(m_),
+      z_(m_),
+      delta_l_(n_),
+      left_out_(m_) {
+  std::size_t row = 0;
+  for (const InvariantBlock& block : invariants.blocks()) {
+    Level& level = level_of(block);
+    for (std::size_t end = row + block.m; row < end; ++row) level.rows.push_back(row);
+  }
+  std::sort(levels_.begin(), levels_.end(), [](const Level& a, const Level& b) { return a.number < b.number; });
+  basis_.reserve(m_);
+  waiting_.reserve(m_);
+}
+
+Levels::Level& Levels::level_of(const InvariantBlock& block) {
+  std::vector<char> mask = mask_of(block, n_);
+  for (Level& known : levels_) {
+    if (known.number != block.level) continue;
+    if (known.moves != mask) throw std::invalid_argument("invariants of one level may move different components");
+    return known;
+  }
+  return levels_.emplace_back(Level{block.level, std::move(mask), {}});
+}
+
+std::size_t Levels::solve(const double* J, const double* r, const double* w, double threshold, double* delta) {
+  std::fill(delta, delta + n_, 0);
+  std::fill(left_out_.begin(), left_out_.end(), 0);
+  std::size_t rank = 0;
+  for (std::size_t l = 0; l < levels_.size(); ++l) {
+    take_rows(J, w, levels_[l]);
+    basis_.clear();
+    waiting_.clear();
+    for (std::size_t k = 0; k < l; ++k)
+      for (const std::size_t row : levels_[k].rows)
+        if (left_out_[row] == 0 && norm_[row] > 0) waiting_.push_back(row);
+    orthonormalize(waiting_, threshold);
+    const std::size_t before = basis_.size();
+    waiting_.clear();
+    for (const std::size_t row : levels_[l].rows) {
+      if (norm_[row] > 0) waiting_.push_back(row);
+      left_out_[row] = 1;  // unless it becomes a pivot
+    }
+    orthonormalize(waiting_, threshold);
+    for (std::size_t k = before; k < basis_.size(); ++k) left_out_[basis_[k]] = 0;
+    rank += basis_.size() - before;
+    correct(basis_, before, J, r, w, delta);
+  }
+  return rank;
+}
+
+/// The rows of J W cut to the components that the level may move, scaled to norm 1; norm 0: nothing is left of the row.
+void Levels::take_rows(const double* J, const double* w, const Level& level) {
+  R_.setZero();
+  for (std::size_t i = 0; i < m_; ++i) {
+    double* row = &scaled_(0, index(i));
+    double all = 0;
+    for (std::size_t j = 0; j < n_; ++j) {
+      row[j] = J[i * n_ + j] * w[j];
+      all = std::max(all, std::abs(row[j]));
+      if (level.moves[j] == 0) row[j] = 0;
+    }
+    norm_[i] = scaled_.col(index(i)).stableNorm();
+    if (norm_[i] <= least_share * all) norm_[i] = 0;
+    if (norm_[i] > 0) scaled_.col(index(i)) /= norm_[i];
+  }
+}
+
+/// Adds to the basis what the rows do not have in common with it, by the modified Gram-Schmidt process with pivoting,
+/// each pivot orthogonalised twice. The basis ends where a row is left with `threshold` of its length.
+void Levels::orthonormalize(std::vector<std::size_t>& rows, double threshold) {
+  for (const std::size_t i : rows)
+    for (const std::size_t q : basis_) remove_component(i, q);
+  while (!rows.empty()) {
+    std::size_t pivot = 0;
+    for (std::size_t k = 1; k < rows.size(); ++k)
+      if (scaled_.col(index(rows[k])).norm() > scaled_.col(index(rows[pivot])).norm() * (1 + least_share)) pivot = k;
+    const std::size_t i = rows[pivot];
+    rows.erase(rows.begin() + static_cast<std::ptrdiff_t>(pivot));
+    for (const std::size_t q : basis_) remove_component(i, q);
+    const double size = scaled_.col(index(i)).norm();
+    if (size <= threshold) return;
+    scaled_.col(index(i)) /= size;
+    R_(index(i), index(i)) = size;
+    basis_.push_back(i);
+    for (const std::size_t k : rows) remove_component(k, i);
+  }
+}
+
+/// Takes out of a row what it has of a basis vector, and notes it in R.
+void Levels::remove_component(std::size_t row, std::size_t basis_row) {
+  const double component = scaled_.col(index(basis_row)).dot(scaled_.col(index(row)));
+  scaled_.col(index(row)) -= component * scaled_.col(index(basis_row));
+  R_(index(basis_row), index(row)) += component;
+}
+
+/// δ += δ_l, in the part of the basis from `first` on: what is before belongs to earlier levels.
+void Levels::correct(const std::vector<std::size_t>& pivots, std::size_t first, const double* J, const double* r,
+                     const double* w, double* delta) {
+  std::fill(delta_l_.begin(), delta_l_.end(), 0);
+  for (std::size_t k = first; k < pivots.size(); ++k) {
+    const std::size_t i = pivots[k];
+    double rest = r[i];  // r_i − J_i δ of the levels before
+    for (std::size_t j = 0; j < n_; ++j) rest -= J[i * n_ + j] * delta[j];
+    double sum = rest / norm_[i];
+    for (std::size_t l = first; l < k; ++l) sum -= R_(index(pivots[l]), index(i)) * z_[l];
+    z_[k] = sum / R_(index(i), index(i));
+    for (std::size_t j = 0; j < n_; ++j) delta_l_[j] += w[j] * scaled_(index(j), index(i)) * z_[k];
+  }
+  for (std::size_t j = 0; j < n_; ++j) delta[j] += delta_l_[j];
+}
+
+}  // namespace invariode

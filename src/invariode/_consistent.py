@@ -1,0 +1,116 @@
+"""Consistent states of a constrained mechanical system, and which of its constraints are redundant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import _core
+from ._arguments import EPS, Array
+from ._derivatives import sizes
+from ._motion import DEPENDENT, Motion, Point
+from .invariants import InvariantError
+
+__all__ = ["consistent_state", "dependent_rows", "nearby_state"]
+
+#: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
+_ITERATIONS = 50
+#: A correction of this part of the size of q leaves roundoff.
+_SETTLED = 4 * EPS
+#: Residuals are roundoff below this part of the terms Φ_ij q_j, as in `impose`, and with room for differences.
+_ROUNDOFF = 1e-11
+#: How far from q0, in units of its components, the constraints are looked at once more.
+_BESIDE = 0.01
+#: What is left of a row that depends on others, on the manifold to roundoff.
+_REDUNDANT = 1e-8
+_GOLDEN = 0.6180339887498949
+
+
+def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
+    """The state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
+
+    q minimises (q - q0)ᵀ M (q - q0), by Gauss-Newton iterations M (q⁺ - q0) = Φᵀ μ, Φ (q⁺ - q) = -φ; then v in the same
+    sense, which is linear. Where q' is not v, or M is not definite, q is the nearest one in the Euclidean sense.
+    """
+    q = _consistent_positions(motion, start, names)
+    at = start._replace(q=q)
+    rows = motion.rows(at)
+    if not len(rows):
+        return at
+    change = _least_change(motion.mass(at), rows, -motion.rates(at))
+    after = at._replace(v=at.v + change)
+    left = np.abs(motion.rates(after))
+    terms = np.abs(motion.rates(at)) + np.abs(rows) @ (np.abs(at.v) + np.abs(change))
+    off = left > _ROUNDOFF**0.5 * terms + np.finfo(float).tiny  # rates have rounding of φ_t and of differences too
+    if off.any():
+        i = int(np.flatnonzero(off)[0])
+        raise InvariantError(
+            f"no velocities satisfy the constraints at t = {start.t}: what is left of the rate of {names[i]} is "
+            f"{left[i]:.3g}. Constraints that contradict each other, or a position where they are singular, show like "
+            "this: check their formulas, or start from another q0"
+        )
+    return after
+
+
+def _consistent_positions(motion: Motion, start: Point, names: list[str]) -> Array:
+    if motion.phi is None:
+        return start.q
+    t, q0, _, args = start
+    weight = motion.mass(start) if motion.kinematics is None else np.eye(motion.n_q)
+    q = q0
+    for _ in range(_ITERATIONS):
+        residual, rows = motion.positions(t, q, args), motion.positions_jacobian(t, q, args)
+        if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
+            break
+        after = q0 + _least_change(weight, rows, rows @ (q - q0) - residual)
+        moved = np.abs(after - q).max(initial=0.0)
+        q = after
+        if moved <= _SETTLED * sizes(q).max(initial=0.0):
+            break
+    residual, rows = motion.positions(t, q, args), motion.positions_jacobian(t, q, args)
+    off = ~(np.abs(residual) <= _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0)))
+    if off.any():
+        i = int(np.argmax(np.abs(residual) * off))
+        raise InvariantError(
+            f"no position near q0 satisfies the constraints at t = {t}: {names[i]} is {residual[i]:.6g} at the best "
+            "one found. Constraints that contradict each other show like this; or start from a q0 nearer to a solution"
+        )
+    return q
+
+
+def _least_change(weight: Array, rows: Array, right: Array) -> Array:
+    """The x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
+    n = len(weight)
+    for metric in (weight, np.eye(n)):
+        solution = _core.solve_saddle(
+            np.ascontiguousarray(metric), np.ascontiguousarray(rows), np.zeros(n), right, DEPENDENT
+        )
+        change: Array = solution[0]
+        if solution[-1]:  # unique
+            break
+    return change
+
+
+def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
+    """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
+    golden = np.modf(_GOLDEN * np.arange(1, motion.n_q + 1))[0]
+    step = _BESIDE * sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
+    try:
+        return at._replace(q=_consistent_positions(motion, at._replace(q=at.q + step), names))
+    except InvariantError:
+        return at
+
+
+def dependent_rows(rows: Array) -> Array:
+    """Which rows depend on those before them."""
+    dependent = np.zeros(len(rows), dtype=bool)
+    basis = np.zeros((0, rows.shape[1]))
+    for i, row in enumerate(rows):
+        length = float(np.linalg.norm(row))
+        rest = row / length if length > 0 else row
+        for _ in range(2):  # twice is enough
+            rest = rest - basis.T @ (basis @ rest)
+        left = float(np.linalg.norm(rest))
+        dependent[i] = left <= _REDUNDANT
+        if not dependent[i]:
+            basis = np.vstack([basis, rest / left])
+    return dependent

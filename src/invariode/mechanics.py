@@ -1,0 +1,438 @@
+"""Constrained mechanics: from mass, forces and constraints to a problem whose solution keeps the constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._arguments import Array, choice, extra_arguments, function, interval, state, warn
+from ._consistent import consistent_state, dependent_rows, nearby_state
+from ._motion import Motion, Point
+from ._types import Span
+from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
+from .problem import Problem
+
+__all__ = ["MechanicalSystem"]
+
+#: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms are one.
+_INCONSISTENT = 1e-6
+#: ψ is linear in v where a combination of values is the value of the combination to this part of its terms.
+_LINEAR = 1e-9
+#: The mass matrix is symmetric to this part of its largest entry.
+_SYMMETRIC = 1e-12
+
+
+class _Points(Protocol):
+    """What multipliers are evaluated at: a `Solution` or SciPy's result."""
+
+    @property
+    def t(self) -> Any: ...
+    @property
+    def y(self) -> Any: ...
+
+
+class MechanicalSystem:
+    """A mechanical system with constraints: M(t, q) v' = Q(t, q, v) + Φᵀ λ, q' = v, φ(t, q) = 0.
+
+    `problem` makes an ordinary differential equation of it, by solving for the forces of the constraints, together with
+    the invariants that this equation has: φ = 0 and its rate Φ v + φ_t = 0. Any method solves it. All derivatives are
+    taken care of.
+
+    Parameters
+    ----------
+    mass : array_like of shape (n,) or (n, n), or callable
+        M, constant or ``M(t, q, *args)``; a diagonal, a matrix, or a sparse matrix. Symmetric, and positive definite
+        on the velocities that the constraints allow.
+    force : callable
+        ``Q(t, q, v, *args)``, of shape (n,): all forces but those of the constraints, with the terms that are quadratic
+        in v.
+    constraints : callable, optional
+        Holonomic constraints ``φ(t, q, *args)``, a number or shape (m,).
+    velocity_constraints : callable, optional
+        Non-holonomic constraints ``ψ(t, q, v, *args)``, a number or shape (k,), linear in v.
+    kinematics : callable, optional
+        ``K(t, q, v, *args)``, the derivative of q where that is not v, as with quaternions: q and v may then differ in
+        length.
+    energy : callable, optional
+        ``E(t, q, v, *args)``, a number, held at its initial value. Default: none is held.
+    invariants : callable, Invariants, or list of these, optional
+        Further invariants ``g(t, y, *args)`` with y = (q, v).
+    args : tuple, optional
+        Extra arguments of all functions.
+    labels : sequence of str, optional
+        Names of the components of q and v.
+    name : str, optional
+        For tables and plots.
+    jacobian : callable, optional
+        ``Φ(t, q, *args)``, the Jacobian ∂φ/∂q of shape (m, n). Default: by complex steps, n evaluations of φ, where φ
+        takes complex t and q, else by differences of order 4.
+
+    Notes
+    -----
+    Write `constraints` so that they take complex q: with NumPy's functions, without abs and max. Then Φ is exact to
+    roundoff, and the second derivative of φ along the motion is good to about twelve digits. By differences they are
+    good to eleven digits and eight.
+
+    A system is an index-3 differential-algebraic equation. Here it is an ordinary one with invariants, which is as
+    accurate with explicit methods, and needs no multipliers: these are computed afterwards, where they are wanted.
+
+    A call of f evaluates mass, force, and φ n + 4 times, or with `jacobian` 4 times (and Φ once more where q' is not v;
+    for constraints without scale some more times), and factorises M, dense: O(n³).
+
+    Examples
+    --------
+    A pendulum of length 1 in the plane:
+
+    >>> import invariode as iv
+    >>> pendulum = iv.MechanicalSystem(
+    ...     [1, 1], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] ** 2 + q[1] ** 2 - 1
+    ... )
+    >>> sol = pendulum.problem((0, 10), [1, 0], [0, 0]).solve("ode113", rtol=1e-8, atol=1e-10)
+    >>> bool(abs(sol.y[0] ** 2 + sol.y[1] ** 2 - 1).max() < 1e-14)
+    True
+    >>> pendulum.reactions(sol).shape == (2, len(sol.t))
+    True
+    """
+
+    def __init__(
+        self,
+        mass: ArrayLike | Callable[..., Any],
+        force: Callable[..., Any],
+        constraints: Callable[..., Any] | None = None,
+        velocity_constraints: Callable[..., Any] | None = None,
+        kinematics: Callable[..., Any] | None = None,
+        energy: Callable[..., Any] | None = None,
+        invariants: InvariantsLike | None = None,
+        *,
+        args: Iterable[Any] = (),
+        labels: Sequence[str] | None = None,
+        name: str | None = None,
+        jacobian: Callable[..., Any] | None = None,
+    ) -> None:
+        self.force = function("force", force, "Q(t, q, v)")
+        optional = {
+            "constraints": (constraints, "φ(t, q)"),
+            "velocity_constraints": (velocity_constraints, "ψ(t, q, v)"),
+            "kinematics": (kinematics, "K(t, q, v)"),
+            "energy": (energy, "E(t, q, v)"),
+            "jacobian": (jacobian, "Φ(t, q)"),
+        }
+        for argument, (given, signature) in optional.items():
+            if given is not None:
+                function(argument, given, signature)
+        if jacobian is not None and constraints is None:
+            raise ValueError("jacobian is that of the constraints: give constraints too")
+        self.mass = mass
+        self.constraints, self.velocity_constraints = constraints, velocity_constraints
+        self.kinematics, self.energy, self.jacobian = kinematics, energy, jacobian
+        self.invariants = to_invariants(invariants)
+        self.args = extra_arguments(args)
+        self.labels = None if labels is None else list(labels)
+        self.name = name
+        self._n_q: int | None = None  # what `problem` was told, where lengths of q and v differ
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})" if self.name else f"{type(self).__name__}()"
+
+    def problem(
+        self,
+        t_span: Span,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        consistent: Literal["check", "project"] = "check",
+        correction: Literal["levels", "joint", "none"] = "levels",
+    ) -> Problem:
+        """The initial value problem of y = (q, v).
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        q0 : array_like
+            Positions at t0.
+        v0 : array_like
+            Velocities at t0.
+        consistent : {'check', 'project'}, default 'check'
+            A start that is off the constraints by less than the tolerances of the run is moved onto them. If it is
+            farther off: an `InvariantError` of the run, or it is moved there by the least change, in the metric of the
+            mass matrix, with a warning that tells how far.
+        correction : {'levels', 'joint', 'none'}, default 'levels'
+            How the solution is put back onto the constraints after each step: first positions onto φ = 0, then
+            velocities onto φ' = 0 and ψ = 0 with the positions held, then all onto energy and further invariants
+            without leaving those; all invariants together, as in the paper; or not at all.
+
+        Returns
+        -------
+        Problem
+            With invariants in that order: φ, φ' and ψ, the energy, the others.
+
+        Raises
+        ------
+        ValueError
+            Shapes that do not fit; ψ that is not linear in v; a constraint that does not depend on q; M that is
+            singular on the velocities that the constraints allow.
+        InvariantError
+            The constraints contradict each other: there is no consistent state.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> bead = iv.MechanicalSystem([1, 1], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
+        >>> bead.problem((0, 1), [1, 1], [0, 0])
+        Problem('slope', t_span=(0.0, 1.0), n=4)
+        """
+        choice("consistent", consistent, ("check", "project"))
+        choice("correction", correction, ("levels", "joint", "none"))
+        start = Point(interval(t_span)[0], state(q0), state(v0), self.args)
+        motion = self._motion(start)
+        names = self._names(motion)
+        known = consistent_state(motion, start, names)
+        self._look_for_redundancy(motion, known, names)
+        if consistent == "project":
+            self._tell_move(start, known)
+            start = known
+        elif correction == "none":
+            self._require_consistent(motion, start, names)
+        if not motion.accelerations(known).unique:
+            raise ValueError(
+                f"mass is not positive definite on the velocities that the constraints allow, at t = {start.t}: the "
+                "accelerations are not determined. Give a mass to every motion that is free"
+            )
+
+        def slope(t: float, y: Array, *args: Any) -> Array:
+            return motion.slope(Point(t, y[: motion.n_q], y[motion.n_q :], args))
+
+        held = None if correction == "none" else self._laws(motion, names, in_levels=correction == "levels")
+        return Problem(
+            slope, t_span, start.x, args=self.args, invariants=held, name=self.name, labels=self._labels(motion)
+        )
+
+    def multipliers(self, sol: _Points) -> Array:
+        """The multipliers λ at the points of a solution.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+
+        Returns
+        -------
+        ndarray, (m, n_t)
+            Those of the constraints, then those of the velocity constraints; of least norm where constraints are
+            redundant.
+        """
+        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)]
+        return np.array(columns).T
+
+    def reactions(self, sol: _Points) -> Array:
+        """The forces of all constraints at the points of a solution: Aᵀ λ, where the rows of A are Φ and ∂ψ/∂v.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+
+        Returns
+        -------
+        ndarray, (n, n_t)
+            In the directions of v.
+        """
+        columns = [
+            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)
+        ]
+        return np.array(columns).T
+
+    def _along(self, sol: _Points) -> list[tuple[Motion, Point]]:
+        n = self._positions_of(np.asarray(sol.y))
+        points = [Point(float(t), y[:n], y[n:], self.args) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
+        motion = self._motion(points[0]) if points else None
+        return [(motion, at) for at in points if motion is not None]
+
+    def _positions_of(self, y: Array) -> int:
+        """How many components of y are positions."""
+        if self.kinematics is None:
+            return len(y) // 2
+        if self._n_q is None:
+            raise ValueError("the solution is of no problem of this system: make one with `problem`, and solve it")
+        return self._n_q
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # The start
+
+    def _motion(self, start: Point) -> Motion:
+        n_q, n_v = len(start.q), len(start.v)
+        if self.kinematics is None and n_q != n_v:
+            raise ValueError(f"q0 and v0 must have one length where q' = v, got {n_q} and {n_v}; else give kinematics")
+        self._n_q = n_q
+        motion = Motion(
+            self.mass,
+            self.force,
+            self.constraints,
+            self.velocity_constraints,
+            self.kinematics,
+            self.jacobian,
+            start,
+        )
+        mass = motion.mass(start)
+        motion.force(start), motion.q_dot(start)
+        if np.abs(mass - mass.T).max(initial=0.0) > _SYMMETRIC * np.abs(mass).max(initial=0.0):
+            raise ValueError(f"mass must be symmetric, and is not at t = {start.t}")
+        self._require_linear(motion, start)
+        return motion
+
+    def _require_linear(self, motion: Motion, start: Point) -> None:
+        if motion.psi is None:
+            return
+        v = np.where(start.v != 0, start.v, 1.0)
+        w = np.roll(v, 1) + v
+        at_v, at_w, between = (
+            motion.psi.value(start.t, np.concatenate([start.q, part]), start.args) for part in (v, w, 3 * v - 2 * w)
+        )
+        terms = np.abs(at_v) + np.abs(at_w) + np.abs(between)
+        off = np.abs(between - (3 * at_v - 2 * at_w)) > _LINEAR * terms
+        if off.any():
+            raise ValueError(
+                f"velocity constraint {np.flatnonzero(off)[0] + 1} is not linear in v: only constraints that are "
+                "linear in v have forces of the form Aᵀ λ. A constraint of positions belongs to constraints, a "
+                "conserved quantity to invariants"
+            )
+
+    def _names(self, motion: Motion) -> list[str]:
+        holonomic = [f"constraint {i + 1}" for i in range(motion.m_phi)]
+        return holonomic + [f"velocity constraint {i + 1}" for i in range(motion.m - motion.m_phi)]
+
+    def _labels(self, motion: Motion) -> list[str]:
+        if self.labels is not None:
+            return self.labels
+        positions = [f"q{i + 1}" for i in range(motion.n_q)]
+        return positions + [f"v{i + 1}" for i in range(motion.n_v)]
+
+    def _look_for_redundancy(self, motion: Motion, known: Point, names: list[str]) -> None:
+        """Leaves out constraints that depend on others, here and beside: not those of a singular position."""
+        if not motion.m:
+            return
+        beside = nearby_state(motion, known, names)
+        here, there = motion.rows(known), motion.rows(beside)
+        nowhere = ~(here.any(axis=1) | there.any(axis=1))
+        if nowhere.any():
+            i = int(np.flatnonzero(nowhere)[0])
+            raise ValueError(
+                f"{names[i]} does not depend on {'q' if i < motion.m_phi else 'v'}: it cannot be imposed. Remove "
+                "it, or correct its formula"
+            )
+        redundant = dependent_rows(here) & dependent_rows(there)
+        if redundant.any():
+            listed = ", ".join(name for name, left_out in zip(names, redundant, strict=True) if left_out)
+            warn(
+                f"redundant constraints are left out: {listed}. The motion is the same; of the multipliers those of "
+                "least norm are reported"
+            )
+        motion.kept = ~redundant
+
+    def _tell_move(self, start: Point, known: Point) -> None:
+        q, v = (np.abs(a - b).max(initial=0.0) for a, b in ((known.q, start.q), (known.v, start.v)))
+        roundoff = _SYMMETRIC * max(np.abs(start.x).max(initial=0.0), np.finfo(float).tiny)
+        if max(q, v) > roundoff:
+            warn(f"the start was moved onto the constraints: components of q0 by up to {q:.3g}, of v0 by up to {v:.3g}")
+
+    def _require_consistent(self, motion: Motion, start: Point, names: list[str]) -> None:
+        t, q, v, args = start
+        held, rows = motion.positions(t, q, args), motion.positions_jacobian(t, q, args)
+        parts = [("", held, np.abs(rows) @ np.abs(q), names)]
+        rates = motion.rates(start)
+        parts.append(("the rate of ", rates, np.abs(motion.rows(start)) @ np.abs(v), names))
+        for prefix, residual, terms, of in parts:
+            off = np.abs(residual) > _INCONSISTENT * np.maximum(terms, 1.0)
+            if off.any():
+                i = int(np.flatnonzero(off)[0])
+                raise InvariantError(
+                    f"q0, v0 do not satisfy the constraints: {prefix}{of[i]} is {residual[i]:.6g} at t = {t}. Correct "
+                    'them, or let consistent="project" move them'
+                )
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # What the motion keeps
+
+    def _laws(self, motion: Motion, names: list[str], *, in_levels: bool) -> list[Invariants]:
+        n, size = motion.n_q, motion.n_q + motion.n_v
+        first = {"level": 0, "moves": range(n)} if in_levels else {}
+        second = {"level": 1, "moves": range(n, size)} if in_levels else {}
+        laws = []
+        if motion.kept[: motion.m_phi].any():
+            laws += [
+                _positions_law(motion, names[: motion.m_phi], first),
+                _rates_law(motion, [f"rate of {name}" for name in names[: motion.m_phi]], second),
+            ]
+        if motion.kept[motion.m_phi :].any():
+            laws.append(_velocities_law(motion, names[motion.m_phi :], second))
+        if self.energy is not None:
+            laws.append(_energy_law(self.energy, n, 2 if in_levels else 0))
+        for one in self.invariants:
+            if in_levels and one.level == 0:
+                one = _at_level(one, 2)
+            laws.append(one)
+        return laws
+
+
+def _kept_names(names: list[str], kept: Array) -> list[str]:
+    return [name for name, stays in zip(names, kept, strict=True) if stays]
+
+
+def _positions_law(motion: Motion, names: list[str], order: dict[str, Any]) -> Invariants:
+    """φ = 0, with its Jacobian (Φ, 0)."""
+    n, kept = motion.n_q, motion.kept[: motion.m_phi]
+
+    def positions(t: float, y: Array, *args: Any) -> Array:
+        values: Array = motion.positions(t, y[:n], args)[kept]
+        return values
+
+    def jacobian(t: float, y: Array, *args: Any) -> Array:
+        rows = motion.positions_jacobian(t, y[:n], args)[kept]
+        return np.hstack([rows, np.zeros((len(rows), motion.n_v))])
+
+    return Invariants(positions, jacobian, value=0, names=_kept_names(names, kept), **order)
+
+
+def _rates_law(motion: Motion, names: list[str], order: dict[str, Any]) -> Invariants:
+    """φ' = 0."""
+    n, m = motion.n_q, motion.m_phi
+    kept = motion.kept[:m]
+
+    def rates(t: float, y: Array, *args: Any) -> Array:
+        values: Array = motion.rates(Point(t, y[:n], y[n:], args))[:m][kept]
+        return values
+
+    def jacobian(t: float, y: Array, *args: Any) -> Array:
+        rows: Array = motion.rates_jacobian(Point(t, y[:n], y[n:], args))[kept]
+        return rows
+
+    return Invariants(rates, jacobian, value=0, names=_kept_names(names, kept), **order)
+
+
+def _velocities_law(motion: Motion, names: list[str], order: dict[str, Any]) -> Invariants:
+    """ψ = 0."""
+    kept = motion.kept[motion.m_phi :]
+    psi = motion.psi
+
+    def velocities(t: Any, y: Array, *args: Any) -> Array:
+        assert psi is not None  # there are names of its values
+        values: Array = psi.value(t, y, args)[kept]
+        return values
+
+    return Invariants(velocities, value=0, names=_kept_names(names, kept), **order)
+
+
+def _energy_law(energy: Callable[..., Any], n: int, level: int) -> Invariants:
+    def of_state(t: Any, y: Array, *args: Any) -> Any:
+        return energy(t, y[:n], y[n:], *args)
+
+    return Invariants(of_state, names="energy", level=level)
+
+
+def _at_level(one: Invariants, level: int) -> Invariants:
+    names = None if one.names is None else list(one.names)
+    when: Any = one.when
+    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves)

@@ -1,0 +1,106 @@
+"""Invariants in levels: what holds first is imposed first, in every method, and the default is as without levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import invariode as iv
+
+
+def swing(t, y):
+    tension = (y[2] ** 2 + y[3] ** 2 - y[1]) / (y[0] ** 2 + y[1] ** 2)
+    return [y[2], y[3], -tension * y[0], -tension * y[1] - 1]
+
+
+def rod(t, y):
+    return y[0] ** 2 + y[1] ** 2 - 1
+
+
+def across(t, y):
+    return y[0] * y[2] + y[1] * y[3]
+
+
+def energy(t, y):
+    return (y[2] ** 2 + y[3] ** 2) / 2 + y[1]
+
+
+START = [1.0, 0.0, 0.0, 0.0]
+LEVELS = [
+    iv.Invariants(rod, value=0, names="rod", moves=[0, 1]),
+    iv.Invariants(across, value=0, names="across", level=1, moves=[2, 3]),
+    iv.Invariants(energy, names="energy", level=2),
+]
+
+
+def test_every_method_keeps_all_levels_to_roundoff(method):
+    sol = iv.solve_ivp(swing, (0, 20), START, method, rtol=1e-5, atol=1e-7, invariants=LEVELS)
+    assert sol.success
+    assert np.abs(sol.residual).max() < 1e-13
+
+
+def test_points_between_steps_are_on_the_manifold_too(method):
+    sol = iv.solve_ivp(swing, (0, 5), START, method, rtol=1e-5, atol=1e-7, invariants=LEVELS, dense_output=True)
+    t = np.linspace(0, 5, 301)
+    y = sol.sol(t)
+    assert max(np.abs(g(t, y)).max() for g in (rod, across, energy)) < 1e-10
+
+
+def test_errors_of_velocities_do_not_move_positions():
+    rough = np.array([0.6, 0.8, 4.0, 1.0])
+    levels = iv.impose(LEVELS[:2], 0.0, rough)
+    joint = iv.impose([iv.Invariants(rod, value=0), iv.Invariants(across, value=0)], 0.0, rough)
+    assert levels.converged
+    assert joint.converged
+    np.testing.assert_array_equal(levels.y[:2], rough[:2])
+    assert np.abs(joint.y[:2] - rough[:2]).max() > 0.1
+
+
+def test_level_0_that_moves_all_is_the_default_to_the_last_bit(method):
+    held = [iv.Invariants(rod, value=0), iv.Invariants(across, value=0)]
+    named = [iv.Invariants(rod, value=0, level=0, moves=None), iv.Invariants(across, value=0, level=0)]
+    first, second = (iv.solve_ivp(swing, (0, 5), START, method, invariants=one) for one in (held, named))
+    np.testing.assert_array_equal(first.y, second.y)
+
+
+def test_a_redundant_invariant_of_a_later_level_is_named():
+    again = iv.Invariants(lambda t, y: 3 * rod(t, y), value=0, names="rod again", level=1)
+    with pytest.warns(UserWarning, match="rod again"):
+        sol = iv.solve_ivp(swing, (0, 2), START, invariants=[iv.Invariants(rod, value=0), across, again])
+    assert sol.success
+
+
+def test_complex_problems_move_complex_components():
+    def turn(t, z):
+        return [1j * z[0], 2j * z[1]]
+
+    held = [
+        iv.Invariants(lambda t, z: abs(z[0]) ** 2, names="first", moves=[0]),
+        iv.Invariants(lambda t, z: abs(z[0]) ** 2 + abs(z[1]) ** 2, names="both", level=1, moves=[1]),
+    ]
+    sol = iv.solve_ivp(turn, (0, 20), [1.0 + 0j, 1j], invariants=held)
+    assert sol.success
+    assert np.abs(np.abs(sol.y) - 1).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"level": -1}, ValueError, "level"),
+        ({"level": 0.5}, ValueError, "level"),
+        ({"moves": 3}, TypeError, "moves"),
+        ({"moves": []}, ValueError, "moves"),
+        ({"moves": [1, 1]}, ValueError, "moves"),
+        ({"moves": [-1]}, ValueError, "moves"),
+    ],
+)
+def test_wrong_levels_are_refused(options, error, message):
+    with pytest.raises(error, match=message):
+        iv.Invariants(rod, **options)
+
+
+def test_what_does_not_fit_the_problem_is_refused():
+    with pytest.raises(ValueError, match="4 components"):
+        iv.solve_ivp(swing, (0, 1), START, invariants=iv.Invariants(rod, moves=[4]))
+    with pytest.raises(ValueError, match="level 0 and may move different"):
+        iv.solve_ivp(swing, (0, 1), START, invariants=[iv.Invariants(rod, moves=[0]), iv.Invariants(across)])

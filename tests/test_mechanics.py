@@ -1,0 +1,450 @@
+"""Constrained mechanics: known motions and multipliers, derivatives, consistent starts, redundancy, bad input."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from invariode._derivatives import Derivatives
+from invariode.mechanics import MechanicalSystem
+from invariode.problems import pendulum
+
+CORRECTIONS = ("levels", "joint", "none")
+
+
+def gravity(t, q, v):
+    return [0.0, -1.0]
+
+
+def circle(t, q):
+    return (q[0] ** 2 + q[1] ** 2 - 1) / 2
+
+
+def swing(constraints=circle, **options):
+    return MechanicalSystem([1, 1], gravity, constraints, **options)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Known motions
+
+
+@pytest.mark.parametrize("imposed", [False, True])
+def test_the_papers_pendulum_has_the_counts_of_the_equations_written_by_hand(imposed):
+    """Shampine (1999), p. 70: without and with joint projection."""
+    options = {"refine": 4, "interpolation": "raw"}
+    by_hand = pendulum(imposed=imposed).solve("ode45", **options)
+    system = swing(lambda t, q: q[0] ** 2 + q[1] ** 2 - 1)
+    correction = "joint" if imposed else "none"
+    ours = system.problem((0, 50), [1, 0], [0, 0], correction=correction).solve("ode45", **options)
+    assert (ours.stats.steps, ours.stats.failed, ours.nfev) == ((98, 10, 649), (113, 9, 733))[imposed]
+    np.testing.assert_allclose(ours.y, by_hand.y, atol=1e-5)  # roundoff, amplified over the 50 units of t
+
+
+# x'' = -x λ, y'' = -y λ - 1 from (1, 0, 0, 1): the state at t = 1, and λ, as solvers of index 3 are tested with. By the
+# angle's equation θ'' = -cos θ these digits are good to 3e-11.
+INDEX_3 = [0.867348640604551746, 0.497701050476373918, -0.0337480180329866458, 0.0588130114660715686]
+TENSION = -0.493103151528274442
+
+
+@pytest.mark.parametrize("correction", CORRECTIONS)
+def test_the_index_3_pendulum_and_its_multiplier(method, correction):
+    errors = []
+    for rtol in (1e-4, 1e-7):
+        system = swing()
+        options = {} if method != "ode23" else {"max_step": 0.05}
+        sol = system.problem((0, 1), [1, 0], [0, 1], correction=correction).solve(
+            method, rtol=rtol, atol=rtol / 10, **options
+        )
+        off = np.append(sol.y[:, -1] - INDEX_3, system.multipliers(sol)[0, -1] + TENSION)  # ours has the other sign
+        errors.append(np.abs(off).max() / rtol)
+    assert max(errors) < 30  # of the global error over the interval, in units of the tolerance
+
+
+def particle(t, q, v):
+    """Arévalo's problem: q = (sin t², cos t²), λ = -4 t² for φ = (q² - 1)/2."""
+    return [2 * q[1], -2 * q[0]]
+
+
+def test_arevalos_problem_converges_in_positions_and_multipliers():
+    system = MechanicalSystem([1, 1], particle, circle)
+    problem = system.problem((0, 3), [0, 1], [0, 0])
+    errors = []
+    for rtol in (1e-4, 1e-7, 1e-10):
+        sol = problem.solve("dop853", rtol=rtol, atol=rtol)
+        exact = np.array([np.sin(sol.t**2), np.cos(sol.t**2)])
+        errors.append((np.abs(sol.y[:2] - exact).max(), np.abs(system.multipliers(sol)[0] + 4 * sol.t**2).max()))
+    errors = np.array(errors)
+    assert (errors[1:] < errors[:-1] / 20).all()
+    assert (errors[-1] < [1e-7, 1e-5]).all()
+
+
+def test_a_bead_on_a_moving_wire_follows_it():
+    """φ depends on t: q₂ = sin t q₁, without forces along the wire."""
+    system = MechanicalSystem([1, 1], lambda t, q, v: [0, 0], lambda t, q: q[1] - np.sin(t) * q[0])
+    sol = system.problem((0, 5), [1, 0], [0, 1]).solve("dop853", rtol=1e-9, atol=1e-11)
+    q, v = sol.y[:2], sol.y[2:]
+    assert np.abs(q[1] - np.sin(sol.t) * q[0]).max() < 1e-14 * np.abs(q).max()
+    assert np.abs(v[1] - np.sin(sol.t) * v[0] - np.cos(sol.t) * q[0]).max() < 1e-13 * np.abs(sol.y).max()
+    by_hand = iv.solve_ivp(  # s' of the coordinate along: (1 + sin²) s'' = -(sin cos 2 s' - sin² s) with q₂ = sin t s
+        lambda t, s: [s[1], -np.sin(t) * (2 * np.cos(t) * s[1] - np.sin(t) * s[0]) / (1 + np.sin(t) ** 2)],
+        (0, 5), [1, 0], "dop853", rtol=1e-11, atol=1e-13,
+    )  # fmt: skip
+    np.testing.assert_allclose(sol.y[[0, 2], -1], by_hand.y[:, -1], rtol=1e-7)
+
+
+def skate_force(t, q, v):
+    return [np.sin(np.pi / 6), 0, 0]  # down an inclined plane
+
+
+def skate(t, q, v):
+    return v[0] * np.sin(q[2]) - v[1] * np.cos(q[2])
+
+
+def test_a_skate_on_an_inclined_plane_rises_again():
+    """Non-holonomic: with spin ω from rest x = g/(2 ω²) sin² ω t, for g the pull along the plane."""
+    pull, spin = 0.5, 1.0
+    system = MechanicalSystem([1, 1, 1], skate_force, velocity_constraints=skate)
+    sol = system.problem((0, 6), [0, 0, 0], [0, 0, spin]).solve("ode45", rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(sol.y[0], pull / (2 * spin**2) * np.sin(spin * sol.t) ** 2, atol=1e-7)
+    assert np.abs(skate(sol.t, sol.y[:3], sol.y[3:])).max() < 1e-14
+
+
+def turn(t, q, v):
+    """q' of a unit quaternion, v the angular velocity in the body."""
+    w, x, y, z = q
+    a, b, c = v
+    return np.array([-x * a - y * b - z * c, w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a]) / 2
+
+
+INERTIA = np.array([1.0, 2.0, 3.0])
+
+
+def test_quaternions_have_more_positions_than_velocities():
+    def euler(t, q, v):
+        return np.cross(INERTIA * v, v)
+
+    system = MechanicalSystem(
+        INERTIA,
+        euler,
+        kinematics=turn,
+        energy=lambda t, q, v: INERTIA @ v**2 / 2,
+        invariants=iv.UnitQuaternion([0, 1, 2, 3]),
+    )
+    sol = system.problem((0, 50), [1, 0, 0, 0], [0.1, 2, 0.1]).solve("ode45", rtol=1e-6, atol=1e-9)
+    assert sol.success
+    assert np.abs(np.linalg.norm(sol.y[:4], axis=0) - 1).max() < 1e-14
+    assert np.abs(INERTIA @ sol.y[4:] ** 2 - INERTIA @ sol.y[4:, 0] ** 2).max() < 1e-12
+    w, x, y, z = sol.y[:4]
+    first_row = [1 - 2 * (y**2 + z**2), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+    momentum = sum(entry * i * v for entry, i, v in zip(first_row, INERTIA, sol.y[4:], strict=True))
+    np.testing.assert_allclose(momentum, momentum[0], atol=1e-3)  # in space: not imposed
+
+
+def test_a_constraint_of_quaternions_is_differentiated_through_the_kinematics():
+    """The body axis e₁ stays in the plane z = 0, as a holonomic constraint of q."""
+
+    def level(t, q):
+        w, x, y, z = q
+        return 2 * (x * z - w * y)
+
+    system = MechanicalSystem(INERTIA, lambda t, q, v: np.cross(INERTIA * v, v), level, kinematics=turn)
+    sol = system.problem((0, 10), [1, 0, 0, 0], [1, 0, 0.5]).solve("dop853", rtol=1e-9, atol=1e-11)
+    assert sol.success
+    assert np.abs(level(0, sol.y[:4])).max() < 1e-13
+    energy = INERTIA @ sol.y[4:] ** 2
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-7)  # constraints do no work
+    assert system.multipliers(sol).shape == (1, len(sol.t))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Corrections
+
+
+@pytest.mark.parametrize("correction", CORRECTIONS)
+def test_what_is_imposed_holds_to_roundoff_in_every_method(method, correction):
+    system = swing(energy=lambda t, q, v: (v @ v) / 2 + q[1] if not np.iscomplexobj(v) else (v**2).sum() / 2 + q[1])
+    sol = system.problem((0, 10), [1, 0], [0, 0], correction=correction).solve(method, rtol=1e-5, atol=1e-7)
+    assert sol.success
+    q, v = sol.y[:2], sol.y[2:]
+    residual = max(np.abs(circle(0, q)).max(), np.abs((q * v).sum(axis=0)).max())
+    if correction == "levels":
+        assert residual < 1e-14
+        assert np.abs((v**2).sum(axis=0) / 2 + q[1]).max() < 1e-13
+    elif correction == "none":
+        assert residual > 1e-13
+
+
+def test_masses_and_lengths_of_very_different_units_change_nothing():
+    def scaled(mass, length):
+        system = MechanicalSystem(
+            [mass, mass],
+            lambda t, q, v: [0, -mass * length],
+            lambda t, q: 1e3 * (q[0] ** 2 + q[1] ** 2 - length**2),
+        )
+        sol = system.problem((0, 5), [length, 0], [0, 0]).solve("ode45", rtol=1e-6, atol=1e-9 * length)
+        return sol.y / length
+
+    np.testing.assert_allclose(scaled(1e-9, 1e-6), scaled(1, 1), atol=1e-9)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Derivatives
+
+
+def linkage(t, q):
+    return np.array([np.sin(q[0] + t) * q[1] - np.exp(-q[2]), np.sqrt(q[1] ** 2 + q[2] ** 2) - np.cos(q[0])])
+
+
+def linkage_by_reals(t, q):
+    return linkage(t, np.asarray(q, dtype=float) if not np.iscomplexobj(q) else abs(q))
+
+
+def exact_jacobian(t, q):
+    r = np.hypot(q[1], q[2])
+    return np.array([[np.cos(q[0] + t) * q[1], np.sin(q[0] + t), np.exp(-q[2])], [np.sin(q[0]), q[1] / r, q[2] / r]])
+
+
+@pytest.mark.parametrize(
+    ("function", "kind", "first", "second"),
+    [(linkage, "complex step", 1e-14, 1e-11), (linkage_by_reals, "differences", 1e-11, 1e-7)],
+)
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_derivatives_are_as_good_as_their_kind(function, kind, first, second, size):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        t, q, dq = rng.normal(), rng.normal(size=3), size * rng.normal(size=3)
+        at = Derivatives(function, t, q, (), "linkage")
+        assert at.kind == kind
+        jacobian = exact_jacobian(t, q)
+        np.testing.assert_allclose(at.jacobian(t, q, ()), jacobian, atol=first * 10)
+        rate = jacobian @ dq + size * np.array([np.cos(q[0] + t) * q[1], 0])
+        np.testing.assert_allclose(at.slope(t, q, size, dq, ()), rate, atol=first * 20 * np.abs(dq).max())
+        angle, bend = q[0] + t, dq[0] + size
+        r = np.hypot(q[1], q[2])
+        cross = q[1] * dq[2] - q[2] * dq[1]
+        exact = [
+            -np.sin(angle) * bend**2 * q[1] + 2 * np.cos(angle) * bend * dq[1] - np.exp(-q[2]) * dq[2] ** 2,
+            cross**2 / r**3 + np.cos(q[0]) * dq[0] ** 2,
+        ]
+        terms = np.abs(exact).max() + (np.abs(dq).max() + size) ** 2
+        off = np.abs(at.curvature(t, q, size, dq, ()) - exact).max()
+        assert off < second * terms / min(1.0, r) ** 3
+
+
+def test_a_rest_has_no_curvature():
+    assert (
+        not Derivatives(linkage, 0.0, np.ones(3), (), "linkage").curvature(0.0, np.ones(3), 0.0, np.zeros(3), ()).any()
+    )
+
+
+@pytest.mark.parametrize(
+    "constraints",
+    [
+        lambda t, q: abs(q[0] + 1j * q[1]) - 1 if not np.iscomplexobj(q) else np.hypot(q[0], q[1]) - 1,
+        lambda t, q: max(q[0] ** 2 + q[1] ** 2, 0.25) - 1,
+        lambda t, q: float(np.real(q[0])) ** 2 + float(np.real(q[1])) ** 2 - 1,
+    ],
+    ids=["hypot", "max", "real parts"],
+)
+def test_constraints_that_do_not_take_complex_positions_are_differentiated_by_differences(constraints):
+    sol = swing(constraints).problem((0, 5), [1, 0], [0, 0]).solve("ode45", rtol=1e-7, atol=1e-9)
+    exact = swing().problem((0, 5), [1, 0], [0, 0]).solve("ode45", rtol=1e-7, atol=1e-9)
+    assert sol.success
+    np.testing.assert_allclose(sol.y[:, -1], exact.y[:, -1], atol=1e-6)
+
+
+def test_a_given_jacobian_is_used():
+    calls = []
+
+    def jacobian(t, q):
+        calls.append(t)
+        return [q[0], q[1]]
+
+    with_it = swing(jacobian=jacobian).problem((0, 5), [1, 0], [0, 0]).solve("dop853")
+    without = swing().problem((0, 5), [1, 0], [0, 0]).solve("dop853")
+    assert len(calls) > with_it.nfev
+    np.testing.assert_allclose(with_it.y, without.y, atol=1e-10)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The start
+
+
+def test_an_inconsistent_start_is_refused_with_its_distance():
+    with pytest.raises(iv.InvariantError, match=r"constraint 1.*distance of .* times the tolerance"):
+        swing().problem((0, 1), [1.2, 0], [0, 0]).solve()
+    with pytest.raises(iv.InvariantError, match=r"rate of constraint 1"):
+        swing().problem((0, 1), [1, 0], [0.3, 0]).solve()
+    with pytest.raises(iv.InvariantError, match='consistent="project"'):
+        swing().problem((0, 1), [1.2, 0], [0, 0], correction="none")
+
+
+def test_a_start_within_the_tolerance_is_moved():
+    sol = swing().problem((0, 1), [0.6 + 1e-6, 0.8], [-0.8 + 1e-6, 0.6]).solve(rtol=1e-3)
+    assert sol.stats.projected_start
+    assert abs(circle(0, sol.y[:2, 0])) < 1e-15
+
+
+def test_projection_of_the_start_is_the_least_change_in_the_metric_of_the_mass():
+    """Of two masses on a line at distance 1 the heavy one moves less: the centre of mass rests."""
+    masses = np.array([1.0, 9.0])
+    rod = MechanicalSystem(masses, lambda t, q, v: [0, 0], lambda t, q: q[1] - q[0] - 1)
+    with pytest.warns(UserWarning, match=r"q0 by up to 0\.09, of v0 by up to 1\.8"):
+        problem = rod.problem((0, 1), [0, 1.1], [0, 2], consistent="project")
+    np.testing.assert_allclose(problem.y0, [0.09, 1.09, 1.8, 1.8], atol=1e-14)
+
+
+def test_projection_on_a_curve_gives_its_nearest_point():
+    ellipse = swing(lambda t, q: q[0] ** 2 / 4 + q[1] ** 2 - 1)
+    with pytest.warns(UserWarning, match="moved onto the constraints"):
+        q = ellipse.problem((0, 1), [1.0, 1.5], [0, 0], consistent="project").y0[:2]
+    assert abs(q[0] ** 2 / 4 + q[1] ** 2 - 1) < 1e-14
+    normal, offset = np.array([q[0] / 2, 2 * q[1]]), np.array([1.0, 1.5]) - q
+    assert abs(normal[0] * offset[1] - normal[1] * offset[0]) < 1e-10
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Redundancy and singular positions
+
+
+def door(t, q):
+    """A plane body (x, y, angle) hinged at a point, its equations given twice in other words."""
+    x, y, a = q
+    return np.array([x - np.cos(a), y - np.sin(a), (x - np.cos(a)) + 2 * (y - np.sin(a)), x**2 + y**2 - 1])
+
+
+def test_redundant_constraints_are_left_out_with_one_warning_and_least_multipliers():
+    def weight(t, q, v):
+        return [0, -1, 0]
+
+    system = MechanicalSystem([1, 1, 1], weight, door)
+    with pytest.warns(UserWarning, match="redundant constraints are left out: constraint 3, constraint 4") as caught:
+        problem = system.problem((0, 3), [1, 0, 0], [0, 0, 0])
+    assert len(caught) == 1
+    sol = problem.solve("ode45", rtol=1e-7, atol=1e-9)
+    assert sol.success
+    assert np.abs(door(0, sol.y[:3])).max() < 1e-14
+    alone = MechanicalSystem([1, 1, 1], weight, lambda t, q: door(t, q)[:2])
+    same = alone.problem((0, 3), [1, 0, 0], [0, 0, 0]).solve("ode45", rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sol.y[:, -1], same.y[:, -1], atol=1e-9)
+    np.testing.assert_allclose(system.reactions(sol), alone.reactions(sol), atol=1e-7)
+    norms = np.linalg.norm(system.multipliers(sol), axis=0)
+    assert (norms < np.linalg.norm(alone.multipliers(sol), axis=0)).all()
+
+
+def test_a_singular_position_at_the_start_does_not_remove_a_constraint():
+    """There Φ has a rank less: of two rows one depends on the other, at that point alone."""
+
+    def rows(t, q):
+        return np.array([q[0] ** 2 + q[1] ** 2 + q[2] ** 2 - 1, q[2] + q[1] ** 2])
+
+    system = MechanicalSystem([1, 1, 1], lambda t, q, v: [0, 0, 0], rows)
+    problem = system.problem((0, 1), [1, 0, 0], [0, 0.3, 0])
+    assert [len(one.names) for one in problem.invariants] == [2, 2]
+    assert problem.solve(rtol=1e-6, atol=1e-8).success
+
+
+def test_a_singular_position_on_the_way_is_passed_or_ends_the_run_there():
+    """A slider crank with equal links: at a = b = π/2 it can go on in two ways, and Φ vanishes."""
+
+    def crank(t, q):
+        return np.sin(q[0]) - np.sin(q[1])
+
+    system = MechanicalSystem([1, 1], lambda t, q, v: [0, 0], crank)
+    sol = system.problem((0, 3), [0, 0], [1, 1]).solve("ode45", rtol=1e-6, atol=1e-8)
+    assert np.abs(crank(0, sol.y[:2])).max() < 1e-12
+    assert sol.success or (sol.status == -1 and "at t = 1.5" in sol.message)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Bad input
+
+
+BAD = {
+    "contradiction": (
+        iv.InvariantError,
+        "constraint [12] is .*contradict",
+        {"constraints": lambda t, q: [q[0] ** 2 + q[1] ** 2 - 1, q[0] ** 2 + q[1] ** 2 - 4]},
+    ),
+    "no positions": (ValueError, "constraint 2 does not depend on q", {"constraints": lambda t, q: [q[0] - 1, 0 * t]}),
+    "square of v": (
+        ValueError,
+        "velocity constraint 1 is not linear in v",
+        {"velocity_constraints": lambda t, q, v: v[0] ** 2 - v[1]},
+    ),
+    "no mass": (ValueError, "not positive definite", {"mass": [1, 0]}),
+    "mass of another size": (ValueError, r"mass must have shape \(2,\) or \(2, 2\)", {"mass": [1, 1, 1]}),
+    "skew mass": (ValueError, "symmetric", {"mass": [[1, 0.5], [0, 1]]}),
+    "force of another size": (
+        ValueError,
+        r"force\(t, q, v\) returned shape \(3,\)",
+        {"force": lambda t, q, v: [0, 0, 0]},
+    ),
+    "constraint of a matrix": (ValueError, r"constraints\(t, q\) must return", {"constraints": lambda t, q: np.eye(2)}),
+    "constraint NaN": (ValueError, "not finite", {"constraints": lambda t, q: np.nan * q[0]}),
+    "kinematics of another size": (ValueError, "kinematics", {"kinematics": lambda t, q, v: v[:1]}),
+    "jacobian of another size": (
+        ValueError,
+        r"jacobian\(t, q\)",
+        {"jacobian": lambda t, q: [1, 2, 3], "constraints": circle},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_refused_in_words(name):
+    error, message, given = BAD[name]
+    arguments = {"mass": [1, 1], "force": gravity} | given
+    with pytest.raises(error, match=message):
+        MechanicalSystem(**arguments).problem((0, 1), [1, 0], [0, 1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"force": 3}, TypeError, "force"),
+        ({"constraints": 3}, TypeError, "constraints"),
+        ({"jacobian": lambda t, q: q}, ValueError, "constraints too"),
+        ({"energy": "E"}, TypeError, "energy"),
+    ],
+)
+def test_what_is_no_function_is_refused_at_once(arguments, error, message):
+    with pytest.raises(error, match=message):
+        MechanicalSystem(**{"mass": [1, 1], "force": gravity} | arguments)
+
+
+def test_lengths_of_q_and_v_must_agree():
+    with pytest.raises(ValueError, match="one length"):
+        swing().problem((0, 1), [1, 0], [0])
+    for option in ("consistent", "correction"):
+        with pytest.raises(ValueError, match=option):
+            swing().problem((0, 1), [1, 0], [0, 0], **{option: "maybe"})
+
+
+def test_a_mass_is_needed_only_where_motion_is_free():
+    """A weightless pulley between two masses on a rope: its equation of motion is a balance of forces."""
+    system = MechanicalSystem([1, 3, 0], lambda t, q, v: [-1, -3, 0], lambda t, q: [q[0] + q[1], q[2] - q[0]])
+    sol = system.problem((0, 2), [0, 0, 0], [0, 0, 0]).solve(rtol=1e-8)
+    np.testing.assert_allclose(sol.y[2], sol.t**2 / 4, atol=1e-12)
+
+
+def test_arguments_reach_every_function_and_can_be_changed():
+    system = MechanicalSystem(
+        lambda t, q, length: [1, 1],
+        lambda t, q, v, length: [0, -1],
+        lambda t, q, length: q[0] ** 2 + q[1] ** 2 - length**2,
+        energy=lambda t, q, v, length: (v[0] ** 2 + v[1] ** 2) / 2 + q[1],
+        args=(2.0,),
+        labels=["x", "y", "u", "v"],
+        name="swing",
+    )
+    problem = system.problem((0, 3), [2, 0], [0, 0])
+    assert re.match("Problem\\('swing'", repr(problem))
+    assert problem.labels == ["x", "y", "u", "v"]
+    sol = problem.solve(rtol=1e-6)
+    assert np.abs(np.hypot(sol.y[0], sol.y[1]) - 2).max() < 1e-14
+    shorter = problem.replace(args=(1.0,), y0=[1, 0, 0, 0]).solve(rtol=1e-6)
+    assert np.abs(np.hypot(shorter.y[0], shorter.y[1]) - 1).max() < 1e-14
