@@ -12,6 +12,7 @@ import textwrap
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -94,7 +95,8 @@ def test_workers_killed_at_random_as_they_send_cost_no_row():
         while not end.wait(0.05 + 0.1 * random.random()) and kills["all"] < 10:
             if workers := multiprocessing.active_children():
                 kills["all"] += 1
-                os.kill(workers[random.integers(len(workers))].pid, signal.SIGKILL)
+                with suppress(ProcessLookupError):  # it has just ended by itself
+                    os.kill(workers[random.integers(len(workers))].pid, signal.SIGKILL)
 
     killer = threading.Thread(target=kill_now_and_then)
     killer.start()

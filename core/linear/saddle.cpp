@@ -12,7 +12,7 @@ namespace {
 
 using Matrix = Eigen::MatrixXd;
 using Vector = Eigen::VectorXd;
-using Index = Eigen::Index;
+using Eigen::Index;
 
 constexpr double singular_pivots = 1000;  // in units of roundoff: smaller pivots of Cholesky are what it leaves of 0
 

@@ -21,10 +21,10 @@ struct InvariantBlock {
   Callback complex_g;
   Derivative derivative = Derivative::central;  ///< where there is no `jacobian`
   std::size_t m = 0;
-  bool held = false;                    ///< its value is what g was, not one that is demanded
-  bool certain = false;                 ///< true of every solution, as algebraic equations are: not tested
-  int level = 0;                        ///< lower ones are imposed first, and later ones leave them alone
-  std::vector<std::size_t> moves = {};  ///< the components that its correction may move; empty: all
+  bool held = false;               ///< its value is what g was, not one that is demanded
+  bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
+  int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
+  std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
 };
 
 /// All invariants of a run: r(t, y) = g(t, y) − value, J = ∂g/∂y, g_t.
