@@ -33,7 +33,7 @@ def load(
     """The Solution that ``Solution.save`` wrote to a file.
 
     All its values, those of ``sol(t)`` included, are those of the original to the last bit. Functions are not in the
-    file: `residual` and `drift()` are what they were when it was saved, and `impose()` needs `invariants`. So does
+    file: `residual` and ``drift()`` are what they were when it was saved, and ``impose()`` needs `invariants`. So does
     ``sol(t)`` between the steps of a run that projects there (``interpolation="projected"``, the default): without
     them it warns once and returns the values of ``interpolation="corrected"``, continuous and of the same order but off
     the manifold.

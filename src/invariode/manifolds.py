@@ -100,7 +100,7 @@ class UnitVector(_UnitNorms):
     Notes
     -----
     One equation y·y = 1 for each vector, for real states. The functions take complex y too, as complex steps need it:
-    y·y then is not |y|².
+    y·y then is not ``|y|²``.
 
     Examples
     --------
