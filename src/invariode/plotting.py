@@ -1,6 +1,6 @@
 """Pictures of a Solution. Needs the extra `plot`.
 
-The functions here are the methods of `invariode.Solution`. They draw on the axes that they are given, or on those of a new
+The functions here are methods of `invariode.Solution`. They draw on the axes that they are given, or on those of a new
 figure, and return them. Nothing is shown or saved: that is for ``matplotlib.pyplot.show()`` and ``Figure.savefig``.
 Components are called what the problem's `labels` say; its `name`, where it was given one, is the title of new figures.
 Fonts are those of matplotlib's settings, which are left as they are.
@@ -211,7 +211,7 @@ class Plots(Result):
         """Draws how far the invariants are from their values, on a logarithmic axis.
 
         Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection
-        (`Solution.drift`).
+        (`invariode.Solution.drift`).
 
         Parameters
         ----------
