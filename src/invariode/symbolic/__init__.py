@@ -1,6 +1,7 @@
 """Problems from formulas: symbols in; f, invariants and all their exact Jacobians out. Needs the extra `symbolic`.
 
-The functions take SymPy's symbols and expressions, and return a `SymbolicSystem`, which makes a `invariode.Problem` of them.
+The functions take SymPy's symbols and expressions, and return a `SymbolicSystem`, which makes an `invariode.Problem` of
+them.
 """
 
 from importlib.util import find_spec
