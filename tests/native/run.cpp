@@ -99,7 +99,7 @@ TEST(with_a_singular_mass_invariants_hold_together_with_the_algebraic_equations)
       CHECK(result.state == State::reached_end);
       CHECK_CLOSE(energy(result.end()), 0.5, 1e-9);
       CHECK_CLOSE(result.end()[2], result.end()[0] * result.end()[0], 1e-9);
-      CHECK(result.derivatives.size() == 1);  // of the user's invariant; the algebraic equations are none of theirs
+      CHECK(result.derivatives.size() == 1);  // of the invariant only, not of the algebraic equations
       CHECK(result.ng == problem.g_calls);
     }
   }

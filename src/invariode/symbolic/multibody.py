@@ -40,7 +40,7 @@ def from_mechanics(
     Raises
     ------
     TypeError, ValueError
-        `method` is none of these, or has not formed its equations; a formula has a symbol without meaning.
+        `method` is of another class, or has not formed its equations; a formula has a symbol without meaning.
 
     Notes
     -----
