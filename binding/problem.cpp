@@ -131,6 +131,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   problem_.value = spec.value;
   if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
   for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
+  if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
   problem_.parameters = functions_.parameters();
 }
 
@@ -216,7 +217,8 @@ void define_description(nb::module_& module) {
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value) {
+             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value,
+             const OptionalVector& lower, const OptionalVector& upper) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -226,11 +228,14 @@ void define_description(nb::module_& module) {
                                    std::move(events),
                                    std::move(callback),
                                    std::move(invariants),
-                                   value ? to_vector(*value) : std::vector<double>{}};
+                                   value ? to_vector(*value) : std::vector<double>{},
+                                   lower ? to_vector(*lower) : std::vector<double>{},
+                                   upper ? to_vector(*upper) : std::vector<double>{}};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none());
+          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none(),
+          nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none());
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",

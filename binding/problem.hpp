@@ -59,6 +59,7 @@ struct ProblemSpec {
   nb::object callback;
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;
+  std::vector<double> lower, upper;  // bounds of y; empty: none
 };
 
 /// rtol, thr of all components or of each, and the scales of a vector rtol, if it was one.

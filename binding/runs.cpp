@@ -341,6 +341,7 @@ void define_summary_of_run(RunClass& run) {
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
+  property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 
@@ -357,6 +358,7 @@ void define_ensemble(nb::module_& module) {
                  to_array<Table>(std::move(r.value), r.size, r.m), to_array<Table>(std::move(r.before), r.size, r.m),
                  to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
            })
+      .def("take_clipped", [](Result& r) { return to_array<Vector>(std::move(r.clipped), r.size); })
       .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
       .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
       .def("take_events",

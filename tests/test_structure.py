@@ -152,6 +152,8 @@ class TestReplace:
             "lband": 0,
             "uband": 0,
             "mass": None,
+            "nonnegative": [0],
+            "bounds": (None, 10.0),
             "name": "new",
             "labels": ["c", "d"],
         }

@@ -35,12 +35,16 @@ inline constexpr Named<State> state_names[] = {{"created", State::created},
                                                {"start_undefined", State::start_undefined},
                                                {"step_failed", State::step_failed},
                                                {"invariant_refused", State::invariant_refused},
-                                               {"invariant_convicted", State::invariant_convicted}};
+                                               {"invariant_convicted", State::invariant_convicted},
+                                               {"start_out_of_bounds", State::start_out_of_bounds},
+                                               {"start_contradicts", State::start_contradicts},
+                                               {"action_out_of_bounds", State::action_out_of_bounds}};
 
 inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},
                                                {"newton", Cause::newton},
                                                {"projection", Cause::projection},
-                                               {"not_finite", Cause::not_finite}};
+                                               {"not_finite", Cause::not_finite},
+                                               {"bounds", Cause::bounds}};
 
 inline constexpr Named<Finding::Kind> finding_names[] = {{"none", Finding::Kind::none},
                                                          {"stop", Finding::Kind::stop},

@@ -39,7 +39,7 @@ class Linear:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
@@ -158,7 +158,7 @@ class Dense:
     """The continuous solution of a run."""
 
     @staticmethod
-    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool) -> Dense:
+    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> Dense:
         """What `parts` gave, put together again."""
 
     def parts(self) -> dict:
@@ -247,7 +247,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -269,6 +269,9 @@ class Run:
     def harm(self) -> float: ...
 
     @property
+    def clipped(self) -> float: ...
+
+    @property
     def next_h(self) -> float: ...
 
 class EnsembleRun:
@@ -283,6 +286,8 @@ class EnsembleRun:
     def take_y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]: ...
 
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
+    def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
 

@@ -263,6 +263,26 @@ class DescribingOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
+    nonnegative: Annotated[
+        bool | int | str | Sequence[int] | Sequence[str] | None,
+        Option(
+            None,
+            "bool, indices or labels",
+            "Components that are not to be negative, as concentrations are: True, all. A step that takes one below 0 "
+            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before the "
+            "method commits the step. Output between steps is not negative either; the arguments at which explicit "
+            "methods evaluate f within a step may be. With `invariants` the result is the nearest point that keeps "
+            "both.",
+        ),
+    ]
+    bounds: Annotated[
+        Any,
+        Option(
+            None,
+            "(lower, upper) or scipy.optimize.Bounds",
+            "The same for any bounds: numbers or arrays of shape (n,), infinite or None where there is none.",
+        ),
+    ]
 
 
 class CallingOptions(TypedDict, total=False):

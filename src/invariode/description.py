@@ -10,6 +10,7 @@ from typing import Any, Self, Unpack
 from numpy.typing import ArrayLike
 
 from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from ._bounds import limits
 from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
@@ -47,6 +48,8 @@ class Description:
         lband: int | None = None,
         uband: int | None = None,
         mass: Any = None,
+        nonnegative: Any = None,
+        bounds: Any = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
@@ -64,6 +67,8 @@ class Description:
         self.name = call_name(self.fun, "problem") if name is None else name
         self._title = name
         self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
+        self._bounds_as_given = {"nonnegative": nonnegative, "bounds": bounds}
+        self.limits = limits(nonnegative, bounds, self.y0, self._labels)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A problem that differs from this one in some arguments; this one does not change.
@@ -100,6 +105,7 @@ class Description:
             "invariants": self.invariants,
             "events": self.events,
             **vars(self.matrices),
+            **self._bounds_as_given,
             "name": self._title,
             "labels": self._labels,
         }

@@ -40,7 +40,14 @@ __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensembl
 
 _STATUS = {"reached_end": 0, "terminal_event": 1, "stopped_by_callback": 2, "invariant_convicted": -2}
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
-_EXCEPTIONS = ("invariant_refused", "event_undefined", "action_undefined", "interrupted")
+_EXCEPTIONS = (
+    "invariant_refused",
+    "start_contradicts",
+    "start_out_of_bounds",
+    "event_undefined",
+    "action_undefined",
+    "interrupted",
+)
 _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
@@ -82,9 +89,11 @@ class EnsembleStats(Record):
     nsolve: Array
     projections: Array
     skipped: Array
+    clipped: Array
     ng: Array
     ngjac: Array
     ngdiff: Array
+    clipped_amount: Array
 
 
 @dataclasses.dataclass(eq=False, repr=False)
@@ -331,7 +340,9 @@ class _Task:
         raise first_error
 
 
-def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) -> EnsembleSolution:
+def _solution(
+    plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, **fields: Any
+) -> EnsembleSolution:
     times = plan.settings.times
     if dropped := int((counts[:, -1] > 0).sum()):
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
@@ -342,7 +353,7 @@ def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) 
         y=y_end[:, :, None].copy() if times is None else y,
         y_end=y_end,
         success=fields["status"] >= 0,
-        stats=EnsembleStats(**stats),
+        stats=EnsembleStats(**stats, clipped_amount=clipped_amount),
         **fields,
     )
 
@@ -366,6 +377,7 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
         y_end=run.take_end().view(dtype),
         status=np.where(states < 0, np.int8(-3), codes[states]),
         counts=run.take_counts(),
+        clipped_amount=run.take_clipped(),
         messages=_messages(task, plan, run, states),
         events=[_in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
         value=value,
@@ -429,6 +441,7 @@ class _Row:
     before: Array
     after: Array
     correction: float
+    clipped_amount: float
     events: list[tuple[Array, Array]]
 
 
@@ -480,6 +493,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
         before=before[: len(bound)],
         after=after,
         correction=correction,
+        clipped_amount=run.clipped,
         events=[(times, points.view(dtype)) for times, points in run.take_events()],
     )
 
@@ -497,6 +511,7 @@ class _Rows:
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)
         self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
+        self.clipped_amount = np.zeros(size)
         self.messages: dict[int, str] = {}
         self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
 
@@ -514,6 +529,7 @@ class _Rows:
         self.counts[i] = one.counts
         self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
         self.correction[i] = one.correction
+        self.clipped_amount[i] = one.clipped_amount
         for found, (t, y) in zip(self.found, one.events, strict=True):
             if len(t):
                 found.append((i, t, y))
@@ -526,6 +542,7 @@ class _Rows:
             y_end=self.y_end,
             status=self.status,
             counts=self.counts,
+            clipped_amount=self.clipped_amount,
             messages=dict(sorted(self.messages.items())),
             events=[self._events(found) for found in self.found],
             value=self.value,

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 from . import _core
 from ._arguments import Array, distinct, kept, output_times, reals, tolerances, warn
-from ._messages import inconsistent_start, refusal, status_and_message
+from ._bounds import Limits
+from ._messages import inconsistent_start, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers
 from .compiled import native_parameters, to_native
@@ -69,6 +70,7 @@ class Functions(NamedTuple):
     callback: Any
     invariants: list[InvariantSpec]
     value: Array  # at which they are held
+    limits: Limits | None  # of y
 
 
 class Plan(NamedTuple):
@@ -102,6 +104,13 @@ class Plan(NamedTuple):
         if run.state == "invariant_refused":
             text = refusal(run, self.names, self.demanded, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)
+        if run.state == "start_contradicts":
+            return InvariantError(
+                f"no point near y0 is within the bounds and has the values of the invariants: {', '.join(self.names)}. "
+                "Widen the bounds, or correct the values"
+            )
+        if run.state == "start_out_of_bounds":
+            return ValueError(out_of_bounds("y0", run.component, self.functions.limits))
         if run.state == "event_undefined":
             return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
         if run.state == "action_undefined":
@@ -123,6 +132,8 @@ def solver(plan: Plan) -> _core.Solver:
         callback=functions.callback,
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
         value=functions.value,
+        lower=None if functions.limits is None else functions.limits.lower,
+        upper=None if functions.limits is None else functions.limits.upper,
     )
     settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
@@ -243,6 +254,7 @@ def _functions(
         callback=callback,
         invariants=bound.specs,
         value=bound.value,
+        limits=problem.limits,
     )
 
 

@@ -62,6 +62,8 @@ class Stats(Record):
         Projected attempts.
     skipped : int
         Attempts whose projection was not needed.
+    clipped : int
+        Steps that ended outside of `bounds` by less than the tolerance, and were moved onto them.
     ng : int
         Evaluations of the invariants, output between steps included.
     ngjac : int
@@ -74,6 +76,9 @@ class Stats(Record):
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
+    clipped_amount : float
+        What moving steps onto `bounds` has added to the sum of the components; with invariants, before these were
+        imposed again.
     """
 
     steps: int
@@ -85,11 +90,13 @@ class Stats(Record):
     nsolve: int
     projections: int
     skipped: int
+    clipped: int
     ng: int
     ngjac: int
     ngdiff: int
     derivatives: str | None
     projected_start: bool
+    clipped_amount: float = 0.0
 
 
 class Steps(Record):

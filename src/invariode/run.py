@@ -147,6 +147,7 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
+        clipped_amount=run.clipped,
     )
     stats.ng += plan.bound.evaluations
     stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)

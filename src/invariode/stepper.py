@@ -105,7 +105,7 @@ class Stepper(OdeSolver):
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
         self._plan = plan._replace(functions=plan.functions._replace(linear=None))
         self._stepper = _core.Stepper(solver(plan), plan.y0.view(float))
-        if self._stepper.state == "invariant_refused":
+        if self._stepper.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
             raise self._plan.exception(self._stepper.result()) or AssertionError
         self.y = self._state()
         self._count()
