@@ -269,8 +269,8 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "bool, indices or labels",
             "Components that are not to be negative, as concentrations are: True, all. A step that takes one below 0 "
-            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before the "
-            "method commits the step. Output between steps is not negative either; the arguments at which explicit "
+            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before "
+            "the method commits the step. Output between steps is not negative either; the arguments at which explicit "
             "methods evaluate f within a step may be. With `invariants` the result is the nearest point that keeps "
             "both.",
         ),
