@@ -84,6 +84,8 @@ class BoundProblem {
   [[nodiscard]] const Problem& problem() const { return problem_; }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return functions_.native(); }
+  /// The motions that its functions are parts of.
+  [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
   int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
 
  private:

@@ -20,6 +20,7 @@
 #include "arrays.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
+#include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
@@ -384,6 +385,13 @@ void define_solver(nb::module_& module) {
       .def_prop_ro(
           "native", [](const BoundSolver& self) { return self.bound.native(); },
           "Whether no function needs the interpreter.")
+      .def_prop_ro(
+          "motion_work",
+          [](const BoundSolver& self) -> nb::object {
+            const auto motions = self.bound.motions();
+            return motions.empty() ? nb::none() : nb::object(to_dict(motions[0]->motion().work()));
+          },
+          "What a mechanical system has cost so far: calls of its functions and factorisations.")
       .def(
           "resume",
           [](BoundSolver& self, const std::vector<std::int64_t>& seen, const std::vector<bool>& asleep) {

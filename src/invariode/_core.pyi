@@ -312,6 +312,12 @@ class Solver:
     def native(self) -> bool:
         """Whether no function needs the interpreter."""
 
+    @property
+    def motion_work(self) -> object:
+        """
+        What a mechanical system has cost so far: calls of its functions and factorisations.
+        """
+
     def resume(self, seen: Sequence[int], asleep: Sequence[bool]) -> None:
         """
         Its runs go on from where another one ended, with so many occurrences of each event.
@@ -388,6 +394,63 @@ def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape
     """
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
     """
+
+class Mechanics:
+    """A mechanical system, for the core."""
+
+    def __init__(self, *, n_q: int, n_v: int, m_phi: int, m_psi: int, functions: dict, mass_writes: str, mass: object, jacobian_entries: bool, phi: object, psi: object, kinematics: object, kept: Sequence[bool], dependent: float) -> None: ...
+
+class MotionPart:
+    """
+    A function of (t, y) that a mechanical system has: its slope, one of its laws.
+    """
+
+    def __init__(self, mechanics: object, part: str) -> None: ...
+
+class Differentiable:
+    """A function of t and x with its arguments, and its derivatives."""
+
+    def __init__(self, forms: object, name: str, n_q: int, n_v: int, m: int, args: tuple, parameters: Sequence[float]) -> None: ...
+
+    def value(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Of shape (m,)."""
+
+    def complex_value(self, z: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Its complex form at (t, x); complex numbers are pairs of reals."""
+
+    def slope(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], dt: float, dx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """d/ds at (t + s dt, x + s dx), s = 0."""
+
+    def curvature(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], dt: float, dx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """d²/ds² of the same."""
+
+    def jacobian(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], pattern: object) -> tuple:
+        """∂/∂x, as (starts, rows, values) in the pattern of such a matrix."""
+
+class Motion:
+    """The equations of motion of a mechanical system with its arguments."""
+
+    def __init__(self, mechanics: object, args: tuple, parameters: Sequence[float]) -> None: ...
+
+    def evaluate(self, part: str, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """One of its functions of (t, y); matrices row by row."""
+
+    def rows(self, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple:
+        """A, as (starts, rows, values), and γ of A v' = γ."""
+
+    def mass(self, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple:
+        """M, as (starts, rows, values)."""
+
+    def accelerations(self, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool]:
+        """v', λ, and whether they are unique."""
+
+    @property
+    def sparse(self) -> bool:
+        """Whether sparse factors are tried first."""
+
+    @property
+    def work(self) -> dict:
+        """Calls of functions and factorisations so far."""
 
 def solve_saddle(mass: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], force: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], right: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], threshold: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], int, bool]:
     """
