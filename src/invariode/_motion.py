@@ -103,6 +103,19 @@ class Motion:
             return self._as_matrix(self._mass(at.t, at.q, *at.args))
         return self._mass
 
+    def metric(self) -> Any:
+        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v)."""
+        mass = self._mass
+        if not callable(mass):
+            diagonal: Array = np.diag(mass)
+            return diagonal.copy() if np.array_equal(np.diag(diagonal), mass) else mass
+        n = self.n_q
+
+        def at_state(t: float, y: Array, *args: Any) -> Array:
+            return self._as_matrix(mass(t, y[:n], *args))
+
+        return at_state
+
     def _as_matrix(self, mass: Any) -> Array:
         dense = np.asarray(mass.toarray() if hasattr(mass, "toarray") else mass, dtype=float)
         n = self.n_v
