@@ -43,7 +43,7 @@ def test_errors_of_positions_velocities_and_multipliers_fall_with_the_tolerance(
 
 @pytest.mark.parametrize("method", EXPLICIT)
 def test_in_levels_the_squeezing_mechanism_has_no_fewer_digits_than_plain(method):
-    """As the test set counts them, those of the worst position: within 0.2 at each tolerance, and in the mean one more."""
+    """As the test set counts them, of the worst position: within 0.2 at each tolerance, and in the mean one more."""
     case = mechanisms.squeezer()
     gains = []
     for rtol in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
