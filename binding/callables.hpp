@@ -84,6 +84,8 @@ class Functions {
   /// f(t, y) -> (m,); the same of a complex y, though the problem is real
   Callback vector(nb::handle f, const std::string& name, std::size_t m);
   Callback complex_vector(nb::handle f, const std::string& name, std::size_t m);
+  /// f(t, y) -> (k, k) real numbers
+  Callback square(nb::handle f, const std::string& name, std::size_t k);
   /// f(t, y) -> (m, n)
   Callback rows(nb::handle f, const std::string& name, std::size_t m);
   /// f(t, y), or f(t), without args, -> what `read_matrix` takes
@@ -96,7 +98,7 @@ class Functions {
   Motion& motion(const nb::object& mechanics);
   /// Those motions.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return motions_; }
-
+  [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return native_; }
   /// What native functions read: it may be written between their calls.

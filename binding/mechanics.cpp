@@ -247,6 +247,7 @@ constexpr std::pair<const char*, Motion::Part> parts[] = {
     {"rates_jacobian", Motion::Part::rates_jacobian},
     {"velocities", Motion::Part::velocities},
     {"velocities_jacobian", Motion::Part::velocities_jacobian},
+    {"mass_matrix", Motion::Part::mass_matrix},
 };
 
 Motion::Part part_named(const std::string& name) {
@@ -261,6 +262,7 @@ Vector BoundMotion::evaluate(const std::string& part, double t, const ConstVecto
   if (part == "velocities") size = motion_.m_psi();
   if (part == "positions_jacobian" || part == "rates_jacobian") size *= motion_.m_phi();
   if (part == "velocities_jacobian") size *= motion_.m_psi();
+  if (part == "mass_matrix") size = motion_.n_v() * motion_.n_v();
   std::vector<double> out(size);
   require(motion_.callback(part_named(part))(t, state(y), out.data()));
   return to_array<Vector>(std::move(out), size);

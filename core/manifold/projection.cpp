@@ -236,6 +236,7 @@ Outcome Projector::linearize_known(double t, const double* y) {
   const std::size_t n = w_.size(), m = r_.size();
   std::copy(y, y + n, point_.begin());
   if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
+  if (levels_ && levels_->update(t, y) == Status::stop) return Outcome::stop;
   if (!defined(r_.data())) return Outcome::not_finite;
   for (std::size_t i = 0; i < m; ++i)
     if (!all_finite(&J_[i * n], n)) {

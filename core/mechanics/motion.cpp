@@ -109,6 +109,7 @@ Callback Motion::callback(Part part) {
     case Part::rates_jacobian: return {&entry<&Motion::rates_jacobian>, this};
     case Part::velocities: return {&entry<&Motion::velocities>, this};
     case Part::velocities_jacobian: return {&entry<&Motion::velocities_jacobian>, this};
+    case Part::mass_matrix: return {&entry<&Motion::mass_matrix>, this};
   }
   return {};
 }
@@ -136,6 +137,12 @@ void Motion::read_entries(SparseMatrix& into, bool entries) const {
       const auto k = static_cast<std::size_t>(p), i = static_cast<std::size_t>(into.innerIndexPtr()[p]);
       value[p] = entries_[entries ? k : i * width + static_cast<std::size_t>(j)];
     }
+}
+
+Status Motion::mass_matrix(double t, const double* y, double* out) {
+  if (mass(t, y) == Status::stop) return Status::stop;
+  Eigen::Map<Eigen::MatrixXd>(out, index(terms_.n_v), index(terms_.n_v)) = terms_.mass.matrix;
+  return Status::ok;
 }
 
 Status Motion::mass(double t, const double* q) {

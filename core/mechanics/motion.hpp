@@ -58,7 +58,17 @@ class Motion {
   Motion& operator=(const Motion&) = delete;
 
   /// Its functions of (t, y), those of the laws with the values that are kept; Jacobians are (…, n_q + n_v), row-major.
-  enum class Part { slope, positions, positions_jacobian, rates, rates_jacobian, velocities, velocities_jacobian };
+  /// M is (n_v, n_v).
+  enum class Part {
+    slope,
+    positions,
+    positions_jacobian,
+    rates,
+    rates_jacobian,
+    velocities,
+    velocities_jacobian,
+    mass_matrix
+  };
   [[nodiscard]] Callback callback(Part part);
 
   Status slope(double t, const double* y, double* out);
@@ -96,6 +106,8 @@ class Motion {
   Status rates_jacobian(double t, const double* y, double* J);
   Status velocities(double t, const double* y, double* out);
   Status velocities_jacobian(double t, const double* y, double* J);
+
+  Status mass_matrix(double t, const double* y, double* out);
 
   void choose_patterns();
   Status phi_jacobian(double t, const double* q);

@@ -231,6 +231,14 @@ class Motion:
         with self.bound(at.args) as motion:
             return _dense(motion.mass(at.t, at.x), self.n_v)
 
+    def metric(self) -> Any:
+        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v)."""
+        if self._mass_writes != "nothing":
+            return MotionFunction(self, "mass_matrix")
+        mass = _dense(self._mass, self.n_v)
+        diagonal: Array = np.diag(mass)
+        return diagonal.copy() if np.array_equal(np.diag(diagonal), mass) else mass
+
     def slope(self, at: Point) -> Array:
         """(q', v')."""
         with self.bound(at.args) as motion:
@@ -272,7 +280,11 @@ class MotionFunction(CoreFunction):
 
     def __init__(self, motion: Motion, part: str) -> None:
         self._motion, self._part = motion, part
+        self._known: tuple[_core.Mechanics, _core.MotionPart] | None = None
         self.__name__ = self.__qualname__ = part
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_known": None}  # belongs to the core
 
     def __repr__(self) -> str:
         return f"<the {self._part.replace('_', ' ')} of a mechanical system>"
@@ -282,6 +294,8 @@ class MotionFunction(CoreFunction):
             raise TypeError(f"the {self._part} of a mechanical system is a function of real states")
         with self._motion.bound(args) as motion:
             values = motion.evaluate(self._part, float(t), np.ascontiguousarray(y, dtype=float))
+        if self._part == "mass_matrix":
+            return values.reshape(self._motion.n_v, -1)
         return values.reshape(-1, self._motion.n_q + self._motion.n_v) if self._part.endswith("jacobian") else values
 
     @property
@@ -294,7 +308,10 @@ class MotionFunction(CoreFunction):
         return self._motion.derivatives
 
     def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
-        return _core.MotionPart(self._motion.spec(), self._part)
+        spec = self._motion.spec()
+        if self._known is None or self._known[0] is not spec:
+            self._known = spec, _core.MotionPart(spec, self._part)
+        return self._known[1]
 
 
 class FunctionOfState(CoreFunction):
