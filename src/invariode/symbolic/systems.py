@@ -13,7 +13,7 @@ from .._types import Span
 from ..invariant_check import check_invariants
 from ..invariants import Invariants
 from ..problem import Problem
-from .code import Function, Pattern, Piece, System, functions, jacobian_pattern
+from .code import Code, Piece, System, functions
 from .vocabulary import Vocabulary, parsed
 
 __all__ = ["Equations", "Law", "Phase", "SymbolicSystem", "equations", "given_laws", "label"]
@@ -50,7 +50,7 @@ class SymbolicSystem:
         self._words, self._system, self._shown = words, system, list(shown)
         names = distinct([law.name for law in laws])
         self._laws = [law._replace(name=name) for law, name in zip(laws, names, strict=True)]
-        self._made: dict[bool, dict[str, Function]] = {}
+        self._made: dict[bool, Code] = {}
         self.states = list(words.states)
         self.parameters = dict(words.parameters)
 
@@ -68,11 +68,10 @@ class SymbolicSystem:
 
     def _problem(self, t_span: Span, y0: list[float], laws: bool, compiled: bool | None, name: str | None) -> Problem:
         native = find_spec("numba") is not None if compiled is None else compiled
-        made = self._functions(native)
-        pattern = jacobian_pattern(self._system)
+        made, pattern = self._functions(native)
         n = len(y0)
         sparsity = None
-        if native and isinstance(pattern, Pattern):  # native code gives the values of this pattern
+        if native and pattern is not None:  # native code gives the values of this pattern
             sparsity = pattern.matrix([1.0] * len(pattern.indices))
         invariants = self._invariants(made, interval(t_span)[0], y0, laws)
         return Problem(
@@ -87,7 +86,7 @@ class SymbolicSystem:
             labels=[label(one) for one in self.states[:n]],
         )
 
-    def _functions(self, native: bool) -> dict[str, Function]:
+    def _functions(self, native: bool) -> Code:
         """f, jac, and for law i its function g_i and gradient dg_i; made once."""
         if native not in self._made:
             n = len(self._words.y)
