@@ -39,6 +39,11 @@ class System(NamedTuple):
     mass: Any  # Matrix (k, k), k >= 0: at least as many as the other components
     force: Sequence[Any]
 
+    def without(self, rows: Sequence[int]) -> System:
+        """The same without some of the constraints, named by rows of the matrix."""
+        stays = [i for i in range(len(self.force)) if i not in rows]
+        return self._replace(mass=self.mass.extract(stays, stays), force=[self.force[i] for i in stays])
+
 
 class Pattern(NamedTuple):
     """Where entries of a sparse matrix are, in compressed columns."""
