@@ -218,6 +218,41 @@ class MechanicalSystem:
             slope, t_span, start.x, args=self.args, invariants=held, name=self.name, labels=self._labels(motion)
         )
 
+    def consistent(self, t: float, y: ArrayLike) -> Array:
+        """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
+
+        What an action of an event returns where it changes velocities: the links answer an impact with impulses of
+        their own, which are the least change of v in this metric.
+
+        Parameters
+        ----------
+        t : float
+            The time.
+        y : array_like of shape (n,)
+            A state of a problem of this system.
+
+        Returns
+        -------
+        ndarray, (n,)
+
+        Raises
+        ------
+        InvariantError
+            There is no consistent state nearby.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> bead = iv.MechanicalSystem([1, 3], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
+        >>> bead.consistent(0.0, [0, 0, 4, 0])
+        array([0., 0., 1., 1.])
+        """
+        values = state(y)
+        n = self._positions_of(values)
+        start = Point(float(t), values[:n], values[n:], self.args)
+        motion = self._motion(start)
+        return consistent_state(motion, start, self._names(motion)).x
+
     def multipliers(self, sol: _Points) -> Array:
         """The multipliers λ at the points of a solution.
 
