@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,9 @@ from ._types import Span
 from .compiled import is_native
 from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
 from .problem import Problem
+
+if TYPE_CHECKING:  # an extra, imported when a film is made
+    from .animation import Film
 
 __all__ = ["MechanicalSystem"]
 
@@ -62,6 +65,8 @@ class MechanicalSystem:
         ``E(t, q, v, *args)``, a number, held at its initial value. Default: none is held.
     invariants : callable, Invariants, or list of these, optional
         Further invariants ``g(t, y, *args)`` with y = (q, v).
+    points : callable, optional
+        ``points(t, q, *args)``, shape (k, 2) or (k, 3): what `animate` shows.
     args : tuple, optional
         Extra arguments of all functions.
     labels : sequence of str, optional
@@ -116,6 +121,7 @@ class MechanicalSystem:
         kinematics: Callable[..., Any] | None = None,
         energy: Callable[..., Any] | None = None,
         invariants: InvariantsLike | None = None,
+        points: Callable[..., Any] | None = None,
         *,
         args: Iterable[Any] = (),
         labels: Sequence[str] | None = None,
@@ -129,6 +135,7 @@ class MechanicalSystem:
             "kinematics": (kinematics, "K(t, q, v)"),
             "energy": (energy, "E(t, q, v)"),
             "jacobian": (jacobian, "Φ(t, q)"),
+            "points": (points, "points(t, q)"),
         }
         for argument, (given, signature) in optional.items():
             named = argument.endswith("constraints") and isinstance(given, Invariants)
@@ -140,6 +147,7 @@ class MechanicalSystem:
         self.constraints, self.velocity_constraints = constraints, velocity_constraints
         self.kinematics, self.energy, self.jacobian = kinematics, energy, jacobian
         self.invariants = to_invariants(invariants)
+        self.points = points
         self.args = extra_arguments(args)
         self.labels = None if labels is None else list(labels)
         self.name = name
@@ -219,6 +227,41 @@ class MechanicalSystem:
             slope, t_span, start.x, args=self.args, invariants=held, name=self.name, labels=self._labels(motion)
         )
 
+    def consistent(self, t: float, y: ArrayLike) -> Array:
+        """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
+
+        What an action of an event returns where it changes velocities: the links answer an impact with impulses of
+        their own, which are the least change of v in this metric.
+
+        Parameters
+        ----------
+        t : float
+            The time.
+        y : array_like of shape (n,)
+            A state of a problem of this system.
+
+        Returns
+        -------
+        ndarray, (n,)
+
+        Raises
+        ------
+        InvariantError
+            There is no consistent state nearby.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> bead = iv.MechanicalSystem([1, 3], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
+        >>> bead.consistent(0.0, [0, 0, 4, 0])
+        array([0., 0., 1., 1.])
+        """
+        values = state(y)
+        n = self._positions_of(values)
+        start = Point(float(t), values[:n], values[n:], self.args)
+        motion = self._motion(start)
+        return consistent_state(motion, start, self._names(motion)).x
+
     def multipliers(self, sol: _Points) -> Array:
         """The multipliers λ at the points of a solution.
 
@@ -253,6 +296,31 @@ class MechanicalSystem:
             motion.rows(at).T @ motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)
         ]
         return np.array(columns).T
+
+    def animate(self, sol: Any, **options: Any) -> Film:
+        """Shows the motion of the `points` of the system as a film.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        **options
+            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
+
+        Returns
+        -------
+        Film
+
+        Raises
+        ------
+        ValueError
+            The system was made without `points`.
+        """
+        if self.points is None:
+            raise ValueError("the system has no points: make it with points=, or use sol.animate")
+        n, place, args = self._positions_of(sol.y), self.points, self.args
+        film: Film = sol.animate(lambda t, y: place(t, y[:n], *args), **options)
+        return film
 
     def _along(self, sol: _Points) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
