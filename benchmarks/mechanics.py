@@ -13,9 +13,9 @@ from statistics import median
 
 import numpy as np
 from measure import interleaved, machine, run, table
-from mechanisms import Array, Case, arevalo, chain, closed_chain, energy_of_unit_masses, pendulum, squeezer
 
 import invariode as iv
+from mechanisms import Array, Case, arevalo, chain, closed_chain, energy_of_unit_masses, pendulum, squeezer
 
 WAYS = ("none", "joint", "levels")
 RTOLS = (1e-4, 1e-7, 1e-10)

@@ -247,7 +247,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -347,6 +347,12 @@ class Stepper:
 
     @property
     def order(self) -> int: ...
+
+    @property
+    def harmed(self) -> int: ...
+
+    @property
+    def harm(self) -> float: ...
 
     @property
     def nfev(self) -> int: ...
