@@ -14,7 +14,16 @@ import invariode as iv
 import mechanisms
 from gallery import GALLERY
 from invariode.scipy import ODE45
-from mechanisms import CAR, CRANK, car_axis, car_constraints, crank_constraints, slider_crank
+from mechanisms import (
+    CAR,
+    CRANK,
+    ELASTIC_CRANK,
+    car_axis,
+    car_constraints,
+    crank_constraints,
+    elastic_crank_constraints,
+    slider_crank,
+)
 from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
 
 sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
@@ -126,6 +135,26 @@ def test_impose_where_the_terms_of_an_invariant_vanish_with_its_residual():
         np.testing.assert_allclose(found.y, [0, -1, 0, 0], rtol=4 * EPS, atol=1e-3 * 40 * EPS)  # 1e-3: the weight
 
 
+@pytest.mark.parametrize("jac", [None, "3-point", "2-point"])
+@pytest.mark.parametrize("digits", range(3, 10))
+def test_the_printed_start_of_a_slider_crank_is_imposed_with_default_weights(digits, jac):
+    """Printed to nine digits, or fewer: angles that are 0, elastic coordinates of 1e-5, angular velocities of 150."""
+    held = iv.Invariants(elastic_crank_constraints, jac, value=0)
+    start = [float(f"{y:.{digits}g}") for y in ELASTIC_CRANK]
+    found = iv.impose(held, 0, start)
+    assert found.converged
+    assert np.abs(elastic_crank_constraints(0, found.y)).max() <= 1e-13  # ε of angular velocities of 150
+
+
+def test_a_solve_from_the_printed_start_of_a_slider_crank_projects_it(method):
+    held = iv.Invariants(elastic_crank_constraints, value=0)
+    moving = lambda t, y: [*y[7:], *np.zeros(7)]  # noqa: E731 (true of its first 1e-9 s)
+    sol = iv.solve_ivp(moving, (0, 1e-9), ELASTIC_CRANK, method, invariants=held, check=False)
+    assert sol.success
+    assert sol.stats.projected_start
+    assert np.abs(elastic_crank_constraints(0, sol.y[:, 0])).max() <= 1e-13
+
+
 def pole(t, y):
     return np.exp(y[0] + 2 * y[1]) / (y[0] * y[1] ** 2)
 
@@ -174,8 +203,9 @@ def test_invariants_that_depend_on_each_other_in_a_step_or_two_are_not_called_re
     """From the identity a quaternion has components far below their tolerance: there, and only there, they do."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sol = iv.solve_ivp(tumbling, (0, 60), [1, 0, 0, 0, 0.2, 1, 0.1], method, invariants=laws)
-    assert sol.success
+        for t_end in (5, 20, 60):
+            sol = iv.solve_ivp(tumbling, (0, t_end), [1, 0, 0, 0, 0.2, 1, 0.1], method, invariants=laws)
+            assert sol.success
 
 
 def test_a_warning_of_redundant_invariants_says_whether_it_matters(method):

@@ -14,7 +14,7 @@ constexpr double persistent_angle = 1e-12;    // ρ of g along the flow, which h
 constexpr double errors_of_derivatives = 50;  // ρ with others, in units of their relative error
 constexpr double large_angle = 1e-6;          // ρ that is looked at whether or not small ones were acquitted lately
 constexpr double suspicious_drift = 0.01;     // D, in units of rtol
-constexpr double harmful_drift = 1;           // the same over the whole interval, if the rate stays what it is
+constexpr double harmful_drift = 0.1;         // over the whole interval at this rate: errors of orbits grow with t
 constexpr double roundoff_in_t = 10 * eps;    // of t, as of all that g computes
 constexpr double suspicious_correction = 10;  // in units of rtol
 
