@@ -423,6 +423,8 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
+      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
+      .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

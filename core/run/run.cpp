@@ -19,7 +19,8 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           ng,
           ngjac,
           ngdiff,
-          static_cast<std::int64_t>(dropped.size())};
+          static_cast<std::int64_t>(dropped.size()),
+          harm.component + 1};
 }
 
 /// In this order: each refers to what the ones before have made.

@@ -48,9 +48,9 @@ struct RunResult {
 
   static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
                                                 "nlu",   "nsolve", "projections", "skipped",    "clipped",
-                                                "ng",    "ngjac",  "ngdiff",      "dropped"};
+                                                "ng",    "ngjac",  "ngdiff",      "dropped",    "harmed"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`.
+  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };

@@ -162,3 +162,13 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, names, demanded)
+
+
+def harmful_projection(components: str, distance: str) -> str:
+    """The text of an AccuracyWarning: which components projections move, and how far."""
+    return (
+        f"projection moved {components} by {distance}: it corrects other components at the cost of "
+        f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
+        "invariants. Try an atol per component, larger for what changes fast (for velocities, than for positions, by "
+        "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
+    )

@@ -25,16 +25,16 @@ from ._arguments import (
     warn,
 )
 from ._docstrings import documented
-from ._messages import inconsistent_start
+from ._messages import harmful_projection, inconsistent_start
 from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
 from ._processes import may_start, solve_rows
 from ._progress import bar
 from ._types import EventsLike, Function, MethodName, Span
 from .compiled import native_parameters
 from .description import Description
-from .invariants import as_columns
+from .invariants import AccuracyWarning, as_columns
 from .plan import Plan, make_plan, solver
-from .result import Record
+from .result import Record, default_labels
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
@@ -48,7 +48,7 @@ _EXCEPTIONS = (
     "action_undefined",
     "interrupted",
 )
-_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+_NG, _NGDIFF, _DROPPED, _HARMED = (_core.COUNTS.index(name) for name in ("ng", "ngdiff", "dropped", "harmed"))
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
 _INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
@@ -344,10 +344,11 @@ def _solution(
     plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, **fields: Any
 ) -> EnsembleSolution:
     times = plan.settings.times
-    if dropped := int((counts[:, -1] > 0).sum()):
+    if dropped := int((counts[:, _DROPPED] > 0).sum()):
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
+    _warn_harmed(plan, counts[fields["status"] >= 0, _HARMED])
     stats = dict(zip(_core.COUNTS, counts.T, strict=True))
-    del stats["dropped"]
+    del stats["dropped"], stats["harmed"]
     return EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
         y=y_end[:, :, None].copy() if times is None else y,
@@ -356,6 +357,17 @@ def _solution(
         stats=EnsembleStats(**stats, clipped_amount=clipped_amount),
         **fields,
     )
+
+
+def _warn_harmed(plan: Plan, harmed: Array) -> None:
+    """One warning for all trajectories that did not fail. `harmed`: 1 + the component that projection harmed, or 0."""
+    some = harmed[harmed > 0]
+    if not some.size:
+        return
+    names = default_labels(len(plan.y0))
+    components = np.unique((some - 1) // (2 if plan.functions.complex else 1))
+    much = f"much more than estimated errors in {some.size} trajectories"
+    warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -139,7 +139,10 @@ class Invariants:
 
 
 class AccuracyWarning(UserWarning):
-    """Projection moves a component of the solution by much more than its estimated error: it may do harm there."""
+    """Projection moves a component of the solution by much more than its estimated error: it may do harm there.
+
+    Said once: of a run, of all trajectories of an ensemble, or by one of the classes in `invariode.scipy`.
+    """
 
 
 #: Invariants as arguments: a function, an `Invariants`, or several of these.

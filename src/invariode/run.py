@@ -9,6 +9,7 @@ import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
+from ._messages import harmful_projection
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -97,7 +98,8 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if dropped:
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
-        _warn_harmed(sol._names.components[harmed // 2 if plan.functions.complex else harmed], harm)
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
     return sol
 
 
@@ -144,7 +146,7 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
     stats = Stats(
-        *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
+        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
         clipped_amount=run.clipped,
@@ -171,15 +173,6 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
         f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
         f"{'were' if several else 'was'} left out in such steps. {then}"
-    )
-
-
-def _warn_harmed(component: str, ratio: float) -> None:
-    warn(
-        f"projection moved {component} by {ratio:.2g} times its estimated errors: it corrects other components at the "
-        "cost of this one, which may then be less accurate than without invariants. Try an atol per component, larger "
-        "for what changes fast (for velocities, than for positions, by the highest frequency), and a smaller rtol",
-        AccuracyWarning,
     )
 
 
