@@ -127,6 +127,17 @@ class MethodOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
+    calibrate: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Solve with tighter tolerances, so that the error of the solution, not of a step, is about as large as "
+            "`rtol` and `atol` on well-behaved problems, and proportional to them.",
+            flag,
+            every_method=False,
+        ),
+    ]
     check: Annotated[
         bool,
         Option(True, "bool", "Test that the invariants are invariants, and that their Jacobians are right.", flag),
