@@ -151,7 +151,7 @@ def test_values_that_are_demanded_or_not_reheld_stay(method):
 
 def test_backwards(method):
     hit = iv.Event(lambda t, y: y[0] - 1, action=lambda t, y: [3.0])
-    sol = iv.solve_ivp(lambda t, y: [1.0], (0, -5), [2.0], method, events=hit, dense_output=True)
+    sol = iv.solve_ivp(lambda t, y: [1.0], (0, -6), [2.0], method, events=hit, dense_output=True)
     np.testing.assert_allclose(sol.t_events[0], [-1, -3, -5], atol=1e-9)
     assert sol.sol(sol.t_events[0][0])[0] == 3
     assert sol.sol(-2.0)[0] == pytest.approx(2)

@@ -62,8 +62,9 @@ def test_documented_calls(solve_ivp, name):
     sol = solve_ivp(lotka_volterra, [0, 15], [10, 5], name, args=(1.5, 1, 3, 1), dense_output=True)
     assert sol.sol(np.linspace(0, 15, 300)).T.shape == (300, 2)
 
-    sol = solve_ivp(lambda t, y: 1j * y, [0, 1], [1 + 0j], name)
-    assert sol.y.dtype == complex
+    if solve_ivp is iv.solve_ivp or name != "Radau":  # SciPy's takes no complex y
+        sol = solve_ivp(lambda t, y: 1j * y, [0, 1], [1 + 0j], name)
+        assert sol.y.dtype == complex
 
 
 FIELDS = ["t", "y", "sol", "t_events", "y_events", "nfev", "njev", "nlu", "status", "message", "success"]
@@ -184,7 +185,7 @@ def test_names_of_scipy_are_the_same_methods():
         np.testing.assert_array_equal(as_class.y, expected)
 
 
-@pytest.mark.parametrize("theirs", ["Radau", "LSODA"])
+@pytest.mark.parametrize("theirs", ["LSODA"])
 def test_methods_of_scipy_without_a_counterpart_say_what_to_use(theirs):
     with pytest.raises(ValueError, match=f"{theirs}.*not available: "):
         iv.solve_ivp(decay, (0, 1), [1], theirs)

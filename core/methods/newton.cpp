@@ -55,7 +55,7 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       undefined_f_(weights.size()),
       scratch_(weights.size()) {}
 
-void AgingJacobian::restart() {
+void AgingJacobian::forget() {
   factored_ = 0;
   renew_ = false;
   noisy_ = false;
@@ -195,7 +195,7 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear)
       sum_(weights.size()) {}
 
 void Newton::restart() {
-  AgingJacobian::restart();
+  forget();
   convergence_.forget();
 }
 

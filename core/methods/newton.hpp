@@ -52,7 +52,7 @@ class AgingJacobian {
   AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear);
 
   /// Memory as it is before any step.
-  void restart();
+  void forget();
   /// J at (t, y), where f is `slope`.
   Status take_jacobian(double t, const double* y, const double* slope);
   /// What `renew` has asked for: takes J at (t, y) anew, where f is `slope`. Null: f is evaluated if J comes from

@@ -79,7 +79,6 @@ METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for 
 
 #: What to use instead of the methods of SciPy that have no counterpart here.
 _INSTEAD = {
-    "Radau": "use method='ode15s' for stiff problems and index-1 algebraic equations",
     "LSODA": "use method='ode15s' if the problem is stiff, 'ode113' if it is not",
 }
 
