@@ -36,6 +36,12 @@ def code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
     return getattr(iv, request.param)
 
 
+@pytest.fixture(params=[name for name, about in iv.METHODS.items() if about.mass == "any"])
+def algebraic_code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
+    """Those of the methods that take M(t), and singular M."""
+    return getattr(iv, request.param)
+
+
 @pytest.fixture(params=list(PROBLEMS))
 def problem(request: pytest.FixtureRequest) -> TestProblem:
     return PROBLEMS[request.param]

@@ -9,6 +9,7 @@ import pytest
 import scipy.integrate
 
 import invariode as iv
+from problems import slack
 
 #: SciPy's name, and what it stands for here.
 NAMES = {about.scipy_name: (name, dict(about.scipy_options)) for name, about in iv.METHODS.items() if about.scipy_name}
@@ -199,7 +200,7 @@ def test_steps_agree_in_accuracy(method):
         return abs(sol.y[0, -1] - np.sin(20))
 
     theirs = next((name for name, (ours, _) in NAMES.items() if ours == method), "LSODA")
-    assert error(iv.solve_ivp, method) < 3 * error(scipy.integrate.solve_ivp, theirs)
+    assert error(iv.solve_ivp, method) < 3 * slack(method) * error(scipy.integrate.solve_ivp, theirs)
 
 
 def test_no_warnings_where_scipy_gives_none():

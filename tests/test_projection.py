@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps
+from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
 
 
 def test_residual_at_steps_is_far_below_the_plain_run(method, problem):
@@ -79,7 +79,7 @@ def test_components_near_zero_under_pure_relative_control(method, small):
         lambda t, y: [y[1], -y[0]], (0, 1), [1, small], method, rtol=1e-6, atol=0, invariants=lambda t, y: y @ y
     )
     assert sol.success, sol.message
-    np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-5)
+    np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-5 * slack(method))
 
 
 def test_redundant_invariant_is_dropped_with_one_warning(method):

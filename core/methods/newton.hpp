@@ -62,6 +62,8 @@ class AgingJacobian {
   template <class Factor>
   Outcome prepare(double c, double t1, Factor&& factor);
 
+  void forget_factors() { factored_ = 0; }
+
   /// J is no longer that of the point reached.
   void step_accepted();
   /// Asks that J is taken anew before the next attempt. False: that would change nothing.

@@ -6,6 +6,7 @@
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
 #include "methods/radau.hpp"
+#include "methods/rosenbrock.hpp"
 
 namespace invariode {
 namespace {
@@ -38,9 +39,10 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
   return std::make_unique<Ndf>(f, weights, linear, options);
 }
 
-std::unique_ptr<Step> make_radau(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
-                                 const LinearAlgebra& linear) {
-  return std::make_unique<Radau>(f, weights, linear);
+template <class Implicit>
+std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
+                                    const LinearAlgebra& linear) {
+  return std::make_unique<Implicit>(f, weights, linear);
 }
 
 /// The row of the pair T, number I of the pairs.
@@ -89,6 +91,17 @@ constexpr Method others[] = {
      .mass = MassMatrices::any,
      .extension = &backward_differences,
      .make = make_ndf},
+    {.name = "ode23s",
+     .summary = "modified Rosenbrock formulas (2,3), for stiff problems at crude tolerances",
+     .family = "Rosenbrock, for stiff problems and M y' = f",
+     .source = "L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22, section 3",
+     .min_order = Rosenbrock::formula_order,
+     .order = Rosenbrock::formula_order,
+     .extension_order = Rosenbrock::formula_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::constant_regular,
+     .extension = &runge_kutta_polynomial,
+     .make = make_implicit<Rosenbrock>},
     {.name = "radau",
      .summary = "Radau IIA formula of order 5, for stiff problems at tight tolerances and M y' = f",
      .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
@@ -101,7 +114,7 @@ constexpr Method others[] = {
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::any,
      .extension = &runge_kutta_polynomial,
-     .make = make_radau},
+     .make = make_implicit<Radau>},
 };
 
 template <const auto&... T>

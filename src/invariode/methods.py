@@ -43,6 +43,8 @@ class Method:
         The name of the corresponding method of `scipy.integrate.solve_ivp`, accepted too.
     scipy_options : mapping
         What that name implies.
+    mass : str
+        Which mass matrices it takes: 'none', 'regular' (and constant) ones, or 'any'.
     options : tuple of str
         Options that not every method can use, and this one can.
     source : str
@@ -61,6 +63,7 @@ class Method:
     refine: int
     scipy_name: str | None
     source: str
+    mass: str
     options: tuple[str, ...]
     scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 
