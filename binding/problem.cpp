@@ -101,10 +101,14 @@ Lapack read_lapack(const nb::object& capsules) {
     if (pointer == nullptr) throw nb::python_error();
     routine = reinterpret_cast<std::remove_reference_t<decltype(routine)>>(pointer);
   };
-  take("dgetrf", lapack.dgetrf);
-  take("dgetrs", lapack.dgetrs);
-  take("dgbtrf", lapack.dgbtrf);
-  take("dgbtrs", lapack.dgbtrs);
+  take("dgetrf", lapack.real.factor);
+  take("dgetrs", lapack.real.solve);
+  take("dgbtrf", lapack.real.factor_band);
+  take("dgbtrs", lapack.real.solve_band);
+  take("zgetrf", lapack.complex.factor);
+  take("zgetrs", lapack.complex.solve);
+  take("zgbtrf", lapack.complex.factor_band);
+  take("zgbtrs", lapack.complex.solve_band);
   return lapack;
 }
 

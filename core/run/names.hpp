@@ -72,6 +72,9 @@ inline constexpr Named<Jacobian::Kind> jacobian_names[] = {{"constant", Jacobian
 
 inline constexpr Named<Fsal> fsal_names[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
 
+inline constexpr Named<MassMatrices> mass_names[] = {
+    {"none", MassMatrices::none}, {"regular", MassMatrices::constant_regular}, {"any", MassMatrices::any}};
+
 inline constexpr Named<Interpolation> interpolation_names[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
 
@@ -106,6 +109,7 @@ constexpr const char* name_of(Finding::Kind kind) { return name_in(finding_names
 constexpr const char* name_of(Consistency verdict) { return name_in(consistency_names, verdict); }
 constexpr const char* name_of(Derivative derivative) { return name_in(derivative_names, derivative); }
 constexpr const char* name_of(Fsal fsal) { return name_in(fsal_names, fsal); }
+constexpr const char* name_of(MassMatrices kind) { return name_in(mass_names, kind); }
 constexpr const char* name_of(Interpolation mode) { return name_in(interpolation_names, mode); }
 
 }  // namespace invariode

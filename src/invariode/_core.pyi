@@ -549,6 +549,12 @@ class Method:
         """That name implies the option bdf."""
 
     @property
+    def mass(self) -> str:
+        """
+        Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.
+        """
+
+    @property
     def options(self) -> tuple: ...
 
 def methods() -> list[Method]:

@@ -151,7 +151,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         options["bdf"] = implied.get("bdf", False)
     if problem.matrices.mass is not None and "mass" not in chosen.options:
         raise ValueError(
-            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s, or solve M y' = f for y' in fun"
+            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
+            "y' in fun"
         )
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))

@@ -100,7 +100,7 @@ class Solution(Plots, Exports):
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
 
-        The method starts again from the final state, with the problem and the options of the run. The Runge-Kutta pairs
+        The method starts again from the final state, with the problem and the options of the run. Methods of one order
         go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
         order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
         event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the
