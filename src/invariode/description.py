@@ -10,6 +10,7 @@ from typing import Any, Self, Unpack
 from numpy.typing import ArrayLike
 
 from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from ._formulas import unlambdified
 from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
@@ -50,7 +51,7 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        self.fun = fun if is_native(fun) else function("fun", fun, "f(t, y)")
+        self.fun = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
         self.t_span = interval(t_span)
         self.y0 = state(y0)
         self.args = extra_arguments(args)

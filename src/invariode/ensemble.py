@@ -32,6 +32,7 @@ from ._progress import bar
 from ._types import EventsLike, Function, MethodName, Span
 from .compiled import native_parameters
 from .description import Description
+from .events import to_events
 from .invariants import as_columns
 from .plan import Plan, make_plan, solver
 from .result import Record
@@ -225,6 +226,10 @@ def solve_ensemble(
     True
     """
     describing, running = parted(options, DescribingOptions)
+    if any(event.at_start for event in to_events(events)):
+        raise ValueError(
+            "at_start is for single runs: evaluate the event at the initial states of an ensemble yourself"
+        )
     described = _Described(fun, interval(t_span), events, describing)
     run_options = _options_of_each(running, t_eval)
     workers = positive_integer("workers", _processors() if workers is None else workers)

@@ -9,6 +9,9 @@ import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
+from ._at_start import ended_at_start, found_at_start, with_start, without_start
+from ._calls import explained
+from ._messages import MESSAGES
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -67,12 +70,24 @@ class RunOrigin:
 
 def solve(problem: Description, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
+    with explained(problem):
+        return _solved(problem, method, options)
+
+
+def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
     plan = make_plan(problem, method, options)
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
     for name in ("t_eval", "rtol", "atol"):
         if name in given:
             given[name] = kept(given[name])
-    return _carried_out(plan, Source(problem, method, given))
+    source = Source(problem, method, given)
+    if any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
+        sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
+        if ended_at_start(plan, found) and sol.success:
+            status, message = MESSAGES["terminal_event"]
+            sol = sol.changed(status=status, message=message)
+        return sol
+    return _carried_out(plan, source)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -256,8 +271,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
     first, then = old._drift, new._drift
-    return dataclasses.replace(
-        new,
+    return new.changed(
         t=np.concatenate([old.t[:points], new.t[known:]]),
         y=np.concatenate([old.y[:, :points], new.y[:, known:]], axis=1),
         sol=sol,

@@ -23,9 +23,11 @@ class Origin(Protocol):
         """The same for the projected solution: its extension will be projected too."""
 
 
-@dataclasses.dataclass(eq=False, repr=False)
+@dataclasses.dataclass(eq=False, repr=False, init=False)
 class Solution(Plots, Exports):
-    """Result of a solve. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+    """Result of a solve, a dict. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+
+    Fields are attributes and items, as in SciPy: ``sol.t`` is ``sol["t"]``, and whatever is added is both too.
 
     Attributes
     ----------
@@ -95,7 +97,7 @@ class Solution(Plots, Exports):
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
         origin = self._origin and self._origin.imposing()
-        return dataclasses.replace(self, y=y, y_events=events, sol=dense, _origin=origin)
+        return self.changed(y=y, y_events=events, sol=dense, _origin=origin)
 
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
