@@ -20,6 +20,7 @@ from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from .mechanics import MechanicalSystem
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
+from .odepack import odeint
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps
 
@@ -52,6 +53,7 @@ __all__ = [
     "find_invariants",
     "impose",
     "load",
+    "odeint",
     "solve_ensemble",
     "solve_ivp",
 ]

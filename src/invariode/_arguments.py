@@ -35,7 +35,7 @@ _quiet = ContextVar("quiet", default=False)
 PACKAGE = os.path.dirname(__file__) + os.sep
 
 
-def warn(message: str, category: type[UserWarning] = UserWarning) -> None:
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """A warning that points at the line of the caller of this package."""
     if _quiet.get():
         return
