@@ -259,6 +259,46 @@ def test_drift_is_the_residual_and_the_largest_before_projection():
     assert np.nanmin(drawn) >= np.finfo(float).eps / 2  # of the value 1
 
 
+def chain_of(links):
+    """Masses on rods of length 1: constraints are level 0, their rates level 1, the energy is level 2."""
+
+    def rods(t, q):
+        return (np.diff(np.vstack([[0, 0], q.reshape(-1, 2)]), axis=0) ** 2).sum(axis=1) - 1
+
+    def energy(t, q, v):
+        return v @ v / 2 + q[1::2].sum()
+
+    masses = iv.MechanicalSystem(np.ones(2 * links), lambda t, q, v: np.tile([0, -1], links), rods, energy=energy)
+    straight = np.array([(i + 1, 0) for i in range(links)]).ravel()
+    return masses.problem((0, 0.5), straight, np.zeros(2 * links)).solve()
+
+
+def test_drift_tells_levels_apart():
+    ax = chain_of(2).plot_drift(ax=axes())
+    curves = {line.get_label(): line for line in ax.lines if line.get_linestyle() != ":"}
+    assert [(name, line.get_linestyle()) for name, line in curves.items()] == [
+        ("constraint 1", "-"),
+        ("constraint 2", "-"),
+        ("rate of constraint 1", "--"),
+        ("rate of constraint 2", "--"),
+        ("energy", "-."),
+    ]
+    colours = [line.get_color() for line in curves.values()]
+    assert colours[:2] == colours[2:4]  # a constraint and its rate
+    assert colours[0] != colours[1]
+
+
+def test_drift_of_many_is_the_largest_of_each_level():
+    sol = chain_of(7)
+    ax = sol.plot_drift(ax=axes())
+    curves = [line for line in ax.lines if line.get_linestyle() != ":"]
+    assert [line.get_label() for line in curves] == ["level 0: largest of 7", "level 1: largest of 7", "energy"]
+    largest, drawn = np.abs(sol.residual[7:14]).max(axis=0), curves[1].get_ydata()
+    visible = largest > np.nanmin(drawn)
+    np.testing.assert_array_equal(drawn[visible], largest[visible])
+    assert ax.get_legend().get_title().get_text() == ""
+
+
 def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
     sol = turning(invariants=None).solve("ode23")
     with pytest.raises(ValueError, match=r"the run had no invariants.*plot_drift\(invariants=g\)"):

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from ._arguments import EPS, Array, tolerances
-from ._style import COLOURS, DASHES, LOOK
+from ._style import COLOURS, DASHES, LEVELS, LOOK
 from .invariants import BoundInvariants, Invariants, InvariantsLike, Jump, bind, to_invariants
 from .result import Result, Steps
 
@@ -237,7 +237,9 @@ class Plots(Result):
         -----
         Zeros have no logarithm. They are drawn at half the smallest residual that is not zero; nothing is drawn below
         ε/2 times the larger of ``|value|`` and the largest residual. Zeros at points that define a value are left out.
-        Of more than twelve invariants the first twelve are drawn.
+        Of more than twelve invariants the first twelve are drawn, or where they have levels the largest of each level.
+        The lines of level 0 are solid, those of level 1 dashed, of level 2 dash-dotted; a constraint and its rate have
+        one colour.
         """
         listed = to_invariants(invariants)
         if not listed and not len(self._invariants):
@@ -253,8 +255,8 @@ class Plots(Result):
         ax = _new(self) if ax is None else ax
         ax.set_yscale("log")
         line, given = _properties(line)
-        for name, value, r, before in list(zip(g.names, g.value, residual, largest, strict=True))[:_MOST]:
-            colour, dashes = _unused(ax)
+        for name, style, value, r, before in _drifting(g, residual, largest):
+            colour, dashes = _unused(ax, style)
             floor = max(EPS / 2 * max(abs(value), before, r.max(initial=0)), r[r > 0].min(initial=np.inf) / 2)
             floor = floor if 0 < floor < np.inf else EPS / 2
             drawn = _interrupted(self, np.where(defining & (r == 0), np.nan, np.maximum(r, floor)))
@@ -266,7 +268,8 @@ class Plots(Result):
             ax.plot([], [], ":", color="0.5", lw=1, label=_once(ax, "largest before\nprojection"))
         ax.set_xlabel("$t$")
         ax.set_ylabel(f"residual of {drawable(g.names[0])}" if len(g) == 1 else r"residual $|g - \mathrm{value}|$")
-        _legend(ax, f"{_MOST} of {len(g)} invariants" if len(g) > _MOST else None)
+        left_out = len(g) > _MOST and not _has_levels(g)
+        _legend(ax, f"{_MOST} of {len(g)} invariants" if left_out else None)
         return ax
 
     @picture("axes")
@@ -551,11 +554,12 @@ def _parts(values: Array) -> tuple[list[str], list[Array]]:
     return (["Re ", "Im "], [values.real, values.imag]) if np.iscomplexobj(values) else ([""], [values])
 
 
-def _unused(ax: Axes) -> tuple[str, tuple[str, str]]:
-    """The first colour and dashes that nothing on the axes has yet; the first of all when there is none."""
+def _unused(ax: Axes, style: str | None = None) -> tuple[str, tuple[str, str]]:
+    """The first colour and dashes, or colour with the style given, that nothing on the axes has yet; else the first."""
+    choice = DASHES if style is None else ((style, ":"),)
     used = [(line.get_color(), str(line.get_linestyle()).replace("None", "-")) for line in ax.lines]
-    free = ((colour, dashes) for dashes, colour in product(DASHES, COLOURS) if (colour, dashes[0]) not in used)
-    return next(free, (COLOURS[0], DASHES[0]))
+    free = ((colour, dashes) for dashes, colour in product(choice, COLOURS) if (colour, dashes[0]) not in used)
+    return next(free, (COLOURS[0], choice[0]))
 
 
 def _properties(line: dict[str, Any]) -> tuple[dict[str, Any], str | None]:
@@ -609,6 +613,32 @@ def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
         there = g.value + g.residual(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
         jumps.append(Jump(row, t, np.where(g.demanded, g.value, there)))
     return replace(g, jumps=tuple(jumps), forward=own.forward)
+
+
+def _has_levels(g: BoundInvariants) -> bool:
+    return len({spec.level for spec in g.specs}) > 1
+
+
+def _drifting(g: BoundInvariants, residual: Array, largest: Array) -> list[tuple[str, str | None, Any, Array, Any]]:
+    """Name, dashes if levels tell them, value, residuals and largest one before projection, for each line."""
+    lines = [(name, None, *rest) for name, *rest in zip(g.names, g.value, residual, largest, strict=True)]
+    if not _has_levels(g):
+        return lines[:_MOST]
+    levels = np.array([spec.level for spec in g.specs for _ in range(spec.m)])
+    groups = [(level, np.flatnonzero(levels == level)) for level in np.unique(levels)]
+    if len(g) <= _MOST:
+        styles = {level: LEVELS[k % len(LEVELS)] for k, (level, _) in enumerate(groups)}
+        return [(name, styles[level], *rest) for level, (name, _, *rest) in zip(levels, lines, strict=True)]
+    return [
+        (
+            f"level {level}: largest of {len(of)}" if len(of) > 1 else g.names[of[0]],
+            LEVELS[k % len(LEVELS)],
+            np.abs(g.value[of]).max(),
+            residual[of].max(axis=0),
+            largest[of].max(),
+        )
+        for k, (level, of) in enumerate(groups)
+    ]
 
 
 def _positive(values: Array) -> Array:
