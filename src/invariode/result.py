@@ -308,6 +308,7 @@ class Result(dict[str, Any]):
     _atol: ArrayLike
     _drift: BeforeProjection
     _names: Names
+    _origin: Any  # with the functions, where there are any: see `Solution`
 
     def __init__(
         self,

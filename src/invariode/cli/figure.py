@@ -17,7 +17,7 @@ from .._style import BLACK, INK, SHADE
 from .._style import COLOURS as PALETTE
 from ..methods import METHODS
 from ..paper.plots import STYLE
-from ..plotting import drawable
+from ..pictures.canvas import drawable
 from .precision import WAYS, Reference, Row
 
 __all__ = ["draw"]

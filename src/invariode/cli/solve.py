@@ -234,7 +234,7 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     from ..paper.plots import STYLE
-    from ..plotting import drawable
+    from ..pictures.canvas import drawable
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")
