@@ -16,6 +16,7 @@ from rich.text import Text
 from .._arguments import Array, tolerances
 from .._progress import in_passing
 from ..invariants import bind
+from ..precision import unprojected
 from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
@@ -30,7 +31,6 @@ from .session import (
     method_of,
     numbers,
     stop,
-    unprojected,
     writable,
     write_to,
 )
