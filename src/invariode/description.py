@@ -16,6 +16,7 @@ from ._types import EventsLike, Function, Span
 from .compiled import is_native
 from .events import direction_sign, terminal_count, to_events
 from .invariants import InvariantsLike, to_invariants
+from .notebook import html_of_problem
 
 __all__ = ["Description", "Matrices"]
 
@@ -110,6 +111,9 @@ class Description:
                 hint = f"; did you mean {near[0]!r}?" if near else f"; choose from {', '.join(now)}"
                 raise TypeError(f"Problem has no argument {given!r}{hint}")
         return type(self)(**{**now, **changes})
+
+    def _repr_html_(self) -> str:
+        return html_of_problem(self)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"

@@ -16,6 +16,7 @@ from ._messages import MESSAGES
 from ._types import Numbers
 from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
 from .invariants import BoundInvariants
+from .notebook import html_of_ensemble
 from .pictures.ensembles import draw as draw_ensemble
 from .result import BeforeProjection, Names, Record, Stats
 from .solution import Solution
@@ -164,6 +165,9 @@ class EnsembleSolution:
     residual_after: Array
     correction: Array
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
+
+    def _repr_html_(self) -> str:
+        return html_of_ensemble(self)
 
     def __repr__(self) -> str:
         size, n = self.y_end.shape

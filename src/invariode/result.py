@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, real_numbers
 from ._core import Dense
 from .invariants import BoundInvariants, as_columns
+from .notebook import html_of_solution
 
 __all__ = ["BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
 
@@ -408,6 +409,9 @@ class Result(dict[str, Any]):
         if self.steps is None:
             raise ValueError('the corrections of the steps are kept with keep="all"')
         return self.steps.correction
+
+    def _repr_html_(self) -> str:
+        return html_of_solution(self)
 
     def __repr__(self) -> str:
         width = max((len(str(name)) for name in self), default=0)
