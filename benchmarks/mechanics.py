@@ -18,7 +18,6 @@ import numpy as np
 from measure import interleaved, machine, run, table
 
 import invariode as iv
-from mechanisms import Array, Case, arevalo, chain, closed_chain, energy_of_unit_masses, pendulum, squeezer
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from mechanisms import (

@@ -14,6 +14,7 @@ import invariode as iv
 import solved_mechanisms
 from gallery import GALLERY
 from invariode.scipy import ODE45
+from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
 from solved_mechanisms import (
     CAR,
     CRANK,
@@ -24,7 +25,6 @@ from solved_mechanisms import (
     elastic_crank_constraints,
     slider_crank,
 )
-from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
 
 sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
 import campaign_invariants as campaign

@@ -354,4 +354,5 @@ def _lapack() -> dict[str, Any]:
     from scipy.linalg import cython_lapack
 
     routines = ("getrf", "getrs", "gbtrf", "gbtrs")
-    return {kind + name: cython_lapack.__pyx_capi__[kind + name] for kind in "dz" for name in routines}
+    capi: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
+    return {kind + name: capi[kind + name] for kind in "dz" for name in routines}

@@ -6,7 +6,8 @@ from ._arguments import EPS
 from ._bounds import Limits
 from ._core import Run
 
-_MESSAGES = {
+#: How runs end that do not fail: status and message, those of SciPy where it has them.
+MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
@@ -15,8 +16,8 @@ _MESSAGES = {
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
-    if run.state in _MESSAGES:
-        return _MESSAGES[run.state]
+    if run.state in MESSAGES:
+        return MESSAGES[run.state]
     if run.state == "invariant_convicted":
         return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:

@@ -30,7 +30,7 @@ import numpy as np
 from . import _core
 from ._arguments import Array, call_name
 
-__all__ = ["CompiledFunction", "compile", "is_native", "to_native"]
+__all__ = ["CompiledFunction", "compile", "event_value", "is_native", "to_native", "values_of"]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -363,6 +363,7 @@ class _Native(_core.Native):
 
     def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
         super().__init__(address=address, event=event, owner=owner)
+        self.address = address
         self._made_of = made_of
 
     def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
@@ -372,6 +373,30 @@ class _Native(_core.Native):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
         return self
+
+
+def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
+    """The value of a native event, as `to_native` made it for the core, at one point."""
+    call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)(fun.address)
+    value: float = call(t, y.ctypes.data, p.ctypes.data if len(p) else None)
+    return value
+
+
+def values_of(fun: Any, t: Array, y: Array, args: tuple[Any, ...]) -> Array:
+    """f at points, (n, n_t), of a native function or of Python's."""
+    rows = np.ascontiguousarray(y.T)
+    values = np.empty_like(rows)
+    if not is_native(fun):
+        for value, at, state in zip(values, t.tolist(), rows, strict=True):
+            value[:] = fun(at, state.copy(), *args)
+        return values.T
+    p = native_parameters(args, [fun])
+    n = rows.view(float).shape[1]
+    vector = ctypes.c_void_p
+    call = ctypes.CFUNCTYPE(None, ctypes.c_double, vector, vector, vector)(to_native("fun", fun, n, n, p).address)
+    for value, at, state in zip(values, t.tolist(), rows, strict=True):
+        call(at, state.ctypes.data, value.ctypes.data, p.ctypes.data if len(p) else None)
+    return values.T
 
 
 _NO_PARAMETERS = np.zeros(0)

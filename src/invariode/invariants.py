@@ -30,6 +30,7 @@ from ._arguments import (
     shown,
     tolerances,
 )
+from ._formulas import unlambdified
 from ._types import Function, JacobianKind, Numbers
 from .compiled import CoreFunction, is_native, native_parameters, to_native
 
@@ -119,7 +120,7 @@ class Invariants:
         moves: Sequence[int] | None = None,
         metric: ArrayLike | Function | None = None,
     ) -> None:
-        self.fun: Any = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
+        self.fun: Any = fun if is_native(fun) else unlambdified(function("the invariant", fun, "g(t, y)"))
         self.jac: Any = jac
         if isinstance(jac, str):
             choice("jac of the invariant", jac, _KINDS)

@@ -52,7 +52,8 @@ class Stepper(OdeSolver):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     max_step, rtol, atol, first_step, vectorized : optional
-        As in `invariode.solve_ivp`. As there, `max_step` is a tenth of the interval by default; ``inf`` lifts that.
+        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`. `max_step` is a tenth of the interval by
+        default here too; ``inf`` lifts that.
 
     Other Parameters
     ----------------
@@ -90,7 +91,6 @@ class Stepper(OdeSolver):
         max_step: float | None = None,
         rtol: Numbers = 1e-3,
         atol: Numbers = 1e-6,
-        *,
         vectorized: bool = False,
         first_step: float | None = None,
         **options: Unpack[StepperOptions],
