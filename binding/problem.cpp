@@ -290,6 +290,10 @@ constexpr Setting settings[] = {
     plain<&RunSettings::bdf>("bdf"),
     plain<&RunSettings::iterations>("iterations"),
     plain<&RunSettings::negligible>("negligible"),
+    plain<&RunSettings::max_steps>("max_steps"),
+    plain<&RunSettings::time_limit>("time_limit"),
+    plain<&RunSettings::max_points>("max_points"),
+    plain<&RunSettings::max_bytes>("max_bytes"),
 };
 
 void define_settings(nb::module_& module) {

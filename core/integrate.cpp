@@ -65,6 +65,7 @@ bool Integration::refuse(const Finding& finding) {
 // ---------------------------------------------------------------------------------------------------------- the start
 
 State Integration::start(const double* y0) {
+  started_ = std::chrono::steady_clock::now();
   const double t0 = settings_.t0;
   interpolant_->start_at(t0, y0);
   reached_ = {t0, interpolant_->start_y()};
@@ -146,6 +147,10 @@ State Integration::advance() {
       case Verdict::ended: return state_;
       case Verdict::accepted: return finish_step();
       case Verdict::rejected: break;
+    }
+    if (out_of_time()) {
+      reach(Limit::time);
+      return state_;
     }
   }
 }
@@ -258,7 +263,7 @@ State Integration::finish_step() {
   if (!judge_invariants()) return state_;
   ++counts_.steps;
   interpolant_->accept();
-  if (find_events() && record() && emit(events_.acts())) conclude();
+  if (find_events() && record() && emit(events_.acts()) && conclude()) goes_on();
   return state_;
 }
 
@@ -405,6 +410,50 @@ bool Integration::take_actions(bool& rehold) {
     }
   }
   return true;
+}
+
+// ------------------------------------------------------------------------------------------------------------- limits
+
+/// Unless the run is asked to stop, or a limit is reached.
+bool Integration::goes_on() {
+  if (request_ && request_->load(std::memory_order_relaxed)) {
+    report_.t = reached_.t;
+    return end(State::stopped_by_request);
+  }
+  if (counts_.steps >= settings_.max_steps) return reach(Limit::steps);
+  if (out_of_time()) return reach(Limit::time);
+  if (kept_points() >= settings_.max_points) return reach(Limit::points);
+  return kept_bytes() < settings_.max_bytes || reach(Limit::memory);
+}
+
+double Integration::seconds() const {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count();
+}
+
+bool Integration::out_of_time() const {
+  return settings_.time_limit < std::numeric_limits<double>::infinity() && seconds() >= settings_.time_limit;
+}
+
+/// Outputs or steps of the continuous solution, whichever are more, and occurrences of events.
+std::int64_t Integration::kept_points() const {
+  std::size_t count = std::max(points.t.size(), dense ? dense->knots().size() : 0);
+  for (const Trajectory& one : occurrences) count += one.t.size();
+  return static_cast<std::int64_t>(count);
+}
+
+std::int64_t Integration::kept_bytes() const {
+  std::size_t bytes = points.bytes() + steps.size() * sizeof(AcceptedStep) + (dense ? dense->bytes() : 0);
+  for (const Trajectory& one : occurrences) bytes += one.bytes();
+  return static_cast<std::int64_t>(bytes);
+}
+
+bool Integration::reach(Limit limit) {
+  report_.t = reached_.t;
+  report_.h = step_->h();
+  report_.limit = limit;
+  report_.steps = counts_.steps;
+  report_.seconds = seconds();
+  return end(State::limit_reached);
 }
 
 std::optional<DenseOutput> Integration::last_step() {

@@ -1,6 +1,8 @@
 #pragma once
 // The loop: one for all methods.
 
+#include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -35,6 +37,9 @@ class Integration {
   /// The manifold and the callbacks belong to the caller and outlive this. `callback` may be empty.
   Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
               std::vector<EventFunction> events, Callback callback, Settings settings);
+
+  /// Ends the run after the first accepted step that finds the request true: whoever makes it keeps it meanwhile.
+  void heed(const std::atomic<bool>& request) { request_ = &request; }
 
   State start(const double* y0);
   State advance();
@@ -108,6 +113,12 @@ class Integration {
   bool conclude();
   bool jump();
   bool take_actions(bool& rehold);
+  bool goes_on();
+  [[nodiscard]] bool out_of_time() const;
+  [[nodiscard]] double seconds() const;
+  [[nodiscard]] std::int64_t kept_points() const;
+  [[nodiscard]] std::int64_t kept_bytes() const;
+  bool reach(Limit limit);
 
   std::unique_ptr<Step> step_;
   const Weights& weights_;
@@ -133,6 +144,8 @@ class Integration {
   std::vector<double> event_y_;   // state at an event
   std::vector<double> inside_y_;  // output inside a step
   std::size_t next_time_ = 0;
+  const std::atomic<bool>* request_ = nullptr;
+  std::chrono::steady_clock::time_point started_;
 };
 
 }  // namespace invariode

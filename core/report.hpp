@@ -16,6 +16,8 @@ enum class State {
   reached_end,
   terminal_event,
   stopped_by_callback,
+  stopped_by_request,  ///< from outside: see `Integration::heed`
+  limit_reached,       ///< one of the settings; see `Report::limit`
   interrupted,         ///< a user function raised
   event_undefined,     ///< an event function returned NaN
   action_undefined,    ///< an action returned NaN or infinity
@@ -24,6 +26,9 @@ enum class State {
   invariant_refused,   ///< at the start; see the finding
   invariant_convicted  ///< during the run
 };
+
+/// What may end a run early (settings.hpp).
+enum class Limit { steps, time, points, memory };
 
 /// Where and why a run ended, for whoever writes the message.
 struct Report {
@@ -35,6 +40,9 @@ struct Report {
   LinearWork linear;           ///< of an implicit method, in the attempt that failed
   std::size_t event = 0;
   Finding finding;
+  Limit limit = Limit::steps;
+  std::int64_t steps = 0;  ///< accepted until the limit
+  double seconds = 0;      ///< from the start to the limit
 };
 
 struct Counts {

@@ -152,6 +152,30 @@ class Settings:
     @negligible.setter
     def negligible(self, arg: object, /) -> None: ...
 
+    @property
+    def max_steps(self) -> object: ...
+
+    @max_steps.setter
+    def max_steps(self, arg: object, /) -> None: ...
+
+    @property
+    def time_limit(self) -> object: ...
+
+    @time_limit.setter
+    def time_limit(self, arg: object, /) -> None: ...
+
+    @property
+    def max_points(self) -> object: ...
+
+    @max_points.setter
+    def max_points(self, arg: object, /) -> None: ...
+
+    @property
+    def max_bytes(self) -> object: ...
+
+    @max_bytes.setter
+    def max_bytes(self, arg: object, /) -> None: ...
+
     FIELDS: tuple = ...
 
 class Dense:
@@ -229,6 +253,15 @@ class Run:
     def event(self) -> int: ...
 
     @property
+    def limit(self) -> str: ...
+
+    @property
+    def steps_to_limit(self) -> int: ...
+
+    @property
+    def seconds_to_limit(self) -> float: ...
+
+    @property
     def finding(self) -> str: ...
 
     @property
@@ -298,6 +331,14 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers.
     """
 
+class StopRequest:
+    """A wish to end a run."""
+
+    def __init__(self) -> None: ...
+
+    def make(self) -> None:
+        """From any thread, or in a handler of signals."""
+
 class Solver:
     """A problem with a method: all that is known before the initial value."""
 
@@ -312,9 +353,9 @@ class Solver:
         Its runs go on from where another one ended, with so many occurrences of each event.
         """
 
-    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None) -> Run:
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None) -> Run:
         """
-        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end.
+        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made.
         """
 
 class Stepper:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ._arguments import EPS
 from ._core import Run
 
@@ -11,11 +13,26 @@ _MESSAGES = {
     "stopped_by_callback": (2, "The callback stopped the integration."),
 }
 
+_LIMITS = {
+    "steps": ("max_steps = {0} is reached", "give a larger max_steps, or looser tolerances"),
+    "time": ("time_limit = {0:g} s is over", "give a larger time_limit, or looser tolerances"),
+    "points": (
+        "{0} points are kept, as many as max_points allows",
+        "give a larger max_points, or keep fewer: t_eval or keep='end'",
+    ),
+    "memory": (
+        "What is kept fills {0} bytes, the most without max_points",
+        "give max_points, or keep less: t_eval or keep='end'",
+    ),
+}
+
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
     if run.state in _MESSAGES:
         return _MESSAGES[run.state]
+    if run.state == "stopped_by_request":
+        return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
         return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:
@@ -23,6 +40,18 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: 
     if run.state == "start_undefined":
         return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
     return -1, _step_failed(run, names, pairs)
+
+
+def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
+    """Which limit, of this value, where, how fast the run was, and what to try."""
+    what, advice = _LIMITS[run.limit]
+    text = f"{what.format(limit)} at t = {run.t!r}: "
+    if math.isfinite(tf):
+        text += f"{(run.t - t0) / (tf - t0):.2%} of the interval, "
+    text += f"after {run.steps_to_limit} steps and {run.seconds_to_limit:.3g} s. The next step is of size {run.h:.3g}"
+    if math.isfinite(tf) and run.h > 0:
+        text += f"; with steps of this size {abs(tf - run.t) / run.h:.2g} more lead to the end"
+    return f"{text}. All results so far are kept. To come farther {advice}; a solution can also be extended from here."
 
 
 def _component(run: Run, pairs: bool) -> str:

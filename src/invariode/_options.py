@@ -12,8 +12,8 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, choice, flag, function, positive, positive_integer, unknown_option, warn
-from ._types import EventsLike, Fsal, Function, Interpolation, Keep, MethodName, Numbers, Span
+from ._arguments import Array, choice, count, flag, function, positive, positive_integer, unknown_option, warn
+from ._types import EventsLike, Fsal, Function, Interpolation, Keep, MethodName, Numbers, OnInterrupt, Span
 from .invariants import InvariantsLike
 from .methods import Method, find_method
 
@@ -175,12 +175,60 @@ class KeepingOptions(TypedDict, total=False):
     ]
 
 
-class RunOptions(SteppingOptions, KeepingOptions, total=False):
+class LimitOptions(TypedDict, total=False):
+    """What may end a run early, with status -3 and everything up to there."""
+
+    max_steps: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Most accepted steps. Where this or one of the next two limits is reached, the run ends with status -3, a "
+            "message that says how far it came and how fast, and everything up to there; `Solution.extend` goes on. "
+            "Default: no limit.",
+            count,
+            command=True,
+        ),
+    ]
+    time_limit: Annotated[
+        float | None,
+        Option(
+            None,
+            "float",
+            "Most seconds of the run, looked at after each attempted step. Default: no limit.",
+            positive,
+            command=True,
+        ),
+    ]
+    max_points: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Most points that are kept: outputs (or steps of the continuous solution, if these are more) and "
+            "occurrences of events. Default: 10 million or as many as fill 4 GiB, whichever is less, beyond those of "
+            "`t_eval`: no run fills the memory by accident.",
+            count,
+        ),
+    ]
+
+
+class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, total=False):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[
         int,
         Option(1, "int", "Points per step in the output; those inside the step are interpolated.", positive_integer),
+    ]
+    on_interrupt: Annotated[
+        OnInterrupt,
+        Option(
+            "raise",
+            "{'raise', 'return'}",
+            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the present step and return what there "
+            "is, with status 2. A second Ctrl-C raises in any case.",
+            partial(choice, known=get_args(OnInterrupt)),
+        ),
     ]
     progress: Annotated[
         bool,
@@ -299,7 +347,7 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
     ]
 
 
-class EnsembleOptions(SteppingOptions, KeepingOptions, DescribingOptions, total=False):
+class EnsembleOptions(SteppingOptions, KeepingOptions, LimitOptions, DescribingOptions, total=False):
     """Those of `solve_ensemble` that its signature does not spell out."""
 
 
@@ -315,6 +363,10 @@ class ExtensionOptions(TypedDict, total=False):
     max_step: float | None
     callback: Callable[[float, Array], object] | None
     check: bool
+    max_steps: int | None
+    time_limit: float | None
+    max_points: int | None
+    on_interrupt: OnInterrupt
     progress: bool
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "LowLevelCallable",
     "MethodName",
     "Numbers",
+    "OnInterrupt",
     "Span",
 ]
 
@@ -47,3 +48,4 @@ Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
+OnInterrupt: TypeAlias = Literal["raise", "return"]

@@ -5,19 +5,21 @@ It is made in four stages: options, functions, linear algebra, invariants.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from . import _core
-from ._arguments import Array, distinct, kept, output_times, reals, tolerances, warn
-from ._messages import inconsistent_start, refusal, status_and_message
+from ._arguments import LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
+from ._messages import inconsistent_start, limit_reached, refusal, status_and_message
 from ._options import Options, checked
-from ._types import MethodName, Numbers
+from ._types import MethodName, Numbers, OnInterrupt
 from .compiled import native_parameters, to_native
 from .description import Description
 from .events import EventSpec, event_spec
 from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
 from .methods import Method, find_method
+from .result import LIMIT_REACHED
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
@@ -49,11 +51,20 @@ class Settings(NamedTuple):
     bdf: bool
     iterations: int  # of the projection of a step
     negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
+    max_steps: int = LARGEST_COUNT
+    time_limit: float = math.inf
+    max_points: int = LARGEST_COUNT
+    max_bytes: int = LARGEST_COUNT
 
     @property
     def forward(self) -> float:
         """The direction of integration."""
         return 1.0 if self.tf >= self.t0 else -1.0
+
+    def limit(self, kind: str) -> float:
+        """The limit that the core calls so."""
+        limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
+        return limits[kind]
 
 
 class Functions(NamedTuple):
@@ -87,6 +98,7 @@ class Plan(NamedTuple):
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
+    on_interrupt: OnInterrupt
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
@@ -95,6 +107,8 @@ class Plan(NamedTuple):
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
+        if run.state == "limit_reached":
+            return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
         return status_and_message(run, self.names, self.demanded, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
@@ -161,6 +175,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],
+        on_interrupt=options["on_interrupt"],
     )
 
 
@@ -198,7 +213,22 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         max_order=_highest_order(method, options["max_order"]),
         bdf=bool(options["bdf"]),
         iterations=method.iterations,
+        max_steps=options["max_steps"] or LARGEST_COUNT,
+        time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
+        **_most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0)),
     )
+
+
+#: What is kept without `max_points`. Of a few components so many points are less than a gigabyte.
+_MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
+
+
+def _most_kept(points: int | None, demanded: int, n: int) -> dict[str, int]:
+    """The limits of what is kept. `demanded`: times of output, which somebody wants."""
+    if points is not None:
+        return {"max_points": points}
+    size = 8 * (n + 1)  # of t and y, doubles
+    return {"max_points": _MOST_POINTS + demanded, "max_bytes": _MOST_BYTES + demanded * size}
 
 
 def _highest_order(method: Method, order: int | None) -> int:

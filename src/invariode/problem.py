@@ -26,7 +26,7 @@ class Problem(Description):
         holds the last one, so it may be kept; a buffer may be returned again and again.
     t_span : (float, float)
         (t0, tf); tf < t0 integrates backwards; with an infinite tf only a terminal event or a callback ends the run;
-        without one it goes on until memory is full.
+        without one it goes on until a limit is reached (`max_steps`, `time_limit`, `max_points`).
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     {describing}

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
+from ._interruption import stopped_by_interrupt
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -16,7 +18,7 @@ from .description import Description
 from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
 from .plan import Plan, make_plan, solver
-from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps
 from .solution import Solution
 
 __all__ = ["RunOrigin", "solve"]
@@ -85,11 +87,13 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if resumed is not None:
         core.resume(*resumed)
     y0 = plan.y0.view(float)
-    if plan.progress:
-        with run_bar(source.problem.name, plan.settings.t0, plan.settings.tf) as told:
-            run = core.integrate(y0, told)
-    else:
-        run = core.integrate(y0, None)
+    with ExitStack() as around:
+        told = request = None
+        if plan.progress:
+            told = around.enter_context(run_bar(source.problem.name, plan.settings.t0, plan.settings.tf))
+        if plan.on_interrupt == "return":
+            request = around.enter_context(stopped_by_interrupt())
+        run = core.integrate(y0, told, request)
     if exception := plan.exception(run):
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
@@ -187,7 +191,7 @@ def _warn_harmed(component: str, ratio: float) -> None:
 
 
 def _extended(origin: RunOrigin, old: Solution, t_end: float, options: ExtensionOptions) -> Solution:
-    if not old.success:
+    if not (old.success or old.status == LIMIT_REACHED):
         raise ValueError(f"a run that failed cannot be extended: {old.message}")
     tf = number("t_end", t_end)
     forward = origin.forward or float(np.sign(tf - origin.t))
