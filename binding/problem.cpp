@@ -66,6 +66,11 @@ EventFunction make_event(const EventSpec& spec, Functions& functions) {
   return event;
 }
 
+Breakpoint make_breakpoint(const BreakpointSpec& spec, Functions& functions) {
+  if (spec.action.is_none()) return {spec.t, {}};
+  return {spec.t, functions.state_valued(spec.action, "the action at a breakpoint")};
+}
+
 Mass::Basis read_basis(const nb::object& basis, std::size_t n) {
   const auto [starts, rows, values] = nb::cast<std::tuple<ConstIndices, ConstIndices, ConstVector>>(basis);
   bool right = starts.size() > 0 && rows.size() == values.size();
@@ -131,6 +136,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   problem_.value = spec.value;
   if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
   for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
+  for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
   problem_.parameters = functions_.parameters();
 }
 
@@ -145,6 +151,7 @@ int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held
 }
 int visit(const InvariantSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.jac}); }
 int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
+int visit(const BreakpointSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.action}); }
 int visit(const LinearSpec& s, visitproc visit, void* arg) {
   return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack});
 }
@@ -152,6 +159,8 @@ int visit(const ProblemSpec& s, visitproc visitor, void* arg) {
   int stop = visit_all(visitor, arg, {s.fun, s.args, s.callback});
   if (stop == 0 && s.linear) stop = visit(*s.linear, visitor, arg);
   for (const EventSpec& one : s.events)
+    if (stop == 0) stop = visit(one, visitor, arg);
+  for (const BreakpointSpec& one : s.breakpoints)
     if (stop == 0) stop = visit(one, visitor, arg);
   for (const InvariantSpec& one : s.invariants)
     if (stop == 0) stop = visit(one, visitor, arg);
@@ -177,6 +186,11 @@ void define_functions(nb::module_& module) {
           },
           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
           nb::arg("moves") = std::vector<std::size_t>{});
+  nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
+      .def(
+          "__init__",
+          [](BreakpointSpec* self, double t, nb::object action) { new (self) BreakpointSpec{t, std::move(action)}; },
+          nb::arg("t"), nb::arg("action").none());
   nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")
       .def(
           "__init__",
@@ -216,7 +230,8 @@ void define_description(nb::module_& module) {
           "__init__",
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
-             nb::object callback, std::vector<InvariantSpec> invariants, const OptionalVector& value) {
+             std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
+             const OptionalVector& value) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -224,13 +239,15 @@ void define_description(nb::module_& module) {
                                    to_vector(parameters),
                                    std::move(linear),
                                    std::move(events),
+                                   std::move(breakpoints),
                                    std::move(callback),
                                    std::move(invariants),
                                    value ? to_vector(*value) : std::vector<double>{}};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
-          nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(), nb::arg("value") = nb::none());
+          nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
+          nb::arg("value") = nb::none());
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",

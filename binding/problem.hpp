@@ -38,6 +38,12 @@ struct EventSpec {
   bool rehold;
 };
 
+/// A breakpoint: its time, and its action or None.
+struct BreakpointSpec {
+  double t;
+  nb::object action;
+};
+
 /// What is known of ∂f/∂y and M.
 struct LinearSpec {
   Structure structure;
@@ -56,6 +62,7 @@ struct ProblemSpec {
   std::vector<double> parameters;
   std::optional<LinearSpec> linear;
   std::vector<EventSpec> events;
+  std::vector<BreakpointSpec> breakpoints;
   nb::object callback;
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;

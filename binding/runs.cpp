@@ -351,6 +351,7 @@ void define_summary_of_run(RunClass& run) {
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
+  property(run, "breakpoints_passed", [](const RunResult& r) { return r.breakpoints_passed; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 

@@ -16,15 +16,16 @@ enum class State {
   reached_end,
   terminal_event,
   stopped_by_callback,
-  stopped_by_request,  ///< from outside: see `Integration::heed`
-  limit_reached,       ///< one of the settings; see `Report::limit`
-  interrupted,         ///< a user function raised
-  event_undefined,     ///< an event function returned NaN
-  action_undefined,    ///< an action returned NaN or infinity
-  start_undefined,     ///< f is not finite at the start
-  step_failed,         ///< an attempt failed at hmin
-  invariant_refused,   ///< at the start; see the finding
-  invariant_convicted  ///< during the run
+  stopped_by_request,    ///< from outside: see `Integration::heed`
+  restart_inconsistent,  ///< after a breakpoint the algebraic equations have no solution that was found
+  limit_reached,         ///< one of the settings; see `Report::limit`
+  interrupted,           ///< a user function raised
+  event_undefined,       ///< an event function returned NaN
+  action_undefined,      ///< an action returned NaN or infinity
+  start_undefined,       ///< f is not finite at the start
+  step_failed,           ///< an attempt failed at hmin
+  invariant_refused,     ///< at the start; see the finding
+  invariant_convicted    ///< during the run
 };
 
 /// What may end a run early (settings.hpp).

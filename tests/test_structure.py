@@ -152,6 +152,7 @@ class TestReplace:
             "lband": 0,
             "uband": 0,
             "mass": None,
+            "inputs": [iv.Input([0], [1.0])],
             "name": "new",
             "labels": ["c", "d"],
         }
@@ -170,6 +171,7 @@ class TestReplace:
             "t_span": problem.t_span,
             "y0": problem.y0.tolist(),
             "args": problem.args,
+            "inputs": problem.inputs,
             "invariants": [one.fun for one in problem.invariants],
             "events": [one.fun for one in problem.events],
             **{name: None if m is None else np.asarray(m).tolist() for name, m in vars(problem.matrices).items()},

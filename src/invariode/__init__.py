@@ -11,6 +11,7 @@ from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
 from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ensemble
 from .events import Event
+from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
 from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
@@ -35,6 +36,7 @@ __all__ = [
     "EnsembleStats",
     "Event",
     "ImposeResult",
+    "Input",
     "InvariantError",
     "Invariants",
     "MechanicalSystem",

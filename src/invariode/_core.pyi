@@ -7,10 +7,24 @@ import numpy
 from numpy.typing import NDArray
 
 
+class PiecewisePolynomial:
+    """Functions of t that are polynomials between times."""
+
+    def __init__(self, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], coefficients: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], degree: int, size: int) -> None: ...
+
+    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """(len(t), size)"""
+
+    def at(self, t: float) -> float:
+        """The one value at t."""
+
 class Native:
     """Machine code of the user, and what keeps it alive."""
 
-    def __init__(self, *, address: int, event: bool, owner: object | None) -> None: ...
+    def __init__(self, *, address: int, event: bool, owner: object | None, inputs: Sequence[PiecewisePolynomial] = []) -> None: ...
+
+    @property
+    def address(self) -> int: ...
 
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
@@ -19,6 +33,11 @@ class Invariant:
     """An invariant, for the core."""
 
     def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = []) -> None: ...
+
+class Breakpoint:
+    """A breakpoint, for the core."""
+
+    def __init__(self, t: float, action: object | None) -> None: ...
 
 class Event:
     """An event, for the core."""
@@ -39,7 +58,7 @@ class Linear:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
@@ -300,6 +319,9 @@ class Run:
 
     @property
     def harm(self) -> float: ...
+
+    @property
+    def breakpoints_passed(self) -> int: ...
 
     @property
     def next_h(self) -> float: ...

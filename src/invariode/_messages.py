@@ -39,6 +39,11 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: 
         return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
     if run.state == "start_undefined":
         return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
+    if run.state == "restart_inconsistent":
+        return -1, (
+            f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
+            "it an action that returns a state near the consistent one."
+        )
     return -1, _step_failed(run, names, pairs)
 
 
@@ -115,7 +120,7 @@ def inconsistent_start(verdict: str, t0: float) -> str:
 def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> str:
     if run.finding == "off_value":
         return (
-            f"After the action of an event at t = {run.finding_t:.6g} the solution violates invariant "
+            f"After the action at t = {run.finding_t:.6g} the solution violates invariant "
             f"{names[run.finding_invariant]}: g - value = {run.finding_size:.6g}, a distance of "
             f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or the "
             "event rehold."

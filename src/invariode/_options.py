@@ -13,7 +13,20 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, choice, count, flag, function, positive, positive_integer, unknown_option, warn
-from ._types import EventsLike, Fsal, Function, Interpolation, Keep, MethodName, Numbers, OnInterrupt, Span
+from ._types import (
+    BreakpointsLike,
+    EventsLike,
+    Fsal,
+    Function,
+    Interpolation,
+    Keep,
+    MethodName,
+    Numbers,
+    OnInterrupt,
+    Span,
+)
+from .breakpoints import to_breakpoints
+from .inputs import InputsLike
 from .invariants import InvariantsLike
 from .methods import Method, find_method
 
@@ -213,7 +226,25 @@ class LimitOptions(TypedDict, total=False):
     ]
 
 
-class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, total=False):
+class BreakingOptions(TypedDict, total=False):
+    """Where a run starts anew."""
+
+    breakpoints: Annotated[
+        BreakpointsLike | None,
+        Option(
+            None,
+            "list of float or of (float, callable)",
+            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
+            "reached exactly, and the method starts anew there; each piece sees the functions from its own side, at a "
+            "time inside of it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
+            "invariants without a demanded value are held at their new values, and the output has both states. Those "
+            "outside the interval wait for an extension.",
+            to_breakpoints,
+        ),
+    ]
+
+
+class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, total=False):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[
@@ -347,7 +378,7 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
     ]
 
 
-class EnsembleOptions(SteppingOptions, KeepingOptions, LimitOptions, DescribingOptions, total=False):
+class EnsembleOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, DescribingOptions, total=False):
     """Those of `solve_ensemble` that its signature does not spell out."""
 
 
@@ -376,6 +407,7 @@ class ProblemArguments(DescribingOptions, CallingOptions, total=False):
     fun: Function
     t_span: Span
     y0: ArrayLike
+    inputs: InputsLike | None
     name: str | None
     labels: Sequence[str] | None
 

@@ -20,7 +20,7 @@ import threading
 from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -203,7 +203,15 @@ def is_native(fun: object) -> bool:
     return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
 
 
-_POINTERS = (CompiledFunction, CFuncPtr)
+class NativeWithInputs(NamedTuple):
+    """Machine code whose parameters begin with the values at t of inputs, `size` numbers."""
+
+    fun: Any
+    inputs: list[_core.PiecewisePolynomial]
+    size: int
+
+
+_POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
 
 
 def _is_cfunc(fun: object) -> bool:
@@ -222,6 +230,9 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     TypeError
         The object tells a signature, and it is another one.
     """
+    if isinstance(fun, NativeWithInputs):
+        code = to_native(name, fun.fun, n, size, np.concatenate([np.zeros(fun.size), args]), event)
+        return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
     if isinstance(fun, CompiledFunction):
         return fun.native(n, size, len(args), event)
     if not is_native(fun):

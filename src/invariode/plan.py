@@ -14,9 +14,11 @@ from ._arguments import LARGEST_COUNT, Array, distinct, kept, output_times, real
 from ._messages import inconsistent_start, limit_reached, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
+from .breakpoints import Breakpoint, of_inputs, ordered
 from .compiled import native_parameters, to_native
 from .description import Description
 from .events import EventSpec, event_spec
+from .inputs import fed
 from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
 from .methods import Method, find_method
 from .result import LIMIT_REACHED
@@ -77,6 +79,7 @@ class Functions(NamedTuple):
     parameters: Array  # `args` for native functions
     linear: _core.Linear | None
     events: list[EventSpec]
+    breakpoints: list[Breakpoint]
     callback: Any
     invariants: list[InvariantSpec]
     value: Array  # at which they are held
@@ -105,6 +108,11 @@ class Plan(NamedTuple):
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
 
+    def beyond(self, t: float) -> Plan:
+        """The same without the actions of breakpoints at t, which have been taken."""
+        points = [point._replace(action=None) if point.t == t else point for point in self.functions.breakpoints]
+        return self._replace(functions=self.functions._replace(breakpoints=points))
+
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
         if run.state == "limit_reached":
@@ -119,7 +127,9 @@ class Plan(NamedTuple):
         if run.state == "event_undefined":
             return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
         if run.state == "action_undefined":
-            return ValueError(f"the action of event {self.event_names[run.event]} returned NaN at t = {run.t}")
+            at_event = run.event < len(self.event_names)
+            what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
+            return ValueError(f"the action {what} returned NaN at t = {run.t}")
         return None
 
 
@@ -134,6 +144,7 @@ def solver(plan: Plan) -> _core.Solver:
         parameters=functions.parameters,
         linear=functions.linear,
         events=[_core.Event(*spec) for spec in functions.events],
+        breakpoints=[_core.Breakpoint(*point) for point in functions.breakpoints],
         callback=functions.callback,
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
         value=functions.value,
@@ -155,7 +166,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))
     settings = _settings(problem, chosen, options)
-    parameters, fun = _native_functions(problem)
+    breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
+    parameters, fun = _native_functions(problem, breakpoints)
     linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
@@ -165,7 +177,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         method=chosen,
         tolerances=weights,
         settings=settings,
-        functions=_functions(problem, fun, parameters, linear, bound, options["callback"]),
+        functions=_functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints),
         y0=y0,
         moved=y0 is not problem.y0,
         bound=bound,
@@ -243,14 +255,15 @@ def _highest_order(method: Method, order: int | None) -> int:
 # Functions
 
 
-def _native_functions(problem: Description) -> tuple[Array, Any]:
+def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
     used = [problem.fun, problem.matrices.jac]
     used += [f for one in problem.invariants for f in (one.fun, one.jac)]
     used += [f for event in problem.events for f in (event.fun, event.action)]
+    used += [point.action for point in breakpoints]
     p = native_parameters(problem.args, used)
     n = reals(problem.y0)
-    return p, to_native("fun", problem.fun, n, n, p)
+    return p, to_native("fun", fed(problem.fun, problem.inputs), n, n, p)
 
 
 def _functions(
@@ -260,6 +273,7 @@ def _functions(
     linear: _core.Linear | None,
     bound: BoundInvariants,
     callback: Any,
+    breakpoints: list[Breakpoint],
 ) -> Functions:
     n = reals(problem.y0)
     return Functions(
@@ -270,6 +284,10 @@ def _functions(
         parameters=parameters,
         linear=linear,
         events=[event_spec(event, n, parameters) for event in problem.events],
+        breakpoints=[
+            point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
+            for point in breakpoints
+        ],
         callback=callback,
         invariants=bound.specs,
         value=bound.value,
@@ -290,7 +308,8 @@ def _linear_algebra(
     from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
 
     t0, y0 = problem.t_span[0], problem.y0
-    linear = prepare(problem.matrices, t0, y0, problem.args, parameters)
+    matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
+    linear = prepare(matrices, t0, y0, problem.args, parameters)
     if not linear.algebraic:
         return linear, y0
     if any(event.action for event in problem.events):

@@ -30,6 +30,9 @@ class Problem(Description):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     {describing}
+    inputs : Input or list of Input, optional
+        Tabulated functions of t: `fun` and `jac` are called with their values after y, ``f(t, y, u, *args)``, native
+        ones with these at the beginning of p. A run starts anew where an input jumps, as at `breakpoints`.
     name : str, optional
         For tables and plots.
     labels : sequence of n str, optional
@@ -40,7 +43,8 @@ class Problem(Description):
     TypeError
         An argument of a wrong type, as a `fun` that is no function.
     ValueError
-        y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; `labels` are not n. What only a
+        y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; `labels` are not n; an input does not
+        cover `t_span`. What only a
         method can tell, as a Jacobian of a wrong shape, is an error of `solve`.
 
     Examples

@@ -47,6 +47,7 @@ class RunOrigin:
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
+    passed: bool  # whether breakpoints at t are behind the run
     imposed: bool = False
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -71,7 +72,7 @@ def solve(problem: Description, method: MethodName, options: Options) -> Solutio
     """See `Problem.solve`."""
     plan = make_plan(problem, method, options)
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
-    for name in ("t_eval", "rtol", "atol"):
+    for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
     return _carried_out(plan, Source(problem, method, given))
@@ -138,8 +139,14 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         _rtol=plan.rtol,
         _atol=plan.atol,
         _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
-        _origin=RunOrigin(source, t_end, y_end, next_h),
+        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(plan, run.breakpoints_passed, t_end)),
     )
+
+
+def _passed(plan: Plan, count: int, t_end: float) -> bool:
+    """Whether the breakpoints at the end have been passed, if there are any: a terminal event comes before them."""
+    behind = plan.functions.breakpoints[:count]
+    return bool(behind) and behind[-1].t == t_end
 
 
 #: Of a run without invariants.
@@ -211,6 +218,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     given.pop("progress", None)
 
     plan = make_plan(rest, method, now).holding(old._invariants.last_value)
+    if origin.passed:
+        plan = plan.beyond(origin.t)
     new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)
