@@ -63,6 +63,7 @@ EventFunction make_event(const EventSpec& spec, Functions& functions) {
   event.direction = spec.direction;
   if (!spec.action.is_none()) event.action = functions.state_valued(spec.action, "the action of event " + spec.name);
   event.rehold = spec.rehold;
+  event.samples = spec.samples;
   return event;
 }
 
@@ -195,11 +196,12 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](EventSpec* self, nb::object fun, std::int64_t terminal, int direction, std::string name, nb::object action,
-             bool rehold) {
-            new (self) EventSpec{std::move(fun), terminal, direction, std::move(name), std::move(action), rehold};
+             bool rehold, int samples) {
+            new (self)
+                EventSpec{std::move(fun), terminal, direction, std::move(name), std::move(action), rehold, samples};
           },
           nb::arg("fun"), nb::arg("terminal"), nb::arg("direction"), nb::arg("name"), nb::arg("action").none(),
-          nb::arg("rehold"));
+          nb::arg("rehold"), nb::arg("samples") = 0, "samples: points inside a step; 0: the usual ones, -1: adaptive.");
 }
 
 void define_linear(nb::module_& module) {

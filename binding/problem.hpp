@@ -36,6 +36,7 @@ struct EventSpec {
   std::string name;
   nb::object action;
   bool rehold;
+  int samples;
 };
 
 /// A breakpoint: its time, and its action or None.

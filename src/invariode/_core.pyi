@@ -42,7 +42,8 @@ class Breakpoint:
 class Event:
     """An event, for the core."""
 
-    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool) -> None: ...
+    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0) -> None:
+        """samples: points inside a step; 0: the usual ones, -1: adaptive."""
 
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
