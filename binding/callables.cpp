@@ -3,6 +3,7 @@
 
 #include <Python.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 #include <numpy/arrayobject.h>
 
 #include <algorithm>
@@ -314,7 +315,11 @@ void PythonFunction::complain(PyObject* returned) const {
 /// Machine code as a core callback, with the arguments it gets. It needs no interpreter.
 class NativeFunction final : public Callable {
  public:
-  NativeFunction(const Native& native, const double* parameters) : native_(native), parameters_(parameters) {}
+  NativeFunction(const Native& native, std::span<const double> parameters) : native_(native), parameters_(parameters) {
+    std::size_t size = 0;
+    for (const PiecewisePolynomial& input : native_.inputs) size += input.size();
+    if (size > 0) with_inputs_.resize(size + parameters.size());
+  }
 
   [[nodiscard]] Callback callback() { return {native_.event ? &event_entry : &vector_entry, this}; }
   [[nodiscard]] MatrixFunction matrix() { return {&matrix_entry, this}; }
@@ -328,21 +333,36 @@ class NativeFunction final : public Callable {
   using EventCode = double(double t, const double* y, const double* p);
 
   static Status vector_entry(void* self, double t, const double* y, double* out) noexcept {
-    const auto& me = *static_cast<NativeFunction*>(self);
-    in_python([&] { reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, me.parameters_); });  // by ctypes
+    auto& me = *static_cast<NativeFunction*>(self);
+    const double* p = me.parameters(t);
+    in_python([&] { reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, p); });  // by ctypes
     return Status::ok;
   }
   static Status event_entry(void* self, double t, const double* y, double* out) noexcept {
-    const auto& me = *static_cast<NativeFunction*>(self);
-    out[0] = in_python([&] { return reinterpret_cast<EventCode*>(me.native_.address)(t, y, me.parameters_); });
+    auto& me = *static_cast<NativeFunction*>(self);
+    const double* p = me.parameters(t);
+    out[0] = in_python([&] { return reinterpret_cast<EventCode*>(me.native_.address)(t, y, p); });
     return Status::ok;
   }
   static Status matrix_entry(void* self, double t, const double* y, Matrix& out) noexcept {
     return vector_entry(self, t, y, out.values.data());
   }
 
+  /// p at t. The parameters may have been written since the last call.
+  const double* parameters(double t) {
+    if (with_inputs_.empty()) return parameters_.empty() ? nullptr : parameters_.data();
+    double* p = with_inputs_.data();
+    for (const PiecewisePolynomial& input : native_.inputs) {
+      input.evaluate(t, p);
+      p += input.size();
+    }
+    std::copy(parameters_.begin(), parameters_.end(), p);
+    return with_inputs_.data();
+  }
+
   Native native_;
-  const double* parameters_;
+  std::span<const double> parameters_;
+  std::vector<double> with_inputs_;
 };
 
 void require(bool right, const char* what) {
@@ -451,8 +471,7 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
     return motion(mechanics).callback(part);
   }
   if (nb::isinstance<Native>(f)) {
-    const double* p = parameters_.empty() ? nullptr : parameters_.data();
-    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), p);
+    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), parameters_);
     const Callback callback = owner->callback();
     owned_.push_back(std::move(owner));
     return callback;
@@ -508,8 +527,7 @@ Callback Functions::rows(nb::handle f, const std::string& name, std::size_t m) {
 
 MatrixFunction Functions::matrix(nb::handle f) {
   if (nb::isinstance<Native>(f)) {
-    const double* p = parameters_.empty() ? nullptr : parameters_.data();
-    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), p);
+    auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), parameters_);
     const MatrixFunction function = owner->matrix();
     owned_.push_back(std::move(owner));
     return function;
@@ -534,14 +552,42 @@ PyType_Slot native_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse
 
 void define_callables(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
+  nb::class_<PiecewisePolynomial>(module, "PiecewisePolynomial", "Functions of t that are polynomials between times.")
+      .def(
+          "__init__",
+          [](PiecewisePolynomial* self, const ConstVector& times, const ConstVector& coefficients, std::size_t degree,
+             std::size_t size) {
+            new (self) PiecewisePolynomial(to_vector(times), to_vector(coefficients), degree, size);
+          },
+          nb::arg("times"), nb::arg("coefficients"), nb::arg("degree"), nb::arg("size"))
+      .def(
+          "evaluate",
+          [](const PiecewisePolynomial& self, const ConstVector& t) {
+            std::vector<double> values(t.size() * self.size());
+            for (std::size_t i = 0; i < t.size(); ++i) self.evaluate(t.data()[i], values.data() + i * self.size());
+            return to_array<Table>(std::move(values), t.size(), self.size());
+          },
+          nb::arg("t"), "(len(t), size)")
+      .def(
+          "at",
+          [](const PiecewisePolynomial& self, double t) {
+            double value = 0;
+            if (self.size() != 1) throw std::invalid_argument("there are several functions");
+            self.evaluate(t, &value);
+            return value;
+          },
+          nb::arg("t"), "The one value at t.");
   nb::class_<Native>(module, "Native", nb::type_slots(native_slots),
                      "Machine code of the user, and what keeps it alive.")
       .def(
           "__init__",
-          [](Native* self, std::uintptr_t address, bool event, nb::object owner) {
-            new (self) Native{address, event, std::move(owner)};
+          [](Native* self, std::uintptr_t address, bool event, nb::object owner,
+             std::vector<PiecewisePolynomial> inputs) {
+            new (self) Native{address, event, std::move(owner), std::move(inputs)};
           },
-          nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none());
+          nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
+          nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
+      .def_prop_ro("address", [](const Native& self) { return self.address; });
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

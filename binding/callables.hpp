@@ -12,6 +12,7 @@
 
 #include "callback.hpp"
 #include "linear/matrix.hpp"
+#include "run/input.hpp"
 
 namespace nb = nanobind;
 
@@ -29,11 +30,12 @@ struct Space {
   [[nodiscard]] std::size_t components() const { return complex ? size / 2 : size; }
 };
 
-/// A user's machine code: its address, and what keeps it alive.
+/// A user's machine code: its address, what keeps it alive, and inputs, whose values at t come first in its parameters.
 struct Native {
   std::uintptr_t address;
   bool event;
   nb::object owner;
+  std::vector<PiecewisePolynomial> inputs;
 };
 
 /// What keeps a user function for as long as the core may call it.

@@ -39,6 +39,13 @@ struct EventSpec {
   std::string name;
   nb::object action;
   bool rehold;
+  int samples;
+};
+
+/// A breakpoint: its time, and its action or None.
+struct BreakpointSpec {
+  double t;
+  nb::object action;
 };
 
 /// What is known of ∂f/∂y and M.
@@ -59,6 +66,7 @@ struct ProblemSpec {
   std::vector<double> parameters;
   std::optional<LinearSpec> linear;
   std::vector<EventSpec> events;
+  std::vector<BreakpointSpec> breakpoints;
   nb::object callback;
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;

@@ -9,6 +9,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -124,9 +125,15 @@ bool run_with_interpreter(Integration& integration, const double* y0, Progress& 
   return true;
 }
 
-FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told) {
+/// A wish to end a run, which another thread or a handler of signals makes while it goes on.
+struct StopRequest {
+  std::atomic<bool> made{false};
+};
+
+FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request) {
   require_state(y0, self.solver.problem().n);
   Run run(self.solver);
+  if (request != nullptr) run.integration().heed(request->made);
   Progress progress(told);
   const bool finished = self.bound.native() ? run_without_interpreter(run.integration(), y0.data(), progress)
                                             : run_with_interpreter(run.integration(), y0.data(), progress);
@@ -320,6 +327,9 @@ void define_report_of_run(RunClass& run) {
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
   property(run, "undefined_jacobian", [](const RunResult& r) { return r.report.linear.undefined_jacobian; });
   property(run, "event", [](const RunResult& r) { return r.report.event; });
+  property(run, "limit", [](const RunResult& r) { return name_of(r.report.limit); });
+  property(run, "steps_to_limit", [](const RunResult& r) { return r.report.steps; });
+  property(run, "seconds_to_limit", [](const RunResult& r) { return r.report.seconds; });
   property(run, "finding", [](const RunResult& r) { return name_of(r.report.finding.kind); });
   property(run, "finding_invariant", [](const RunResult& r) { return r.report.finding.invariant; });
   property(run, "finding_component", [](const RunResult& r) { return r.report.finding.component; });
@@ -343,6 +353,7 @@ void define_summary_of_run(RunClass& run) {
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
+  property(run, "breakpoints_passed", [](const RunResult& r) { return r.breakpoints_passed; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 
@@ -378,6 +389,9 @@ void define_ensemble(nb::module_& module) {
 }
 
 void define_solver(nb::module_& module) {
+  nb::class_<StopRequest>(module, "StopRequest", "A wish to end a run.")
+      .def(nb::init<>())
+      .def("make", [](StopRequest& self) { self.made = true; }, "From any thread, or in a handler of signals.");
   nb::class_<BoundSolver>(module, "Solver", nb::type_slots(solver_slots),
                           "A problem with a method: all that is known before the initial value.")
       .def(nb::init<const std::string&, const ProblemSpec&, const Tolerances&, const RunSettings&>(), nb::arg("method"),
@@ -399,8 +413,10 @@ void define_solver(nb::module_& module) {
           },
           nb::arg("seen"), nb::arg("asleep"),
           "Its runs go on from where another one ended, with so many occurrences of each event.")
-      .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(),
-           "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end.");
+      .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(), nb::arg("request") = nb::none(),
+           "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` "
+           "ends "
+           "the run after the step in which it is made.");
 }
 
 void define_stepper(nb::module_& module) {

@@ -19,7 +19,7 @@ constexpr int patience = 3;              // corrections refused in a step before
 }  // namespace
 
 Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
-                         std::vector<EventFunction> events, Callback callback, Settings settings)
+                         std::vector<EventFunction> events, Breaks breaks, Callback callback, Settings settings)
     : step_(std::move(step)),
       weights_(weights),
       invariants_(manifold.steps),
@@ -29,7 +29,8 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       callback_(callback),
       n_(weights.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
-      events_(std::move(events), n_, step_->max_degree()) {
+      events_(std::move(events), n_, step_->max_degree()),
+      breaks_(std::move(breaks)) {
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
@@ -43,7 +44,8 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
   interpolant_.emplace(*step_, settings_.interpolation, output_projector_ ? &*output_projector_ : nullptr,
                        projector_ ? &*projector_ : nullptr, bounds_);
   if (!events_.empty()) event_y_.resize(n_);
-  if (settings_.output_at_times || settings_.refine > 1 || !events_.empty()) inside_y_.resize(n_);
+  if (settings_.output_at_times || settings_.refine > 1 || !events_.empty() || !breaks_.points.empty())
+    inside_y_.resize(n_);
   occurrences.resize(events_.count());
   if (settings_.dense)
     dense.emplace(n_, manifold.between ? manifold.between->m() : 0, settings_.interpolation, step_->interpolate(),
@@ -70,16 +72,20 @@ bool Integration::refuse(const Finding& finding) {
 // ---------------------------------------------------------------------------------------------------------- the start
 
 State Integration::start(const double* y0) {
+  started_ = std::chrono::steady_clock::now();
   const double t0 = settings_.t0;
   interpolant_->start_at(t0, y0);
   reached_ = {t0, interpolant_->start_y()};
   report_.t = t0;
+  aim();
   if (!inspect_start()) return state_;
   const double* y = interpolant_->start_y();
   if (dense) dense->start(t0, y);
-  if (!emit(false) || !start_memory(t0, y)) return state_;
+  const bool breaks = breaks_here();
+  if (!emit(breaks) || !start_memory(t0, y)) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   if (!start_rate(t0, y) || !watch_events(events_.start(t0, y))) return state_;
+  if (breaks && !pass_breakpoint()) return state_;
   if (t0 == settings_.tf || n_ == 0)
     nothing_to_integrate();
   else
@@ -126,7 +132,7 @@ bool Integration::project_start_within_bounds() {
 
 /// Builds the method's memory at (t, y), at the start and after a jump.
 bool Integration::start_memory(double t, const double* y) {
-  switch (step_->start(t, y, {settings_.tf, settings_.hmax, hmin_ulps * ulp(t)})) {
+  switch (step_->start(t, y, {target_, settings_.hmax, hmin_ulps * ulp(t)})) {
     case Outcome::ok: return true;
     case Outcome::stop: return end(State::interrupted);
     case Outcome::not_finite: break;
@@ -181,19 +187,24 @@ State Integration::advance() {
       case Verdict::accepted: return finish_step();
       case Verdict::rejected: break;
     }
+    if (out_of_time()) {
+      reach(Limit::time);
+      return state_;
+    }
   }
 }
 
-/// |h| ≤ hmax but never below hmin, and a step that comes close to tf is stretched or cut to land on it exactly.
+/// |h| ≤ hmax but never below hmin, and a step that comes close to the target is stretched or cut to land on it
+/// exactly.
 void Integration::begin_step() {
   const double t = step_->t();
   interpolant_->start_at(t, step_->y());
   attempt_ = {.hmin = hmin_ulps * ulp(t)};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
   const double size = std::max(attempt_.hmin, std::min({settings_.hmax, huge, step_->h()}));
-  attempt_.landing = stretch * size >= std::abs(settings_.tf - t);
-  attempt_.h = attempt_.landing ? settings_.tf - t : forward_ * size;
-  attempt_.t1 = attempt_.landing ? settings_.tf : t + attempt_.h;
+  attempt_.landing = stretch * size >= std::abs(target_ - t);
+  attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
+  attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
 }
 
 Integration::Verdict Integration::attempt() {
@@ -272,7 +283,7 @@ Integration::Verdict Integration::oversized(const double* candidate) {
   attempt_.refused[0] = attempt_.refused[1];
   attempt_.refused[1] = attempt_.correction;
   const bool falls = attempt_.correction < before / expected_decrease;
-  if (++attempt_.refusals >= patience && settings_.check && !falls &&
+  if (++attempt_.refusals >= patience && settings_.check && !falls && !at_breakpoint() &&
       !refuse(guard_->confirm(attempt_.t1, candidate, attempt_.h)))
     return Verdict::ended;
   return reject(Cause::projection);
@@ -286,7 +297,7 @@ Integration::Verdict Integration::reject(Cause cause) {
   }
   attempt_.landing = attempt_.landing && step_->h() >= std::abs(attempt_.h);
   if (!attempt_.landing) attempt_.h = forward_ * step_->h();
-  attempt_.t1 = attempt_.landing ? settings_.tf : interpolant_->start_t() + attempt_.h;
+  attempt_.t1 = attempt_.landing ? target_ : interpolant_->start_t() + attempt_.h;
   return Verdict::rejected;
 }
 
@@ -317,7 +328,8 @@ State Integration::finish_step() {
   if (!judge_invariants()) return state_;
   ++counts_.steps;
   interpolant_->accept();
-  if (find_events() && record() && emit(events_.acts())) conclude();
+  if (find_events() && record() && emit(!events_.terminal() && (events_.acts() || breaks_here())) && conclude())
+    goes_on();
   return state_;
 }
 
@@ -332,7 +344,7 @@ void Integration::note_drift() {
 }
 
 bool Integration::judge_invariants() {
-  if (!guard_ || !settings_.check || projected_.skipped) return true;
+  if (!guard_ || !settings_.check || projected_.skipped || at_breakpoint()) return true;
   const double h = attempt_.h, t1 = attempt_.t1;
   const std::int64_t step = counts_.steps + 1;
   return refuse(guard_->rate(projector_->linearization(), t1, step_->slope(), h, step)) &&
@@ -408,6 +420,9 @@ bool Integration::emit_times(bool jumps_here) {
   return true;
 }
 
+/// A value that was left to come after a jump, and the jump does not come.
+bool Integration::emit_before_end() { return !settings_.save_all || !settings_.output_at_times || emit_times(false); }
+
 bool Integration::emit_inside(double t) {
   if (interpolant_->value(t, inside_y_.data()) == Status::stop) return end(State::interrupted);
   points.add(t, inside_y_.data(), n_);
@@ -420,23 +435,54 @@ bool Integration::conclude() {
   double stop = 0;
   if (callback_ && callback_(t, y, &stop) == Status::stop) return end(State::interrupted);
   if (events_.terminal()) return end(State::terminal_event);
-  if (stop != 0) return end(State::stopped_by_callback);
+  if (stop != 0) return emit_before_end() && end(State::stopped_by_callback);
   if (events_.acts() && !jump()) return false;
+  if (breaks_here() && !pass_breakpoint()) return false;
   if (attempt_.landing && t == settings_.tf) return end(State::reached_end);
   return true;
+}
+
+/// What is known of the step that has ended does not hold at (reached t, y), where the solution goes on.
+void Integration::leave_step(const double* y) {
+  if (y != interpolant_->start_y()) interpolant_->start_at(reached_.t, y);
+  interpolant_->restart();
+  if (projector_) projector_->forget();
+  report_.t = reached_.t;
+  reached_.y = interpolant_->start_y();
 }
 
 /// Takes the actions of the events at the point reached, where the step was cut, and starts again from what they
 /// return.
 bool Integration::jump() {
-  const double t = reached_.t;
-  interpolant_->start_at(t, event_y_.data());
-  interpolant_->restart();
-  if (projector_) projector_->forget();
-  double* y = interpolant_->start_y();
-  report_.t = t;
+  leave_step(event_y_.data());
   bool rehold = true;
-  if (!take_actions(rehold)) return false;
+  return take_actions(rehold) && go_on_from_jump(rehold);
+}
+
+/// `rehold`: every event that acts asks for it.
+bool Integration::take_actions(bool& rehold) {
+  for (const Occurrence& occurrence : events_.occurrences()) {
+    EventFunction& function = events_.function(occurrence.event);
+    if (occurrence.t != reached_.t || !function.action) continue;
+    rehold = rehold && function.rehold;
+    report_.event = occurrence.event;
+    if (!take(function.action)) return false;
+  }
+  return true;
+}
+
+/// The solution after the jump into the start of the next step.
+bool Integration::take(Callback& action) {
+  double* y = interpolant_->start_y();
+  std::copy(y, y + n_, inside_y_.begin());
+  if (action(reached_.t, inside_y_.data(), y) == Status::stop) return end(State::interrupted);
+  return all_finite(y, n_) || end(State::action_undefined);
+}
+
+/// Holds the invariants at the start of the next step, where the solution has jumped to, and starts again.
+bool Integration::go_on_from_jump(bool rehold) {
+  const double t = reached_.t;
+  double* y = interpolant_->start_y();
   if (!start_within_bounds()) return end(State::action_out_of_bounds);
   if (invariants_) {
     if (rehold && invariants_->hold(t, y) == Status::stop) return end(State::interrupted);
@@ -447,26 +493,105 @@ bool Integration::jump() {
       {settings_.save_all ? points.t.size() : 0, t, invariants_ ? invariants_->value() : std::vector<double>{}});
   if (t != settings_.tf && !start_memory(t, y)) return false;
   if (!watch_events(events_.restart(t, y))) return false;
-  reached_.y = y;
-  return emit(false);
+  return emit(breaks_here());
 }
 
-/// The solution after the jump into the start of the next step. `rehold`: every event that acts asks for it.
-bool Integration::take_actions(bool& rehold) {
-  const double t = reached_.t;
-  double* y = interpolant_->start_y();
-  for (const Occurrence& occurrence : events_.occurrences()) {
-    EventFunction& function = events_.function(occurrence.event);
-    if (occurrence.t != t || !function.action) continue;
-    rehold = rehold && function.rehold;
-    std::copy(y, y + n_, inside_y_.begin());
-    if (function.action(t, inside_y_.data(), y) == Status::stop) return end(State::interrupted);
-    if (!all_finite(y, n_)) {
-      report_.event = occurrence.event;
-      return end(State::action_undefined);
-    }
+// -------------------------------------------------------------------------------------------------------- breakpoints
+
+/// Does the step end at a breakpoint?
+bool Integration::at_breakpoint() const {
+  return attempt_.landing && next_break_ < breaks_.points.size() && breaks_.points[next_break_].t == attempt_.t1;
+}
+
+/// Is the point reached a breakpoint that has not been passed?
+bool Integration::breaks_here() const {
+  return next_break_ < breaks_.points.size() && breaks_.points[next_break_].t == reached_.t;
+}
+
+/// Steps go to the next breakpoint from now on, and functions see the piece up to there.
+void Integration::aim() {
+  std::size_t next = next_break_;
+  while (next < breaks_.points.size() && breaks_.points[next].t == reached_.t) ++next;
+  const bool breaks = next < breaks_.points.size();
+  target_ = breaks ? breaks_.points[next].t : settings_.tf;
+  const bool from = next > 0 && breaks_.points[next - 1].t == reached_.t;
+  if (breaks_.piece) breaks_.piece->enter(reached_.t, from, target_, breaks);
+}
+
+/// Starts again at the point reached, in the next piece, from what the actions return.
+bool Integration::pass_breakpoint() {
+  leave_step(reached_.y);
+  aim();
+  bool acts = false, moved = false;
+  for (; breaks_here(); ++next_break_) {
+    Breakpoint& point = breaks_.points[next_break_];
+    if (!point.action) continue;
+    acts = true;
+    report_.event = events_.count() + next_break_;
+    if (!take(point.action)) return false;
+  }
+  if (!make_consistent(moved)) return false;
+  if (acts || moved) return go_on_from_jump(acts);
+  if (reached_.t != settings_.tf && !start_memory(reached_.t, reached_.y)) return false;
+  return !settings_.output_at_times || emit_times(false);
+}
+
+/// Algebraic variables jump where their equations do.
+bool Integration::make_consistent(bool& moved) {
+  if (!breaks_.consistent) return true;
+  switch (breaks_.consistent(reached_.t, interpolant_->start_y())) {
+    case Consistency::corrected: moved = true; return true;
+    case Consistency::stop: return end(State::interrupted);
+    case Consistency::not_found:
+    case Consistency::index_too_high: return end(State::restart_inconsistent);
+    case Consistency::consistent:
+    case Consistency::undefined: break;  // the restart says so
   }
   return true;
+}
+
+// ------------------------------------------------------------------------------------------------------------- limits
+
+/// Unless the run is asked to stop, or a limit is reached.
+bool Integration::goes_on() {
+  if (request_ && request_->load(std::memory_order_relaxed)) {
+    report_.t = reached_.t;
+    return end(State::stopped_by_request);
+  }
+  if (counts_.steps >= settings_.max_steps) return reach(Limit::steps);
+  if (out_of_time()) return reach(Limit::time);
+  if (kept_points() >= settings_.max_points) return reach(Limit::points);
+  return kept_bytes() < settings_.max_bytes || reach(Limit::memory);
+}
+
+double Integration::seconds() const {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count();
+}
+
+bool Integration::out_of_time() const {
+  return settings_.time_limit < std::numeric_limits<double>::infinity() && seconds() >= settings_.time_limit;
+}
+
+/// Outputs or steps of the continuous solution, whichever are more, and occurrences of events.
+std::int64_t Integration::kept_points() const {
+  std::size_t count = std::max(points.t.size(), dense ? dense->knots().size() : 0);
+  for (const Trajectory& one : occurrences) count += one.t.size();
+  return static_cast<std::int64_t>(count);
+}
+
+std::int64_t Integration::kept_bytes() const {
+  std::size_t bytes = points.bytes() + steps.size() * sizeof(AcceptedStep) + (dense ? dense->bytes() : 0);
+  for (const Trajectory& one : occurrences) bytes += one.bytes();
+  return static_cast<std::int64_t>(bytes);
+}
+
+bool Integration::reach(Limit limit) {
+  report_.t = reached_.t;
+  report_.h = step_->h();
+  report_.limit = limit;
+  report_.steps = counts_.steps;
+  report_.seconds = seconds();
+  return end(State::limit_reached);
 }
 
 std::optional<DenseOutput> Integration::last_step() {

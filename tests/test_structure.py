@@ -154,6 +154,7 @@ class TestReplace:
             "mass": None,
             "nonnegative": [0],
             "bounds": (None, 10.0),
+            "inputs": [iv.Input([0], [1.0])],
             "name": "new",
             "labels": ["c", "d"],
         }
@@ -173,6 +174,7 @@ class TestReplace:
             "y0": problem.y0.tolist(),
             **problem._bounds_as_given,
             "args": problem.args,
+            "inputs": problem.inputs,
             "invariants": [one.fun for one in problem.invariants],
             "events": [one.fun for one in problem.events],
             **{name: None if m is None else np.asarray(m).tolist() for name, m in vars(problem.matrices).items()},

@@ -20,6 +20,7 @@ struct Trajectory {
     t.push_back(at);
     y.append(point, n);
   }
+  [[nodiscard]] std::size_t bytes() const { return (t.size() + y.size()) * sizeof(double); }
   void clear() {
     t.clear();
     y.clear();
@@ -47,6 +48,10 @@ class DenseOutput {
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
   [[nodiscard]] const Buffer<double>& knots() const { return knots_.t; }
+
+  [[nodiscard]] std::size_t bytes() const {
+    return knots_.bytes() + data_.size() * sizeof(double) + end_.size() * (sizeof(double) + sizeof(std::size_t));
+  }
 
   /// What it consists of, for storing it: given to `start` and `add` again, it makes the same function.
   struct Parts {

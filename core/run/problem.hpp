@@ -36,6 +36,7 @@ struct Problem {
   Callback f;
   Callback callback;  ///< asked after each accepted step whether to stop; may be empty
   std::vector<EventFunction> events;
+  std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
   std::vector<InvariantBlock> invariants;
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;

@@ -24,7 +24,9 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
 }
 
 /// In this order: each refers to what the ones before have made.
-Run::Run(const Solver& solver) : solver_(solver), f_(solver.problem().f) {
+Run::Run(const Solver& solver) : solver_(solver) {
+  see_pieces();
+  f_ = problem().f;
   copy_linear_terms();
   keep_within_bounds();
   derive_slope();
@@ -32,10 +34,29 @@ Run::Run(const Solver& solver) : solver_(solver), f_(solver.problem().f) {
   start_loop();
 }
 
+/// What may jump at a breakpoint, f and g with their derivatives, is called by way of the piece. Events are not: their
+/// signs go on through breakpoints.
+void Run::see_pieces() {
+  if (solver_.problem().breakpoints.empty()) return;
+  Problem& problem = pieced_.emplace(solver_.problem());
+  problem.f = piece_.seen(problem.f);
+  for (InvariantBlock& block : problem.invariants) {
+    block.g = piece_.seen(block.g);
+    block.jacobian = piece_.seen(block.jacobian);
+    block.complex_g = piece_.seen(block.complex_g);
+  }
+  if (!problem.linear) return;
+  problem.linear->function = piece_.seen(problem.linear->function);
+  if (problem.linear->mass) problem.linear->mass->see([this](const MatrixFunction& m) { return piece_.seen(m); });
+}
+
 void Run::copy_linear_terms() {
   if (!solver_.jacobian()) return;
-  jacobian_.emplace(*solver_.jacobian());
-  mass_ = solver_.problem().linear->mass;
+  if (pieced_)
+    jacobian_.emplace(make_jacobian(*pieced_->linear, solver_.weights()));
+  else
+    jacobian_.emplace(*solver_.jacobian());
+  mass_ = problem().linear->mass;
 }
 
 LinearAlgebra Run::linear_algebra() {
@@ -57,7 +78,7 @@ void Run::keep_within_bounds() {
 
 /// y' as a function, by which invariants are tested.
 void Run::derive_slope() {
-  if (solver_.problem().invariants.empty() && !moves_off_algebraic_equations()) return;
+  if (problem().invariants.empty() && !moves_off_algebraic_equations()) return;
   if (mass_)
     slope_ = std::make_unique<MassSlope>(f_, linear_algebra(), solver_.weights());
   else
@@ -66,7 +87,7 @@ void Run::derive_slope() {
 }
 
 void Run::bind_invariants() {
-  const Problem& problem = solver_.problem();
+  const Problem& problem = this->problem();
   if (problem.invariants.empty()) {
     manifold_.off_bounds_only = moves_off_algebraic_equations();
     if (manifold_.off_bounds_only) manifold_.steps = &steps_.emplace(with_algebraic_equations());
@@ -87,7 +108,7 @@ bool Run::moves_off_algebraic_equations() const { return solver_.problem().bound
 
 /// With a singular mass matrix the invariants are imposed together with the algebraic equations.
 Invariants Run::with_algebraic_equations() {
-  const Problem& problem = solver_.problem();
+  const Problem& problem = this->problem();
   algebraic_.emplace(f_, *jacobian_, *mass_);
   InvariantBlock block;
   block.g = algebraic_->residual();
@@ -104,7 +125,13 @@ Invariants Run::with_algebraic_equations() {
 void Run::start_loop() {
   std::unique_ptr<Step> step =
       solver_.method().step(*method_f_, solver_.weights(), solver_.options(), linear_algebra());
-  integration_.emplace(std::move(step), solver_.weights(), manifold_, solver_.problem().events,
+  Integration::Breaks breaks{solver_.problem().breakpoints, &piece_, {}};
+  if (mass_ && mass_->singular())
+    breaks.consistent = [this](double t, double* y) {
+      Callback uncounted = f_;  // nfev is what the method evaluates
+      return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
+    };
+  integration_.emplace(std::move(step), solver_.weights(), manifold_, solver_.problem().events, std::move(breaks),
                        solver_.problem().callback, solver_.settings());
 }
 
@@ -167,6 +194,7 @@ RunResult Run::take_result() {
   if (solver_.settings().output_at_times || result.points.t.empty())
     result.y_end.emplace(loop.y(), loop.y() + result.n);
   result.next_h = loop.step().h();
+  result.breakpoints_passed = loop.passed();
   return result;
 }
 

@@ -14,6 +14,7 @@
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "manifold/invariants.hpp"
+#include "piece.hpp"
 #include "run/problem.hpp"
 #include "slope.hpp"
 
@@ -45,6 +46,7 @@ struct RunResult {
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;
+  std::size_t breakpoints_passed = 0;
 
   static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
                                                 "nlu",   "nsolve", "projections", "skipped",    "clipped",
@@ -77,6 +79,7 @@ class Run {
   RunResult take_result();
 
  private:
+  void see_pieces();
   void copy_linear_terms();
   void keep_within_bounds();
   void derive_slope();
@@ -88,7 +91,12 @@ class Run {
   void describe_invariants(RunResult& result) const;
   LinearAlgebra linear_algebra();
 
+  /// The functions of the run: the solver's, or what a piece between breakpoints sees of them.
+  [[nodiscard]] const Problem& problem() const { return pieced_ ? *pieced_ : solver_.problem(); }
+
   const Solver& solver_;
+  Piece piece_;
+  std::optional<Problem> pieced_;
   Callback f_;
 
   // Of its own, since evaluating them changes them.

@@ -7,10 +7,24 @@ import numpy
 from numpy.typing import NDArray
 
 
+class PiecewisePolynomial:
+    """Functions of t that are polynomials between times."""
+
+    def __init__(self, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], coefficients: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], degree: int, size: int) -> None: ...
+
+    def evaluate(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """(len(t), size)"""
+
+    def at(self, t: float) -> float:
+        """The one value at t."""
+
 class Native:
     """Machine code of the user, and what keeps it alive."""
 
-    def __init__(self, *, address: int, event: bool, owner: object | None) -> None: ...
+    def __init__(self, *, address: int, event: bool, owner: object | None, inputs: Sequence[PiecewisePolynomial] = []) -> None: ...
+
+    @property
+    def address(self) -> int: ...
 
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
@@ -20,10 +34,16 @@ class Invariant:
 
     def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0) -> None: ...
 
+class Breakpoint:
+    """A breakpoint, for the core."""
+
+    def __init__(self, t: float, action: object | None) -> None: ...
+
 class Event:
     """An event, for the core."""
 
-    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool) -> None: ...
+    def __init__(self, fun: object, terminal: int, direction: int, name: str, action: object | None, rehold: bool, samples: int = 0) -> None:
+        """samples: points inside a step; 0: the usual ones, -1: adaptive."""
 
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
@@ -39,7 +59,7 @@ class Linear:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
@@ -152,6 +172,30 @@ class Settings:
     @negligible.setter
     def negligible(self, arg: object, /) -> None: ...
 
+    @property
+    def max_steps(self) -> object: ...
+
+    @max_steps.setter
+    def max_steps(self, arg: object, /) -> None: ...
+
+    @property
+    def time_limit(self) -> object: ...
+
+    @time_limit.setter
+    def time_limit(self, arg: object, /) -> None: ...
+
+    @property
+    def max_points(self) -> object: ...
+
+    @max_points.setter
+    def max_points(self, arg: object, /) -> None: ...
+
+    @property
+    def max_bytes(self) -> object: ...
+
+    @max_bytes.setter
+    def max_bytes(self, arg: object, /) -> None: ...
+
     FIELDS: tuple = ...
 
 class Dense:
@@ -229,6 +273,15 @@ class Run:
     def event(self) -> int: ...
 
     @property
+    def limit(self) -> str: ...
+
+    @property
+    def steps_to_limit(self) -> int: ...
+
+    @property
+    def seconds_to_limit(self) -> float: ...
+
+    @property
     def finding(self) -> str: ...
 
     @property
@@ -272,6 +325,9 @@ class Run:
     def clipped(self) -> float: ...
 
     @property
+    def breakpoints_passed(self) -> int: ...
+
+    @property
     def next_h(self) -> float: ...
 
 class EnsembleRun:
@@ -303,6 +359,14 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers.
     """
 
+class StopRequest:
+    """A wish to end a run."""
+
+    def __init__(self) -> None: ...
+
+    def make(self) -> None:
+        """From any thread, or in a handler of signals."""
+
 class Solver:
     """A problem with a method: all that is known before the initial value."""
 
@@ -323,9 +387,9 @@ class Solver:
         Its runs go on from where another one ended, with so many occurrences of each event.
         """
 
-    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None) -> Run:
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None) -> Run:
         """
-        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end.
+        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made.
         """
 
 class Stepper:

@@ -302,7 +302,15 @@ def is_native(fun: object) -> bool:
     return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
 
 
-_POINTERS = (CompiledFunction, CFuncPtr)
+class NativeWithInputs(NamedTuple):
+    """Machine code whose parameters begin with the values at t of inputs, `size` numbers."""
+
+    fun: Any
+    inputs: list[_core.PiecewisePolynomial]
+    size: int
+
+
+_POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
 
 
 def _is_cfunc(fun: object) -> bool:
@@ -324,6 +332,9 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     """
     if isinstance(fun, CoreFunction):
         return fun.for_core(n, size, args)
+    if isinstance(fun, NativeWithInputs):
+        code = to_native(name, fun.fun, n, size, np.concatenate([np.zeros(fun.size), args]), event)
+        return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
     if isinstance(fun, CompiledFunction):
         return fun.native(n, size, len(args), event, second)
     if not is_native(fun):
@@ -363,7 +374,6 @@ class _Native(_core.Native):
 
     def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
         super().__init__(address=address, event=event, owner=owner)
-        self.address = address
         self._made_of = made_of
 
     def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:

@@ -16,6 +16,7 @@ from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
 from .events import direction_sign, terminal_count, to_events
+from .inputs import InputsLike, to_inputs
 from .invariants import InvariantsLike, to_invariants
 from .notebook import html_of_problem
 
@@ -52,6 +53,7 @@ class Description:
         mass: Any = None,
         nonnegative: Any = None,
         bounds: Any = None,
+        inputs: InputsLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
@@ -64,6 +66,7 @@ class Description:
         for event in self.events:
             terminal_count(event), direction_sign(event)
         self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
+        self.inputs = to_inputs(inputs, self.t_span)
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         self.name = call_name(self.fun, "problem") if name is None else name
@@ -108,6 +111,7 @@ class Description:
             "events": self.events,
             **vars(self.matrices),
             **self._bounds_as_given,
+            "inputs": self.inputs,
             "name": self._title,
             "labels": self._labels,
         }

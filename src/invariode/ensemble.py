@@ -37,11 +37,19 @@ from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, 
 from .events import to_events
 from .invariants import AccuracyWarning, as_columns
 from .plan import Plan, make_plan, solver
-from .result import default_labels
+from .result import LIMIT_REACHED, default_labels
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
-_STATUS = {"reached_end": 0, "terminal_event": 1, "stopped_by_callback": 2, "invariant_convicted": -2}
+_STATUS = {
+    "reached_end": 0,
+    "terminal_event": 1,
+    "stopped_by_callback": 2,
+    "invariant_convicted": -2,
+    "limit_reached": LIMIT_REACHED,
+}
+#: What a single solve ends with by an exception.
+_RAISED = -4
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
 _EXCEPTIONS = (
     "invariant_refused",
@@ -152,7 +160,8 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     """The options of each trajectory."""
     for name, value in given.items():
         if name in _OF_SINGLE_RUNS and not (np.isscalar(value) and value == TABLE[name].default):
-            raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
+            instead = "; give t_eval" if name in ("refine", "dense_output") else ""
+            raise ValueError(f"{name} is not possible for an ensemble{instead}")
     options = given.copy()
     if t_eval is not None:
         options["t_eval"] = t_eval
@@ -297,14 +306,16 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
     dtype = y0.dtype
     states = run.take_states()
     value, before, after, correction = run.take_drift()
-    codes = np.array([_STATUS.get(name, -3 if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8)
+    codes = np.array(
+        [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8
+    )
     return _solution(
         task,
         plan,
         y=run.take_y().view(dtype),
         t_end=run.take_t(),
         y_end=run.take_end().view(dtype),
-        status=np.where(states < 0, np.int8(-3), codes[states]),
+        status=np.where(states < 0, np.int8(_RAISED), codes[states]),
         counts=run.take_counts(),
         clipped_amount=run.take_clipped(),
         messages=_messages(task, plan, run, states),
@@ -389,12 +400,12 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
             plan = task.plan(i)
         run = solver(plan).integrate(plan.y0.view(float))
         exception = plan.exception(run)
-        status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
+        status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
         return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # sys.exit in a function too
-        return _Outcome(i, -3, _as_text(error), None)
+        return _Outcome(i, _RAISED, _as_text(error), None)
 
 
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
@@ -436,7 +447,7 @@ class _Rows:
         self.task, self.plan = task, plan
         self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
         self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), task.y0.copy()
-        self.status = np.full(size, -3, dtype=np.int8)
+        self.status = np.full(size, _RAISED, dtype=np.int8)
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)
         self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
@@ -513,4 +524,4 @@ def _elsewhere(task: _Task, workers: int) -> Generator[list[_Outcome]]:
 
 
 def _died(i: int) -> _Outcome:
-    return _Outcome(i, -3, "the worker process died: fun ended the process, or memory ran out", None)
+    return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", None)

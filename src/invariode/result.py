@@ -15,7 +15,10 @@ from ._core import Dense
 from .invariants import BoundInvariants, as_columns
 from .notebook import html_of_solution
 
-__all__ = ["BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+__all__ = ["LIMIT_REACHED", "BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+
+#: The status of a run that a limit has ended: its results are right, and it can be extended.
+LIMIT_REACHED = -3
 
 
 class Record(Mapping[str, Any]):

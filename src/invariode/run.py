@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -11,6 +12,7 @@ from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._calls import explained
+from ._interruption import stopped_by_interrupt
 from ._messages import MESSAGES, harmful_projection
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
@@ -21,7 +23,7 @@ from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps
 from .solution import Solution
 
 __all__ = ["RunOrigin", "solve"]
@@ -50,6 +52,7 @@ class RunOrigin:
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
+    passed: bool  # whether breakpoints at t are behind the run
     imposed: bool = False
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -109,7 +112,7 @@ def solve(problem: Description, method: MethodName, options: Options) -> Solutio
 def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
     plan = make_plan(problem, method, options)
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
-    for name in ("t_eval", "rtol", "atol"):
+    for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
     source = Source(problem, method, given)
@@ -132,11 +135,13 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if resumed is not None:
         core.resume(*resumed)
     y0 = plan.y0.view(float)
-    if plan.progress:
-        with run_bar(source.problem.name, plan.settings.t0, plan.settings.tf) as told:
-            run = core.integrate(y0, told)
-    else:
-        run = core.integrate(y0, None)
+    with ExitStack() as around:
+        told = request = None
+        if plan.progress:
+            told = around.enter_context(run_bar(source.problem.name, plan.settings.t0, plan.settings.tf))
+        if plan.on_interrupt == "return":
+            request = around.enter_context(stopped_by_interrupt())
+        run = core.integrate(y0, told, request)
     if exception := plan.exception(run):
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
@@ -182,8 +187,14 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         _rtol=plan.rtol,
         _atol=plan.atol,
         _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
-        _origin=RunOrigin(source, t_end, y_end, next_h),
+        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(plan, run.breakpoints_passed, t_end)),
     )
+
+
+def _passed(plan: Plan, count: int, t_end: float) -> bool:
+    """Whether the breakpoints at the end have been passed, if there are any: a terminal event comes before them."""
+    behind = plan.functions.breakpoints[:count]
+    return bool(behind) and behind[-1].t == t_end
 
 
 #: Of a run without invariants.
@@ -227,7 +238,7 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
 
 
 def _extended(origin: RunOrigin, old: Solution, t_end: float, options: ExtensionOptions) -> Solution:
-    if not old.success:
+    if not (old.success or old.status == LIMIT_REACHED):
         raise ValueError(f"a run that failed cannot be extended: {old.message}")
     tf = number("t_end", t_end)
     forward = origin.forward or float(np.sign(tf - origin.t))
@@ -247,6 +258,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     given.pop("progress", None)
 
     plan = make_plan(rest, method, now).holding(old._invariants.last_value)
+    if origin.passed:
+        plan = plan.beyond(origin.t)
     new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)
