@@ -492,6 +492,11 @@ Callback Functions::complex_vector(nb::handle f, const std::string& name, std::s
   return add(f, args_, name, {.rows = static_cast<npy_intp>(m), .complex = true}, true);
 }
 
+Callback Functions::square(nb::handle f, const std::string& name, std::size_t k) {
+  const auto size = static_cast<npy_intp>(k);
+  return add(f, args_, name, {.rows = size, .columns = size, .matrix = true}, space_.complex);
+}
+
 Callback Functions::rows(nb::handle f, const std::string& name, std::size_t m) {
   return add(f, args_, name,
              {.rows = static_cast<npy_intp>(m),

@@ -84,11 +84,14 @@ class Functions {
   /// f(t, y) -> (m,); the same of a complex y, though the problem is real
   Callback vector(nb::handle f, const std::string& name, std::size_t m);
   Callback complex_vector(nb::handle f, const std::string& name, std::size_t m);
+  /// f(t, y) -> (k, k) real numbers
+  Callback square(nb::handle f, const std::string& name, std::size_t k);
   /// f(t, y) -> (m, n)
   Callback rows(nb::handle f, const std::string& name, std::size_t m);
   /// f(t, y), or f(t), without args, -> what `read_matrix` takes
   MatrixFunction matrix(nb::handle f);
 
+  [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Any other function of t and one vector or two.
   Callback of_motion(nb::handle f, const std::string& name, const Takes& takes, const Returns& returns);
 

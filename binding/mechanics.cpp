@@ -241,6 +241,7 @@ class BoundMotion {
 
 constexpr std::pair<const char*, Motion::Part> parts[] = {
     {"slope", Motion::Part::slope},
+    {"mass", Motion::Part::mass},
     {"positions", Motion::Part::positions},
     {"positions_jacobian", Motion::Part::positions_jacobian},
     {"rates", Motion::Part::rates},
@@ -257,6 +258,7 @@ Motion::Part part_named(const std::string& name) {
 
 Vector BoundMotion::evaluate(const std::string& part, double t, const ConstVector& y) {
   std::size_t size = motion_.size();
+  if (part == "mass") size = motion_.mass_size();
   if (part == "positions" || part == "rates") size = motion_.m_phi();
   if (part == "velocities") size = motion_.m_psi();
   if (part == "positions_jacobian" || part == "rates_jacobian") size *= motion_.m_phi();

@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "arrays.hpp"
+#include "mechanics.hpp"
 #include "run/names.hpp"
 
 namespace invariode::binding {
@@ -34,6 +35,18 @@ constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::com
                                              {"3-point", Derivative::central},
                                              {"2-point", Derivative::forward}};
 
+Metric make_metric(const InvariantSpec& spec, Functions& functions) {
+  if (spec.metric.is_none()) return {};
+  const bool function = nb::isinstance<Native>(spec.metric) || nb::isinstance<MotionPart>(spec.metric) ||
+                        PyCallable_Check(spec.metric.ptr()) != 0;
+  if (!function) return {.function = {}, .values = to_vector(nb::cast<ConstVector>(spec.metric))};
+  const std::string name = "the metric of invariant " + spec.name;
+  const std::size_t k = spec.moves.empty() ? functions.state_size() : spec.moves.size();
+  const bool diagonal = spec.metric_size == k;
+  return {.function = diagonal ? functions.vector(spec.metric, name, k) : functions.square(spec.metric, name, k),
+          .values = std::vector<double>(spec.metric_size)};
+}
+
 InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   const std::string name = "invariant " + spec.name;
   InvariantBlock block;
@@ -42,6 +55,15 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.held = spec.held;
   block.level = spec.level;
   block.moves = spec.moves;
+  block.metric = make_metric(spec, functions);
+  if (nb::isinstance<MotionPart>(spec.jac)) {
+    const auto& [mechanics, part] = nb::cast<const MotionPart&>(spec.jac);
+    if (Motion& motion = functions.motion(mechanics); motion.sparse()) {
+      block.jacobian = motion.entries(part);
+      block.pattern = motion.pattern(part);
+      return block;
+    }
+  }
   if (!nb::isinstance<nb::str>(spec.jac)) {
     block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
     return block;
@@ -143,7 +165,9 @@ int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held
   for (const nb::handle one : held) Py_VISIT(one.ptr());
   return 0;
 }
-int visit(const InvariantSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.jac}); }
+int visit(const InvariantSpec& s, visitproc visit, void* arg) {
+  return visit_all(visit, arg, {s.fun, s.jac, s.metric});
+}
 int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
 int visit(const LinearSpec& s, visitproc visit, void* arg) {
   return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack});
@@ -172,11 +196,12 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
-             std::vector<std::size_t> moves) {
-            new (self) InvariantSpec{std::move(fun), std::move(jac), m, std::move(name), held, level, std::move(moves)};
+             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size) {
+            new (self) InvariantSpec{std::move(fun),   std::move(jac),    m,          std::move(name), held, level,
+                                     std::move(moves), std::move(metric), metric_size};
           },
           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
-          nb::arg("moves") = std::vector<std::size_t>{});
+          nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0);
   nb::class_<EventSpec>(module, "Event", nb::type_slots(slots<EventSpec>), "An event, for the core.")
       .def(
           "__init__",

@@ -19,7 +19,8 @@
 namespace invariode::binding {
 
 /// An invariant: g, its Jacobian or the name of what takes its place, number and name of its values, whether they are
-/// held, not demanded; its level, and the reals of y that its correction may move (none: all).
+/// held, not demanded; its level, and the reals of y that its correction may move (none: all), and
+/// the metric in which it is the least.
 struct InvariantSpec {
   nb::object fun, jac;
   std::size_t m;
@@ -27,6 +28,8 @@ struct InvariantSpec {
   bool held;
   int level = 0;
   std::vector<std::size_t> moves;
+  nb::object metric;            // None, or G(t, y), or a constant
+  std::size_t metric_size = 0;  // how many values it has
 };
 
 struct EventSpec {

@@ -369,8 +369,11 @@ class MechanicalSystem:
 
     def _laws(self, motion: Motion, names: list[str], *, in_levels: bool) -> list[Invariants]:
         n, size = motion.n_q, motion.n_q + motion.n_v
-        first = {"level": 0, "moves": range(n)} if in_levels else {}
-        second = {"level": 1, "moves": range(n, size)} if in_levels else {}
+        mass = motion.metric()
+        first = {"level": 0, "moves": range(n), "metric": mass if self.kinematics is None else None}
+        second = {"level": 1, "moves": range(n, size), "metric": mass}
+        if not in_levels:
+            first, second = {}, {}
         holonomic = _kept_names(names[: motion.m_phi], motion.kept[: motion.m_phi])
         others = _kept_names(names[motion.m_phi :], motion.kept[motion.m_phi :])
         laws = []
@@ -402,4 +405,4 @@ def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> 
 def _at_level(one: Invariants, level: int) -> Invariants:
     names = None if one.names is None else list(one.names)
     when: Any = one.when
-    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves)
+    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves, one.metric)
