@@ -317,7 +317,7 @@ class MotionFunction(CoreFunction):
         return self._motion.native
 
     @property
-    def derivatives(self) -> dict[str, str]:
+    def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
         """How the derivatives of the constraints are had."""
         return self._motion.derivatives
 

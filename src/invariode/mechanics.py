@@ -219,13 +219,16 @@ class MechanicalSystem:
             slope, t_span, start.x, args=self.args, invariants=held, name=self.name, labels=self._labels(motion)
         )
 
-    def multipliers(self, sol: _Points) -> Array:
+    def multipliers(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
         """The multipliers λ at the points of a solution.
 
         Parameters
         ----------
         sol : Solution
             Of a problem of this system.
+        args : tuple, optional
+            The arguments that the solution belongs to. Default: those of its problem, where the solution knows it, else
+            those of the system. Give them for trajectories of ensembles and for solutions that were loaded.
 
         Returns
         -------
@@ -233,16 +236,18 @@ class MechanicalSystem:
             Those of the constraints, then those of the velocity constraints; of least norm where constraints are
             redundant.
         """
-        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)]
+        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
         return np.array(columns).T
 
-    def reactions(self, sol: _Points) -> Array:
+    def reactions(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
         """The forces of all constraints at the points of a solution: Aᵀ λ, where the rows of A are Φ and ∂ψ/∂v.
 
         Parameters
         ----------
         sol : Solution
             Of a problem of this system.
+        args : tuple, optional
+            As for `multipliers`.
 
         Returns
         -------
@@ -250,13 +255,17 @@ class MechanicalSystem:
             In the directions of v.
         """
         columns = [
-            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)
+            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers
+            for motion, at in self._along(sol, args)
         ]
         return np.array(columns).T
 
-    def _along(self, sol: _Points) -> list[tuple[Motion, Point]]:
+    def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
-        points = [Point(float(t), y[:n], y[n:], self.args) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
+        origin = getattr(sol, "_origin", None)
+        known = self.args if origin is None else origin.source.problem.args
+        used = known if args is None else extra_arguments(args)
+        points = [Point(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
         motion = self._motion(points[0]) if points else None
         return [(motion, at) for at in points if motion is not None]
 

@@ -74,6 +74,10 @@ class Stats(Record):
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
+    mechanics : dict or None
+        Of a problem of a `MechanicalSystem`: under 'derivatives' how those of its functions were had ('complex step',
+        'differences', 'given'), and how often each function was called and matrices of accelerations were factorised,
+        'sparse' and 'dense', in the whole run.
     """
 
     steps: int
@@ -90,6 +94,7 @@ class Stats(Record):
     ngdiff: int
     derivatives: str | None
     projected_start: bool
+    mechanics: dict[str, Any] | None = None
 
 
 class Steps(Record):
