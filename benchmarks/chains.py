@@ -53,7 +53,8 @@ def costs(links: int, functions: tuple[Any, Any]) -> tuple[float, float]:
     problem = system.problem((0, 1), q0, np.zeros(2 * links))
     start = perf_counter()
     sol = problem.solve("ode45", max_step=0.02, keep="end")
-    return seconds(lambda: problem.fun(0.0, problem.y0), 20), (perf_counter() - start) / sol.stats.steps
+    step = (perf_counter() - start) / sol.stats.steps
+    return seconds(lambda: problem.fun(0.0, problem.y0), 20), step
 
 
 def main(links: list[int]) -> None:

@@ -247,7 +247,7 @@ class MechanicalSystem:
         sol : Solution
             Of a problem of this system.
         args : tuple, optional
-            As for `multipliers`.
+            As for ``multipliers``.
 
         Returns
         -------
