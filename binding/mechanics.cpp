@@ -240,14 +240,10 @@ class BoundMotion {
 };
 
 constexpr std::pair<const char*, Motion::Part> parts[] = {
-    {"slope", Motion::Part::slope},
-    {"mass", Motion::Part::mass},
-    {"positions", Motion::Part::positions},
-    {"positions_jacobian", Motion::Part::positions_jacobian},
-    {"rates", Motion::Part::rates},
-    {"rates_jacobian", Motion::Part::rates_jacobian},
-    {"velocities", Motion::Part::velocities},
-    {"velocities_jacobian", Motion::Part::velocities_jacobian},
+    {"slope", Motion::Part::slope},           {"mass", Motion::Part::mass},
+    {"positions", Motion::Part::positions},   {"positions_jacobian", Motion::Part::positions_jacobian},
+    {"rates", Motion::Part::rates},           {"rates_jacobian", Motion::Part::rates_jacobian},
+    {"velocities", Motion::Part::velocities}, {"velocities_jacobian", Motion::Part::velocities_jacobian},
 };
 
 Motion::Part part_named(const std::string& name) {

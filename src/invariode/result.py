@@ -75,9 +75,9 @@ class Stats(Record):
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
     mechanics : dict or None
-        Of a problem of a `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were had ('complex step',
-        'differences', 'given'), and how often each function was called and matrices of accelerations were factorised,
-        'sparse' and 'dense', in the whole run.
+        Of a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were had
+        ('complex step', 'differences', 'given'), and how often each function was called and matrices of accelerations
+        were factorised, 'sparse' and 'dense', in the whole run.
     """
 
     steps: int
