@@ -51,12 +51,6 @@ double weighted_norm(const double* v, const double* w, std::size_t n) {
   return std::sqrt(sum);
 }
 
-double dot(const double* a, const double* b, std::size_t n) {
-  double sum = 0;
-  for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i];
-  return sum;
-}
-
 Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
@@ -74,9 +68,7 @@ Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, doubl
       f_value_(invariants.n()),
       gt_(invariants.m()),
       plus_(invariants.m()),
-      minus_(invariants.m()),
-      differences_(invariants.m() * invariants.n()),
-      halved_(invariants.m() * invariants.n()) {}
+      minus_(invariants.m()) {}
 
 Finding Guard::start_value(double t, double* y) {
   const Linearization at = projector_.linearization();
@@ -109,9 +101,10 @@ Finding Guard::start_value(double t, double* y) {
 
 Finding Guard::undefined(double t) const {
   const Linearization at = projector_.linearization();
-  const std::size_t n = invariants_.n();
   std::size_t i = 0;
-  while (i + 1 < invariants_.m() && std::isfinite(at.residual[i]) && all_finite(at.gradient(i), n)) ++i;
+  while (i + 1 < invariants_.m() && std::isfinite(at.residual[i]) &&
+         all_finite(at.gradient(i).values, at.gradient(i).size))
+    ++i;
   return {.kind = Finding::Kind::undefined, .invariant = static_cast<int>(i), .t = t};
 }
 
@@ -128,11 +121,11 @@ Finding Guard::start_jacobian(double t, const double* y) {
   for (std::size_t i = 0; i < m; ++i) {
     if (invariants_.by_differences(i) || invariants_.certain(i)) continue;
     double expected = 0, terms = 0;
-    for (std::size_t j = 0; j < n; ++j) {
-      const double term = J[i * n + j] * size[j] * direction(j);
+    at.gradient(i).for_each([&](std::size_t j, double value) {
+      const double term = value * size[j] * direction(j);
       expected += term;
       terms += std::abs(term);
-    }
+    });
     const double quotient = (plus_[i] - minus_[i]) / (2 * cbrt_eps);
     const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
     if (std::abs(quotient - expected) > jacobian_tolerance * std::max(terms, std::abs(quotient)) + noise)
@@ -145,8 +138,10 @@ Finding Guard::start_jacobian(double t, const double* y) {
 Finding Guard::worst_entry(double t, const double* y) {
   const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
-  if (invariants_.difference_jacobian(t, y, differences_.data(), true) == Status::stop) return stopped();
-  if (invariants_.difference_jacobian(t, y, halved_.data(), true, 0.5) == Status::stop) return stopped();
+  differences_.resize(m * n);
+  halved_.resize(m * n);
+  if (invariants_.difference_jacobian(t, y, differences_.data()) == Status::stop) return stopped();
+  if (invariants_.difference_jacobian(t, y, halved_.data(), 0.5) == Status::stop) return stopped();
   const double* J = at.jacobian.data();
   const double* size = invariants_.sizes(y);
   Finding worst;
@@ -155,10 +150,11 @@ Finding Guard::worst_entry(double t, const double* y) {
     if (invariants_.certain(i)) continue;
     double terms = 0;
     for (std::size_t j = 0; j < n; ++j)
-      terms = std::max({terms, std::abs(J[i * n + j] * size[j]), std::abs(differences_[i * n + j] * size[j])});
+      terms =
+          std::max({terms, std::abs(at.gradient(i).entry(j) * size[j]), std::abs(differences_[i * n + j] * size[j])});
     const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
     for (std::size_t j = 0; j < n; ++j) {
-      const double given = J[i * n + j], quotient = halved_[i * n + j];
+      const double given = at.gradient(i).entry(j), quotient = halved_[i * n + j];
       const double off = std::abs(given - quotient) * size[j];
       const double doubt = uncertainty * std::abs(quotient - differences_[i * n + j]) * size[j];
       if (!(off > jacobian_tolerance * terms + noise + doubt) || off / terms <= largest) continue;
@@ -282,7 +278,7 @@ Outcome Guard::evaluate_rates(double t, double h) {
 }
 
 double Guard::rate_here(std::size_t i) const {
-  return gt_[i] + dot(projector_.linearization().gradient(i), f_value_.data(), invariants_.n());
+  return gt_[i] + projector_.linearization().gradient(i).dot(f_value_.data());
 }
 
 /// A time in which the solution through (t, y) changes as its components' sizes tell, where no step does.
@@ -512,7 +508,7 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
-    const double rate = gt_[i] + dot(J + i * n, f, n);
+    const double rate = gt_[i] + at.gradient(i).dot(f);
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
     const bool drifts = this->drifts(at, i, rate, h);
     const bool suspicious = angle > limit(i) && drifts && angle > worst.distance;

@@ -20,14 +20,17 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
       blocks_(std::move(blocks)),
       value_(std::move(value)),
       weights_(weights),
+      layout_(n),
       point_(n),
       plus_(value_.size()),
       minus_(value_.size()),
       sizes_(n),
       complex_point_(2 * n),
       complex_value_(2 * value_.size()) {
-  for (InvariantBlock& block : blocks_)
+  for (InvariantBlock& block : blocks_) {
     if (block.jacobian) block.derivative = Derivative::given;
+    layout_.add(block.m, block.pattern);
+  }
   note_kinds();
 }
 
@@ -94,9 +97,9 @@ Status Invariants::residual(double t, const double* y, double* r) {
 }
 
 Status Invariants::jacobian(double t, const double* y, double* J) {
-  bool central = false;
-  double* rows = J;
+  std::size_t first = 0;
   for (InvariantBlock& block : blocks_) {
+    double* rows = J + layout_.start(first);
     bool finite = true;
     Status status = Status::ok;
     if (block.derivative == Derivative::given) status = block.jacobian(t, y, rows);
@@ -107,10 +110,11 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
       block.derivative = Derivative::central;
       note_kinds();
     }
-    central |= block.derivative == Derivative::central;
-    rows += block.m * n_;
+    if (block.derivative == Derivative::central) status = difference_block(block, t, y, 1, rows);
+    if (status == Status::stop) return status;
+    first += block.m;
   }
-  return central ? difference_jacobian(t, y, J, false) : Status::ok;
+  return Status::ok;
 }
 
 const double* Invariants::sizes(const double* y) {
@@ -155,16 +159,19 @@ Status Invariants::forward_differences(InvariantBlock& block, double t, const do
   return Status::ok;
 }
 
-Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor) {
+Status Invariants::difference_jacobian(double t, const double* y, double* J, double factor) {
+  for (InvariantBlock& block : blocks_) {
+    if (difference_block(block, t, y, factor, J) == Status::stop) return Status::stop;
+    J += block.m * n_;
+  }
+  return Status::ok;
+}
+
+Status Invariants::difference_block(InvariantBlock& block, double t, const double* y, double factor, double* rows) {
   sizes(y);
   std::copy(y, y + n_, point_.begin());
-  std::size_t first = 0;
-  for (InvariantBlock& block : blocks_) {
-    if (all_rows || block.derivative == Derivative::central)
-      for (std::size_t j = 0; j < n_; ++j)
-        if (difference_column(block, t, y, j, factor, J + first * n_ + j) == Status::stop) return Status::stop;
-    first += block.m;
-  }
+  for (std::size_t j = 0; j < n_; ++j)
+    if (difference_column(block, t, y, j, factor, rows + j) == Status::stop) return Status::stop;
   return Status::ok;
 }
 
@@ -214,13 +221,13 @@ double Invariants::roundoff_of_rate(std::size_t i, const double* y, const double
 double Invariants::resolution(std::size_t i, const double* y, const double* J) {
   const double* size = sizes(y);
   double change = 0;
-  for (std::size_t j = 0; j < n_; ++j) change += std::abs(J[i * n_ + j]) * size[j];
+  row(i, J).for_each([&](std::size_t j, double value) { change += std::abs(value) * size[j]; });
   return roundoff_units * eps * change;
 }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {
   double size = std::abs(value_[i]);
-  for (std::size_t j = 0; j < n_; ++j) size += std::abs(J[i * n_ + j] * y[j]);
+  row(i, J).for_each([&](std::size_t j, double value) { size += std::abs(value * y[j]); });
   return roundoff_units * eps * size;
 }
 

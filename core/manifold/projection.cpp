@@ -49,7 +49,7 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       distance_before_(invariants.m()),
       residual_after_(invariants.m()),
       r_(invariants.m()),
-      J_(invariants.m() * invariants.n()),
+      J_(invariants.layout().size()),
       norm_(invariants.m()),
       w_(invariants.n()),
       point_(invariants.n()),
@@ -183,10 +183,9 @@ double Projector::largest_before(std::size_t i) const {
 
 /// Whether a residual is of the size of its terms, so that the correction changes some of them by as much.
 bool Projector::far_off(const double* y) const {
-  const std::size_t n = w_.size();
   for (std::size_t i = 0; i < r_.size(); ++i) {
     double terms = std::abs(invariants_.value()[i]);
-    for (std::size_t j = 0; j < n; ++j) terms += std::abs(J_[i * n + j] * y[j]);
+    invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) { terms += std::abs(value * y[j]); });
     if (std::abs(r_[i]) > large_residual * terms) return true;
   }
   return false;
@@ -239,23 +238,33 @@ Outcome Projector::linearize_known(double t, const double* y) {
   if (levels_ && levels_->update(t, y) == Status::stop) return Outcome::stop;
   if (!defined(r_.data())) return Outcome::not_finite;
   for (std::size_t i = 0; i < m; ++i)
-    if (!all_finite(&J_[i * n], n)) {
+    if (const Row row = invariants_.row(i, J_.data()); !all_finite(row.values, row.size)) {
       undefined_ = static_cast<int>(i);
       return Outcome::not_finite;
     }
   linearized_ = true;
   if (negligible_ > 0) linearized_w_ = w_;
-  for (std::size_t i = 0; i < m; ++i) {
-    double* row = &scaled_(0, index(i));
-    for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];
-    if (any_fixed())
-      for (std::size_t j = 0; j < n; ++j)
-        if (fixed(j)) row[j] = 0;
-    norm_[i] = norm2(row, n);
-    if (norm_[i] > 0)
-      for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
-  }
+  for (std::size_t i = 0; i < m; ++i) scale_row(i);
   return Outcome::ok;
+}
+
+/// The norm of row i of J W and, where the correction is that of all together, the row itself with norm 1. (Levels
+/// scale rows themselves.)
+void Projector::scale_row(std::size_t i) {
+  const std::size_t n = w_.size();
+  const Row gradient = invariants_.row(i, J_.data());
+  if (levels_) {
+    std::size_t k = 0;
+    gradient.for_each([&](std::size_t j, double value) { delta_[k++] = fixed(j) ? 0 : value * w_[j]; });
+    norm_[i] = norm2(delta_.data(), k);
+    return;
+  }
+  double* row = &scaled_(0, index(i));
+  if (gradient.columns != nullptr) std::fill(row, row + n, 0.0);
+  gradient.for_each([&](std::size_t j, double value) { row[j] = fixed(j) ? 0 : value * w_[j]; });
+  norm_[i] = norm2(row, n);
+  if (norm_[i] > 0)
+    for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
 }
 
 /// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.

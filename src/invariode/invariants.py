@@ -420,7 +420,7 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     if y.dtype.kind == "c":
         raise ValueError(f"metric of invariant {name} is for real problems, and y0 is complex")
     k = len(one.moves or y)
-    if is_native(metric) or isinstance(metric, CoreFunction):
+    if is_native(metric) and not isinstance(metric, CoreFunction):
         return to_native(f"the metric of invariant {name}", metric, len(y), k * k, p), k * k
     what = f"metric of invariant {name}"
     constant = not callable(metric)
@@ -428,7 +428,9 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     if at_start.shape not in ((k,), (k, k)):
         told = "must have shape" if constant else "returned another shape than"
         raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), as {k} components move: {at_start.shape}")
-    return (np.ascontiguousarray(metric, dtype=float).ravel() if constant else metric), at_start.size
+    if constant:
+        return np.ascontiguousarray(metric, dtype=float).ravel(), at_start.size
+    return to_native(what, metric, len(y), at_start.size, p), at_start.size
 
 
 def _in_levels(specs: list[InvariantSpec]) -> bool:
