@@ -118,10 +118,16 @@ def test_the_guard_knows_no_unit_of_the_state(method, size):
             assert sol.status == (-2 if found else 0), sol.message
 
 
-def test_the_search_knows_no_unit_of_the_state():
-    for size in (1e-12, 1e12):
-        (found,) = iv.find_invariants(lambda t, y: [y[1], -4 * y[0]], (0, 10), [size, 0.5 * size], labels=["x", "v"])
-        assert found.formula == "x**2 + 1/4*v**2"
+@pytest.mark.parametrize("size", [1e-100, 1e-12, 1e12, 1e100])
+def test_the_search_knows_no_unit_of_the_state(size):
+    (found,) = iv.find_invariants(lambda t, y: [y[1], -4 * y[0]], (0, 10), [size, 0.5 * size], labels=["x", "v"])
+    assert found.formula == "x**2 + 1/4*v**2"
+    (found,) = iv.find_invariants(
+        lambda t, y: [y[1], -(y[0] ** 3) / size**2], (0, 10), [size, 0.5 * size], degree=4, labels=["x", "v"]
+    )
+    assert found.coefficients.keys() == {(0, 2), (4, 0)}
+    assert found.coefficients[0, 2] == 1
+    assert float(found.coefficients[4, 0]) * size**2 == pytest.approx(0.5, rel=1e-9)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
