@@ -11,10 +11,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import invariode as iv
-import mechanisms
+import solved_mechanisms
 from gallery import GALLERY
 from invariode.scipy import ODE45
-from mechanisms import (
+from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
+from solved_mechanisms import (
     CAR,
     CRANK,
     ELASTIC_CRANK,
@@ -24,7 +25,6 @@ from mechanisms import (
     elastic_crank_constraints,
     slider_crank,
 )
-from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
 
 sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
 import campaign_invariants as campaign
@@ -254,6 +254,8 @@ def test_invariants_that_depend_on_each_other_in_a_step_or_two_are_not_called_re
 
 
 def test_a_warning_of_redundant_invariants_says_whether_it_matters(method):
+    if iv.METHODS[method].order == 2:
+        pytest.skip("its orbits are less circular than rtol, and the invariants independent")
     with pytest.warns(UserWarning, match=r"redundant.*(does no harm|tolerances off)"):
         iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, rtol=1e-6, invariants=kepler_invariants)
 
@@ -377,7 +379,7 @@ def test_an_ensemble_says_in_how_many_trajectories_projection_harms(workers):
 
 def test_an_ensemble_on_threads_says_the_same(monkeypatch):
     numba = pytest.importorskip("numba")
-    monkeypatch.setattr(mechanisms, "base", numba.njit(mechanisms.base))
+    monkeypatch.setattr(solved_mechanisms, "base", numba.njit(solved_mechanisms.base))
     held = iv.Invariants(iv.compile(car_constraints), value=0, names=["a", "b", "c", "d"])
     with pytest.warns(iv.AccuracyWarning, match=r"moved y1 by much more than .* in 2 trajectories"):
         iv.solve_ensemble(iv.compile(car_axis), (0, 3), [CAR, CAR], workers=2, **TIGHT | {"invariants": held})

@@ -250,6 +250,7 @@ Outcome Projector::linearize_known(double t, const double* y) {
   const std::size_t n = w_.size(), m = r_.size();
   std::copy(y, y + n, point_.begin());
   if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
+  if (levels_ && levels_->update(t, y) == Status::stop) return Outcome::stop;
   if (!defined(r_.data())) return Outcome::not_finite;
   for (std::size_t i = 0; i < m; ++i)
     if (!all_finite(&J_[i * n], n)) {
@@ -261,6 +262,9 @@ Outcome Projector::linearize_known(double t, const double* y) {
   for (std::size_t i = 0; i < m; ++i) {
     double* row = &scaled_(0, index(i));
     for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];
+    if (any_fixed())
+      for (std::size_t j = 0; j < n; ++j)
+        if (fixed(j)) row[j] = 0;
     const double before = std::exchange(norm_[i], norm2(row, n));
     if (linearized_) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
     if (norm_[i] > 0)
@@ -310,10 +314,34 @@ std::size_t Projector::solve_several(double t) {
 }
 
 std::size_t Projector::solve_in_levels(double t) {
-  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w_.data(), pivot_threshold(), delta_.data());
+  const double* w = w_.data();
+  if (any_fixed()) {
+    free_w_ = w_;
+    for (std::size_t j = 0; j < w_.size(); ++j)
+      if (fixed(j)) free_w_[j] = 0;
+    w = free_w_.data();
+  }
+  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
     if (levels_->left_out()[i] != 0) leave_out(i, t);
   return rank;
+}
+
+void Projector::fix(std::size_t j) {
+  if (fixed_.empty()) fixed_.resize(w_.size());
+  fixed_count_ += fixed_[j] == 0 ? 1 : 0;
+  fixed_[j] = 1;
+}
+
+void Projector::release(std::size_t j) {
+  if (!fixed(j)) return;
+  fixed_[j] = 0;
+  --fixed_count_;
+}
+
+void Projector::release_all() {
+  std::fill(fixed_.begin(), fixed_.end(), 0);
+  fixed_count_ = 0;
 }
 
 /// Whether the latest correction was so small that what it leaves is roundoff.

@@ -80,6 +80,12 @@ class Projector {
   [[nodiscard]] Invariants& invariants() const { return invariants_; }
   /// The invariant that was not finite, or whose gradient was not, where a projection failed for that; -1: none was.
   [[nodiscard]] int undefined() const { return undefined_; }
+  /// Corrections leave component j where it is, until it is released.
+  void fix(std::size_t j);
+  void release(std::size_t j);
+  void release_all();
+  [[nodiscard]] bool fixed(std::size_t j) const { return !fixed_.empty() && fixed_[j] != 0; }
+  [[nodiscard]] bool any_fixed() const { return fixed_count_ > 0; }
   /// Forgets what is known of the gradients: the solution jumps.
   void forget() { linearized_ = false; }
   /// Which invariants are redundant: those left out in a tenth of the corrections so far, if in a fifth of them, and of
@@ -135,6 +141,9 @@ class Projector {
   double covered_ = 0, covered_deficient_ = 0;  // times between corrections, and those to where some were left out
   double dropped_at_ = 0;
   int undefined_ = -1;
+  std::vector<char> fixed_;  // components that corrections leave alone; empty: there never was one
+  std::size_t fixed_count_ = 0;
+  std::vector<double> free_w_;    // w, 0 where fixed
   std::optional<Levels> levels_;  // where the invariants have any
 };
 

@@ -52,7 +52,8 @@ class Stepper(OdeSolver):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     max_step, rtol, atol, first_step, vectorized : optional
-        As in `invariode.solve_ivp`. As there, `max_step` is a tenth of the interval by default; ``inf`` lifts that.
+        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`. `max_step` is a tenth of the interval by
+        default here too; ``inf`` lifts that.
 
     Other Parameters
     ----------------
@@ -90,7 +91,6 @@ class Stepper(OdeSolver):
         max_step: float | None = None,
         rtol: Numbers = 1e-3,
         atol: Numbers = 1e-6,
-        *,
         vectorized: bool = False,
         first_step: float | None = None,
         **options: Unpack[StepperOptions],
@@ -109,7 +109,7 @@ class Stepper(OdeSolver):
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
         self._plan = plan._replace(functions=plan.functions._replace(linear=None))
         self._stepper = _core.Stepper(solver(plan), plan.y0.view(float))
-        if self._stepper.state == "invariant_refused":
+        if self._stepper.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
             raise self._plan.exception(self._stepper.result()) or AssertionError
         self.y = self._state()
         self._steps, self._warned = 0, False
