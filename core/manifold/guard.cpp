@@ -21,6 +21,7 @@ constexpr double suspicious_correction = 10;  // in units of rtol
 // The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
 // much.
 constexpr double jacobian_tolerance = 1e-4;
+constexpr double factors_of_increments[] = {1, 1.0 / 16, 1.0 / 256};  // with which an entry must be wrong
 // A difference quotient tells nothing below this multiple of what halving its increment changes.
 constexpr double uncertainty = 10;
 // A rate is no roundoff if at so many points this far away, in units of the components' sizes, it is of the same sign
@@ -134,14 +135,24 @@ Finding Guard::start_jacobian(double t, const double* y) {
   return {};
 }
 
-/// The directional test failed somewhere: which entry is farthest off, in units of its row's terms?
+/// The directional test failed somewhere: which entry is farthest off, in units of its row's terms? With smaller
+/// increments too: the first ones may reach over a pole.
 Finding Guard::worst_entry(double t, const double* y) {
+  Finding worst;
+  for (const double factor : factors_of_increments) {
+    worst = worst_entry(t, y, factor);
+    if (worst.kind != Finding::Kind::wrong_jacobian) break;
+  }
+  return worst;
+}
+
+Finding Guard::worst_entry(double t, const double* y, double factor) {
   const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
   differences_.resize(m * n);
   halved_.resize(m * n);
-  if (invariants_.difference_jacobian(t, y, differences_.data()) == Status::stop) return stopped();
-  if (invariants_.difference_jacobian(t, y, halved_.data(), 0.5) == Status::stop) return stopped();
+  if (invariants_.difference_jacobian(t, y, differences_.data(), factor) == Status::stop) return stopped();
+  if (invariants_.difference_jacobian(t, y, halved_.data(), factor / 2) == Status::stop) return stopped();
   const double* J = at.jacobian.data();
   const double* size = invariants_.sizes(y);
   Finding worst;
@@ -152,7 +163,7 @@ Finding Guard::worst_entry(double t, const double* y) {
     for (std::size_t j = 0; j < n; ++j)
       terms =
           std::max({terms, std::abs(at.gradient(i).entry(j) * size[j]), std::abs(differences_[i * n + j] * size[j])});
-    const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
+    const double noise = invariants_.roundoff(i, y, J) / (factor * cbrt_eps);
     for (std::size_t j = 0; j < n; ++j) {
       const double given = at.gradient(i).entry(j), quotient = halved_[i * n + j];
       const double off = std::abs(given - quotient) * size[j];
@@ -340,14 +351,14 @@ Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const d
   return std::isfinite(quotient) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// Richardson's extrapolation of central differences. They begin long, for less roundoff: with up to 32 h, but no
-/// longer than the time in which a component changes by a tenth of its size. An entry of the table is never better than
-/// the roundoff of its shortest difference.
+/// Richardson's extrapolation of central differences. They begin long, for less roundoff: with the time in which a
+/// component changes by a tenth of its size, between h / 32 and 32 h, so that no population becomes negative. An entry
+/// of the table is never better than the roundoff of its shortest difference.
 Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h) {
   double row[extrapolations] = {};
   FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
   const double roundoff = invariants_.roundoff(i, y, J);
-  double s = std::clamp(scale_of_time(t, y, f), std::abs(h), longest_flow * std::abs(h));
+  double s = std::clamp(scale_of_time(t, y, f), std::abs(h) / longest_flow, longest_flow * std::abs(h));
   for (int k = 0, shorter = 0; k < extrapolations && (k < fewest_extrapolations || s > std::abs(h) / longest_flow);
        s /= 2) {
     double next = 0;

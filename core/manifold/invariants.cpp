@@ -10,7 +10,9 @@ namespace {
 const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a central difference
 const double sqrt_eps = std::sqrt(eps);      // and of a forward one
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
-constexpr double roundoff_units = 10;        // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
+constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
+constexpr double smaller_increment = 10;
+constexpr double roundoff_units = 10;  // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
 
 }  // namespace
 
@@ -151,8 +153,12 @@ Status Invariants::forward_differences(InvariantBlock& block, double t, const do
   derivative_calls_ += static_cast<std::int64_t>(n_) + 1;
   if (block.g(t, y, minus_.data()) == Status::stop) return Status::stop;
   for (std::size_t j = 0; j < n_; ++j) {
-    point_[j] = y[j] + sqrt_eps * size[j];
-    if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+    for (const double side : {1, -1}) {  // backwards where g is not defined ahead
+      point_[j] = y[j] + side * sqrt_eps * size[j];
+      if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+      if (side < 0 || all_finite(plus_.data(), block.m)) break;
+      ++derivative_calls_;
+    }
     for (std::size_t i = 0; i < block.m; ++i) rows[i * n_ + j] = (plus_[i] - minus_[i]) / (point_[j] - y[j]);
     point_[j] = y[j];
   }
@@ -176,12 +182,17 @@ Status Invariants::difference_block(InvariantBlock& block, double t, const doubl
 }
 
 /// Column j of a block's Jacobian, into entries n apart. Where g is not defined that far away (log y_j, with y_j below
-/// its thr_j), the increment is taken relative to y_j itself.
+/// its thr_j), the increment is taken relative to y_j itself, then ever smaller: the end of the domain need not be at
+/// 0.
 Status Invariants::difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                                      double* column) {
-  for (const double delta : {factor * cbrt_eps * sizes_[j], factor * cbrt_eps * std::abs(y[j])}) {
-    if (delta == 0) break;
+  double delta = factor * cbrt_eps * sizes_[j];
+  const double relative = factor * cbrt_eps * std::abs(y[j]);
+  for (int smaller = 0; smaller <= smaller_increments; ++smaller) {
+    if (smaller == 1 && relative > 0) delta = std::min(delta, relative);
+    if (smaller > 1) delta /= smaller_increment;
     const double up = y[j] + delta, down = y[j] - delta;
+    if (up == down) break;
     point_[j] = up;
     derivative_calls_ += 2;
     if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;

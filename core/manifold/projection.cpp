@@ -15,6 +15,9 @@ constexpr double least_pivot = 1e-10;
 constexpr double largest_pivot = 0.1;
 constexpr double derivative_errors = 100;  // in units of ε^{2/3}, ε^{1/2}: rows are sums of several entries
 constexpr double large_residual = 0.1;     // of the terms of an invariant
+// Relative changes of a gradient: of a step, and at most of its correction, where that may leave the domain of g. Less
+// than the slight one is not looked at.
+constexpr double sharp_bend = 1, bend_of_correction = 0.2, slight_bend = 0.05;
 // Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
 // it runs away from a pole.
 constexpr double slowest_newton = 0.45;
@@ -82,6 +85,7 @@ Projected Projector::project(double t, const double* from, double* y) {
       doubtful = far_off(y);
     }
     did.rank = solve(t);
+    doubtful = doubtful || bends(from, y);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
     if (levels_ && settled()) break;
   }
@@ -198,6 +202,16 @@ bool Projector::defined(const double* r) {
   return undefined_ < 0;
 }
 
+/// Whether the gradients of the invariants may change in the correction by as much as they are, as near the end of a
+/// domain, judged by how they have changed in the step.
+bool Projector::bends(const double* from, const double* y) const {
+  if (!(bent_ > slight_bend)) return false;
+  if (bent_ > sharp_bend) return true;
+  for (std::size_t j = 0; j < w_.size(); ++j)
+    if (bent_ * std::abs(delta_[j]) > bend_of_correction * std::abs(y[j] - from[j])) return true;
+  return false;
+}
+
 /// Whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
 bool Projector::crossed_zero(const double* y) const {
   for (std::size_t i = 0; i < w_.size(); ++i)
@@ -242,9 +256,14 @@ Outcome Projector::linearize_known(double t, const double* y) {
       undefined_ = static_cast<int>(i);
       return Outcome::not_finite;
     }
-  linearized_ = true;
+  bent_ = 0;
   if (negligible_ > 0) linearized_w_ = w_;
-  for (std::size_t i = 0; i < m; ++i) scale_row(i);
+  for (std::size_t i = 0; i < m; ++i) {
+    const double before = norm_[i];
+    scale_row(i);
+    if (linearized_) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
+  }
+  linearized_ = true;
   return Outcome::ok;
 }
 

@@ -109,6 +109,7 @@ class Projector {
   [[nodiscard]] double doubt(const double* y) const;
   [[nodiscard]] double largest_before(std::size_t i) const;
   [[nodiscard]] bool far_off(const double* y) const;
+  [[nodiscard]] bool bends(const double* from, const double* y) const;
   [[nodiscard]] bool crossed_zero(const double* y) const;
   std::size_t solve(double t);
   void count_correction(double t, std::size_t rank);
@@ -128,6 +129,7 @@ class Projector {
   int iterations_;
   double negligible_;
   bool linearized_ = false;  // norm_ is of some earlier point, at least
+  double bent_ = 0;          // relative change of the length of a gradient since the linearization before
   std::vector<double> residual_before_, distance_before_, residual_after_;
   std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
   Eigen::MatrixXd scaled_;             // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
