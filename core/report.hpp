@@ -16,13 +16,16 @@ enum class State {
   reached_end,
   terminal_event,
   stopped_by_callback,
-  interrupted,         ///< a user function raised
-  event_undefined,     ///< an event function returned NaN
-  action_undefined,    ///< an action returned NaN or infinity
-  start_undefined,     ///< f is not finite at the start
-  step_failed,         ///< an attempt failed at hmin
-  invariant_refused,   ///< at the start; see the finding
-  invariant_convicted  ///< during the run
+  interrupted,          ///< a user function raised
+  event_undefined,      ///< an event function returned NaN
+  action_undefined,     ///< an action returned NaN or infinity
+  start_undefined,      ///< f is not finite at the start
+  step_failed,          ///< an attempt failed at hmin
+  invariant_refused,    ///< at the start; see the finding
+  invariant_convicted,  ///< during the run
+  start_out_of_bounds,  ///< y0 is outside of the bounds by more than the tolerance
+  start_contradicts,    ///< there is no point near y0 within the bounds on which the invariants have their values
+  action_out_of_bounds  ///< an action returned a point outside of the bounds by more than the tolerance
 };
 
 /// Where and why a run ended, for whoever writes the message.
@@ -39,6 +42,7 @@ struct Report {
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
+  std::int64_t clipped = 0;  ///< steps that ended outside of the bounds, by less than the tolerance
 };
 
 /// What projection met in the accepted steps: of each invariant the largest residual before it, and as a distance in

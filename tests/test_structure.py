@@ -152,6 +152,8 @@ class TestReplace:
             "lband": 0,
             "uband": 0,
             "mass": None,
+            "nonnegative": [0],
+            "bounds": (None, 10.0),
             "name": "new",
             "labels": ["c", "d"],
         }
@@ -169,6 +171,7 @@ class TestReplace:
             "fun": problem.fun,
             "t_span": problem.t_span,
             "y0": problem.y0.tolist(),
+            **problem._bounds_as_given,
             "args": problem.args,
             "invariants": [one.fun for one in problem.invariants],
             "events": [one.fun for one in problem.events],

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from ._arguments import EPS
+from ._bounds import Limits
 from ._core import Run
 
-_MESSAGES = {
+#: How runs end that do not fail: status and message, those of SciPy where it has them.
+MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
@@ -14,15 +16,26 @@ _MESSAGES = {
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
-    if run.state in _MESSAGES:
-        return _MESSAGES[run.state]
+    if run.state in MESSAGES:
+        return MESSAGES[run.state]
     if run.state == "invariant_convicted":
         return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:
         return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
     if run.state == "start_undefined":
         return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
+    if run.state == "action_out_of_bounds":
+        return -1, (
+            f"After the action of an event at t = {run.t:.6g} component {run.component} is outside of its bounds by "
+            "more than the tolerance. Let the action return a point within them."
+        )
     return -1, _step_failed(run, names, pairs)
+
+
+def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
+    """The text of the ValueError for a start that is outside of its bounds."""
+    within = "" if limits is None else f", {limits.lower[component]} to {limits.upper[component]},"
+    return f"{what}[{component}] is outside of its bounds{within} by more than the tolerance: correct it, or the bounds"
 
 
 def _component(run: Run, pairs: bool) -> str:
@@ -36,6 +49,11 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         return f"{what} NaN or infinite also with the smallest step, {where}."
     if run.cause == "newton":
         return f"{_newton_failed(run, pairs)} {where}."
+    if run.cause == "bounds":
+        return (
+            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance also with the "
+            f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
+        )
     if run.cause == "projection" and run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, also "
@@ -145,3 +163,13 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, names, demanded)
+
+
+def harmful_projection(components: str, distance: str) -> str:
+    """The text of an AccuracyWarning: which components projections move, and how far."""
+    return (
+        f"projection moved {components} by {distance}: it corrects other components at the cost of "
+        f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
+        "invariants. Try an atol per component, larger for what changes fast (for velocities, than for positions, by "
+        "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
+    )
