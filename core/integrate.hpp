@@ -9,6 +9,7 @@
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
 #include "manifold/projection.hpp"
+#include "manifold/restoration.hpp"
 #include "output/events.hpp"
 #include "output/interpolant.hpp"
 #include "output/output.hpp"
@@ -119,6 +120,7 @@ class Integration {
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<Guard> guard_;
+  std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;
   Events events_;
   std::optional<StepInterpolant> interpolant_;

@@ -84,6 +84,18 @@ def test_iterated_projection_reaches_roundoff():
     assert abs(sol.residual).max() < 10 * EPS * 4
 
 
+def test_impose_reaches_a_rotation_from_far_off():
+    """Where a singular value is small Newton's first step goes too far, and residuals fall only after it."""
+    random = np.random.default_rng(0)
+    attitude = iv.RotationMatrix(np.arange(9))
+    for scale in (1e-3, 0.1, 0.3):
+        rough = [np.linalg.qr(random.normal(size=(3, 3)))[0] + scale * random.normal(size=(3, 3)) for _ in range(100)]
+        found = iv.impose(attitude, np.zeros(100), np.array(rough).reshape(100, 9).T, value=attitude.value)
+        assert found.converged.mean() > (0.99 if scale > 0.1 else 0.999)
+        near = found.y.T[found.converged].reshape(-1, 3, 3)
+        assert abs(np.einsum("kji,kjl->kil", near, near) - np.eye(3)).max() < 40 * EPS
+
+
 def test_a_start_far_off_is_refused():
     with pytest.raises(iv.InvariantError, match=r"\|q\|²"):
         iv.ode45(turning, (0, 1), 1.2 * START, invariants=BODIES[1])

@@ -191,6 +191,44 @@ def test_masses_and_lengths_of_very_different_units_change_nothing():
 
 
 # ----------------------------------------------------------------------------------------------------------------------
+# Impacts
+
+
+def arm_hits_a_wall():
+    """Two links of length 1 in the plane with unit masses at their ends; the tip bounces off the wall x = 0.5."""
+
+    def joints(t, q):
+        return np.array([q[0] ** 2 + q[1] ** 2 - 1, (q[2] - q[0]) ** 2 + (q[3] - q[1]) ** 2 - 1])
+
+    def energy(t, q, v):
+        return (v**2).sum() / 2 + q[1] + q[3]
+
+    def bounce(t, y):
+        y[6] *= -0.5  # of the tip alone: the joints do not allow that
+        return y
+
+    arm = MechanicalSystem(np.ones(4), lambda t, q, v: [0, -1, 0, -1], joints, energy=energy)
+    wall = iv.Event(lambda t, y: y[2] - 0.5, direction=1, action=bounce)
+    return joints, energy, arm.problem((0, 4), [-1, 0, -2, 0], [0, 0, 0, 0]).replace(events=wall)
+
+
+def test_after_an_impact_the_constraints_hold_and_the_energy_has_its_new_value(method):
+    joints, energy, problem = arm_hits_a_wall()
+    sol = problem.solve(method, rtol=1e-5, atol=1e-5)
+    assert sol.success
+    assert len(sol.t_events[0]) >= 1
+    q, v = sol.y[:4], sol.y[4:]
+    assert np.abs(joints(0, q)).max() < 1e-14
+    apart, rates = q[2:] - q[:2], v[2:] - v[:2]
+    assert max(np.abs((q[:2] * v[:2]).sum(axis=0)).max(), np.abs((apart * rates).sum(axis=0)).max()) < 1e-13
+    pieces = np.searchsorted(sol.t_events[0], sol.t)  # a stored point at the jump is the one before it or the one after
+    levels = [np.array([energy(0, *np.split(y, 2)) for y in sol.y[:, pieces == k].T]) for k in np.unique(pieces)]
+    assert np.ptp([one[len(one) // 2] for one in levels]) > 0.01  # energy is lost
+    for one in levels:
+        assert np.ptp(one[1:-1]) < 1e-13
+
+
+# ----------------------------------------------------------------------------------------------------------------------
 # Derivatives
 
 

@@ -34,7 +34,8 @@ class Event:
         accumulate, as the impacts of a ball that comes to rest, need a `terminal` count.
     rehold : bool, default True
         After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
-        which y_new must have.
+        which y_new must have. Demanded values of invariants of a later level, as constraints of velocities, are imposed
+        first, whatever y_new: a blow on one body of a mechanism becomes one on all, as the joints pass it on.
 
     Examples
     --------
