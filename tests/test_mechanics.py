@@ -407,6 +407,26 @@ BAD = {
         "constraint [12] is .*contradict",
         {"constraints": lambda t, q: [q[0] ** 2 + q[1] ** 2 - 1, q[0] ** 2 + q[1] ** 2 - 4]},
     ),
+    "constant": (
+        iv.InvariantError,
+        "constraint 2 is 1 at t = 0.0, and no change of q changes it: it does not depend on q",
+        {"constraints": lambda t, q: [q[0] - 1, 1 + 0 * q[0]]},
+    ),
+    "of time": (
+        iv.InvariantError,
+        "constraint 2 changes with t, at the rate 1 at t = 0.0, and no velocity changes that: it does not depend on q",
+        {"constraints": lambda t, q: [q[0] ** 2 + q[1] ** 2 - 1, t + 0 * q[0]]},
+    ),
+    "singular position": (
+        iv.InvariantError,
+        "constraint 1 is -1 at .* or q0 is a singular position of it",
+        {"constraints": lambda t, q: (q[0] - 1) ** 2 + q[1] ** 2 - 1},
+    ),
+    "contradiction of values": (
+        iv.InvariantError,
+        "constraint [12] is .*contradict",
+        {"constraints": lambda t, q: [q[0] - q[1] ** 2, q[0] - q[1] ** 2 - 1]},
+    ),
     "no positions": (ValueError, "constraint 2 does not depend on q", {"constraints": lambda t, q: [q[0] - 1, 0 * t]}),
     "square of v": (
         ValueError,
@@ -452,6 +472,15 @@ def test_bad_input_is_refused_in_words(name):
 def test_what_is_no_function_is_refused_at_once(arguments, error, message):
     with pytest.raises(error, match=message):
         MechanicalSystem(**{"mass": [1, 1], "force": gravity} | arguments)
+
+
+def test_a_kink_that_the_motion_crosses_ends_it_there_and_says_so():
+    """|x| + y = 1: at x = 0 the wire has a corner."""
+    system = swing(lambda t, q: np.abs(q[0]) + q[1] - 1)
+    sol = system.problem((0, 3), [0.5, 0.5], [-1, 1]).solve("ode45", rtol=1e-6, atol=1e-8)
+    assert not sol.success
+    assert abs(sol.y[0, -1]) < 1e-3
+    assert "not smooth there, as abs at 0" in sol.message
 
 
 def test_lengths_of_q_and_v_must_agree():
