@@ -14,6 +14,7 @@
 
 #include "arrays.hpp"
 #include "interpreter.hpp"
+#include "manifolds.hpp"
 
 namespace invariode::binding {
 
@@ -435,6 +436,12 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
   if (nb::isinstance<Native>(f)) {
     const double* p = parameters_.empty() ? nullptr : parameters_.data();
     auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), p);
+    const Callback callback = owner->callback();
+    owned_.push_back(std::move(owner));
+    return callback;
+  }
+  if (nb::isinstance<QuadraticSpec>(f)) {
+    auto owner = std::make_unique<QuadraticFunction>(nb::cast<const QuadraticSpec&>(f));
     const Callback callback = owner->callback();
     owned_.push_back(std::move(owner));
     return callback;
