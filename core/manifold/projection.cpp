@@ -136,7 +136,7 @@ Imposed Projector::approach(double t, double* y) {
       without_gain = 0;
       std::copy(y, y + w_.size(), best_.begin());
       if (size == 0) break;
-    } else if (!(size > 1 && left <= recovery * before)) {
+    } else if (size <= 1 || !(left <= recovery * before)) {
       ++without_gain;
     }
     before = size;
