@@ -30,8 +30,9 @@ from ._arguments import (
     shown,
     tolerances,
 )
+from ._formulas import unlambdified
 from ._types import Function, JacobianKind, Numbers
-from .compiled import is_native, native_parameters, to_native
+from .compiled import CoreFunction, is_native, native_parameters, to_native
 
 __all__ = ["AccuracyWarning", "ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
 
@@ -119,7 +120,7 @@ class Invariants:
         moves: Sequence[int] | None = None,
         metric: ArrayLike | Function | None = None,
     ) -> None:
-        self.fun: Any = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
+        self.fun: Any = fun if is_native(fun) else unlambdified(function("the invariant", fun, "g(t, y)"))
         self.jac: Any = jac
         if isinstance(jac, str):
             choice("jac of the invariant", jac, _KINDS)
@@ -143,7 +144,10 @@ class Invariants:
 
 
 class AccuracyWarning(UserWarning):
-    """Projection moves a component of the solution by much more than its estimated error: it may do harm there."""
+    """Projection moves a component of the solution by much more than its estimated error: it may do harm there.
+
+    Said once: of a run, of all trajectories of an ensemble, or by one of the classes in `invariode.scipy`.
+    """
 
 
 #: Invariants as arguments: a function, an `Invariants`, or several of these.
@@ -369,9 +373,10 @@ def bind(
     for one in invariants:
         name = one.names[0] if one.names and len(one.names) == 1 else call_name(one.fun, "g")
         if is_native(one.fun):
-            fun, at_start = _native_start(one, name, t, y, p)
+            fun, at_start = _native_start(one, name, t, y, args, p)
         else:
-            fun, at_start = one.fun, _evaluate(one, name, t, y, args)
+            at_start = _evaluate(one, name, t, y, args)
+            fun = to_native(name, one.fun, n, len(at_start), p)
         m = len(at_start)
         if one.value is not None and len(one.value) not in (1, m):
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
@@ -380,9 +385,9 @@ def bind(
         kind = one.jac
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
-        if kind == "complex-step" and fun is not one.fun:
+        if kind == "complex-step" and is_native(one.fun):
             raise ValueError(f'invariant {name}: jac="complex-step" is not for native functions, which take real y')
-        if kind is None and fun is not one.fun:
+        if kind is None and is_native(one.fun):
             kind = "3-point"
         elif kind is None:
             probe = _Probe(one.fun, t, y, args, threshold, at_start)
@@ -421,7 +426,7 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     if y.dtype.kind == "c":
         raise ValueError(f"metric of invariant {name} is for real problems, and y0 is complex")
     k = len(one.moves or y)
-    if is_native(metric):
+    if is_native(metric) or isinstance(metric, CoreFunction):
         return to_native(f"the metric of invariant {name}", metric, len(y), k * k, p), k * k
     what = f"metric of invariant {name}"
     constant = not callable(metric)
@@ -455,14 +460,14 @@ def _same(a: Any, b: Any) -> bool:
     return a is b or (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b))
 
 
-def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> tuple[Any, Array]:
+def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
     """A native g as the core takes it, and its values at (t, y). How many there are it does not tell itself."""
     told = [len(known) for known in (one.names, one.value) if known is not None]
     if not told:
         raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
     m = max(told)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
-    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], (), p, None)
+    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)
     at_start = alone.residual(np.array([t]), y[:, None])[:, 0]
     if not all(map(math.isfinite, at_start.tolist())):
         raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
