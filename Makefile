@@ -108,6 +108,8 @@ bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/multistep.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
+	$(BIN)/python benchmarks/chains.py --write
+	$(BIN)/python benchmarks/manifolds.py --write
 	$(BIN)/python benchmarks/native.py --write
 	$(BIN)/python benchmarks/peers.py --write
 	$(BIN)/python benchmarks/ensembles.py --write

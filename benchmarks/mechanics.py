@@ -229,18 +229,6 @@ def several(function: Callable[[], object]) -> None:
         function()
 
 
-def links(repetitions: int) -> str:
-    """Milliseconds per f of a chain of N links: dense linear algebra."""
-    rows = []
-    for n in (5, 10, 20, 40, 80):
-        case = chain(n)
-        problem = case.system.problem(case.t_span, case.q0, case.v0)
-        calls = partial(several, partial(problem.fun, 0.0, problem.y0))
-        times = interleaved({"f": calls}, repetitions)
-        rows.append([str(n), f"{1e3 * median(times['f']) / CALLS:.2f}"])
-    return table(["links of a chain", "ms per f"], rows)
-
-
 def report(repetitions: int) -> str:
     head = f"{machine('invariode', 'numpy')}. All functions in Python, derivatives ours; atol = rtol."
     return "\n\n".join(
@@ -252,7 +240,6 @@ def report(repetitions: int) -> str:
             crank(),
             papers_pendulum(),
             closed_loop(),
-            links(repetitions),
         ]
     )
 

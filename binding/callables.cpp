@@ -15,6 +15,7 @@
 
 #include "arrays.hpp"
 #include "interpreter.hpp"
+#include "manifolds.hpp"
 #include "mechanics.hpp"
 
 namespace invariode::binding {
@@ -472,6 +473,12 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
   }
   if (nb::isinstance<Native>(f)) {
     auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), parameters_);
+    const Callback callback = owner->callback();
+    owned_.push_back(std::move(owner));
+    return callback;
+  }
+  if (nb::isinstance<QuadraticSpec>(f)) {
+    auto owner = std::make_unique<QuadraticFunction>(nb::cast<const QuadraticSpec&>(f));
     const Callback callback = owner->callback();
     owned_.push_back(std::move(owner));
     return callback;

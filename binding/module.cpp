@@ -18,6 +18,7 @@
 #include "callables.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
+#include "manifolds.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
@@ -204,6 +205,7 @@ NB_MODULE(_core, module) {
   define_run(module);
   define_points(module);
   define_mechanics(module);
+  define_manifolds(module);
   define_examination(module);
   define_methods(module);
 }

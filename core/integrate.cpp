@@ -34,6 +34,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
+    if (!events_.empty() && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights_);
     if (settings_.check) harm_.emplace(n_);
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
@@ -452,7 +453,7 @@ void Integration::leave_step(const double* y) {
 }
 
 /// Takes the actions of the events at the point reached, where the step was cut, and starts again from what they
-/// return.
+/// return, put back onto constraints of velocities.
 bool Integration::jump() {
   leave_step(event_y_.data());
   bool rehold = true;
@@ -485,6 +486,7 @@ bool Integration::go_on_from_jump(bool rehold) {
   double* y = interpolant_->start_y();
   if (!start_within_bounds()) return end(State::action_out_of_bounds);
   if (invariants_) {
+    if (rehold && restoration_ && restoration_->restore(t, y) == Status::stop) return end(State::interrupted);
     if (rehold && invariants_->hold(t, y) == Status::stop) return end(State::interrupted);
     if (!refuse(guard_->start_value(t, y))) return false;
   }

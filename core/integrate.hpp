@@ -15,6 +15,7 @@
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
 #include "manifold/projection.hpp"
+#include "manifold/restoration.hpp"
 #include "output/events.hpp"
 #include "output/interpolant.hpp"
 #include "output/output.hpp"
@@ -174,6 +175,7 @@ class Integration {
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
   std::optional<Guard> guard_;
+  std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;
   Events events_;
   std::optional<StepInterpolant> interpolant_;

@@ -194,6 +194,44 @@ def test_masses_and_lengths_of_very_different_units_change_nothing():
 
 
 # ----------------------------------------------------------------------------------------------------------------------
+# Impacts
+
+
+def arm_hits_a_wall():
+    """Two links of length 1 in the plane with unit masses at their ends; the tip bounces off the wall x = 0.5."""
+
+    def joints(t, q):
+        return np.array([q[0] ** 2 + q[1] ** 2 - 1, (q[2] - q[0]) ** 2 + (q[3] - q[1]) ** 2 - 1])
+
+    def energy(t, q, v):
+        return (v**2).sum() / 2 + q[1] + q[3]
+
+    def bounce(t, y):
+        y[6] *= -0.5  # of the tip alone: the joints do not allow that
+        return y
+
+    arm = MechanicalSystem(np.ones(4), lambda t, q, v: [0, -1, 0, -1], joints, energy=energy)
+    wall = iv.Event(lambda t, y: y[2] - 0.5, direction=1, action=bounce)
+    return joints, energy, arm.problem((0, 4), [-1, 0, -2, 0], [0, 0, 0, 0]).replace(events=wall)
+
+
+def test_after_an_impact_the_constraints_hold_and_the_energy_has_its_new_value(method):
+    joints, energy, problem = arm_hits_a_wall()
+    sol = problem.solve(method, rtol=1e-5, atol=1e-5)
+    assert sol.success
+    assert len(sol.t_events[0]) >= 1
+    q, v = sol.y[:4], sol.y[4:]
+    assert np.abs(joints(0, q)).max() < 1e-14
+    apart, rates = q[2:] - q[:2], v[2:] - v[:2]
+    assert max(np.abs((q[:2] * v[:2]).sum(axis=0)).max(), np.abs((apart * rates).sum(axis=0)).max()) < 1e-13
+    pieces = np.searchsorted(sol.t_events[0], sol.t)  # a stored point at the jump is the one before it or the one after
+    levels = [np.array([energy(0, *np.split(y, 2)) for y in sol.y[:, pieces == k].T]) for k in np.unique(pieces)]
+    assert np.ptp([one[len(one) // 2] for one in levels]) > 0.01  # energy is lost
+    for one in levels:
+        assert np.ptp(one[1:-1]) < 1e-13
+
+
+# ----------------------------------------------------------------------------------------------------------------------
 # Derivatives
 
 
@@ -371,6 +409,26 @@ BAD = {
         "constraint [12] is .*contradict",
         {"constraints": lambda t, q: [q[0] ** 2 + q[1] ** 2 - 1, q[0] ** 2 + q[1] ** 2 - 4]},
     ),
+    "constant": (
+        iv.InvariantError,
+        "constraint 2 is 1 at t = 0.0, and no change of q changes it: it does not depend on q",
+        {"constraints": lambda t, q: [q[0] - 1, 1 + 0 * q[0]]},
+    ),
+    "of time": (
+        iv.InvariantError,
+        "constraint 2 changes with t, at the rate 1 at t = 0.0, and no velocity changes that: it does not depend on q",
+        {"constraints": lambda t, q: [q[0] ** 2 + q[1] ** 2 - 1, t + 0 * q[0]]},
+    ),
+    "singular position": (
+        iv.InvariantError,
+        "constraint 1 is -1 at .* or q0 is a singular position of it",
+        {"constraints": lambda t, q: (q[0] - 1) ** 2 + q[1] ** 2 - 1},
+    ),
+    "contradiction of values": (
+        iv.InvariantError,
+        "constraint [12] is .*contradict",
+        {"constraints": lambda t, q: [q[0] - q[1] ** 2, q[0] - q[1] ** 2 - 1]},
+    ),
     "no positions": (ValueError, "constraint 2 does not depend on q", {"constraints": lambda t, q: [q[0] - 1, 0 * t]}),
     "square of v": (
         ValueError,
@@ -416,6 +474,15 @@ def test_bad_input_is_refused_in_words(name):
 def test_what_is_no_function_is_refused_at_once(arguments, error, message):
     with pytest.raises(error, match=message):
         MechanicalSystem(**{"mass": [1, 1], "force": gravity} | arguments)
+
+
+def test_a_kink_that_the_motion_crosses_ends_it_there_and_says_so():
+    """|x| + y = 1: at x = 0 the wire has a corner."""
+    system = swing(lambda t, q: np.abs(q[0]) + q[1] - 1)
+    sol = system.problem((0, 3), [0.5, 0.5], [-1, 1]).solve("ode45", rtol=1e-6, atol=1e-8)
+    assert not sol.success
+    assert abs(sol.y[0, -1]) < 1e-3
+    assert "not smooth there, as abs at 0" in sol.message
 
 
 def test_lengths_of_q_and_v_must_agree():

@@ -24,7 +24,8 @@ constexpr double slowest_newton = 0.45;
 constexpr double often = 0.2;         // share of corrections and of time in which redundant ones depend on others,
 constexpr double now_and_then = 0.1;  // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
-constexpr int impose_patience = 2;         // iterations without a smaller residual: roundoff is reached
+constexpr int impose_patience = 2;         // iterations without a gain: roundoff is reached, or there is no way on
+constexpr double recovery = 0.5;           // of the residual before: Newton's iteration comes back from a step too far
 constexpr double last_correction = 1e-10;  // in units of the weights: it leaves a residual of its square, roundoff
 
 double norm2(const double* v, std::size_t n) {
@@ -51,6 +52,7 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       residual_before_(invariants.m()),
       distance_before_(invariants.m()),
       residual_after_(invariants.m()),
+      unit_(invariants.m()),
       r_(invariants.m()),
       J_(invariants.layout().size()),
       norm_(invariants.m()),
@@ -124,21 +126,24 @@ Imposed Projector::impose(double t, double* y) {
 Imposed Projector::approach(double t, double* y) {
   tolerances_.fill(y, w_.data());
   std::copy(y, y + w_.size(), best_.begin());
-  double first = 0, least = std::numeric_limits<double>::infinity();
+  double first = 0, before = 0, least = std::numeric_limits<double>::infinity();
   int iterations = 0;
   for (int without_gain = 0; iterations < impose_iterations && without_gain < impose_patience; ++iterations) {
     const Outcome outcome = linearize(t, y);
     if (outcome == Outcome::stop) return {.outcome = outcome, .iterations = iterations};
     if (outcome == Outcome::not_finite) break;
-    if (const double size = roundoff_units(y); size < least) {
+    const double left = in_units();  // in the units of the iterate before: units grow with the terms, as residuals do
+    const double size = roundoff_units(y);
+    if (size < least) {
       if (iterations == 0) first = size;
       least = size;
       without_gain = 0;
       std::copy(y, y + w_.size(), best_.begin());
       if (size == 0) break;
-    } else {
+    } else if (size <= 1 || !(left <= recovery * before)) {
       ++without_gain;
     }
+    before = size;
     solve(t);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
   }
@@ -146,13 +151,16 @@ Imposed Projector::approach(double t, double* y) {
   return {.outcome = Outcome::ok, .converged = least <= 1, .iterations = iterations, .gain = least / first};
 }
 
-double Projector::roundoff_units(const double* y) const {
+double Projector::roundoff_units(const double* y) {
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    unit_[i] = std::max({invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()),
+                         std::numeric_limits<double>::min()});
+  return in_units();
+}
+
+double Projector::in_units() const {
   double size = 0;
-  for (std::size_t i = 0; i < r_.size(); ++i) {
-    const double unit = std::max({invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()),
-                                  std::numeric_limits<double>::min()});
-    size = std::max(size, std::abs(r_[i]) / unit);
-  }
+  for (std::size_t i = 0; i < r_.size(); ++i) size = std::max(size, std::abs(r_[i]) / unit_[i]);
   return size;
 }
 

@@ -122,7 +122,8 @@ class Projector {
   void remove_component(std::size_t i, std::size_t q);
   void leave_out(std::size_t i, double t);
   [[nodiscard]] double pivot_threshold() const;
-  [[nodiscard]] double roundoff_units(const double* y) const;  ///< largest residual, in units of its roundoff
+  double roundoff_units(const double* y);  ///< largest residual, in units of its roundoff there,
+  [[nodiscard]] double in_units() const;   ///< and in the units that were taken last
 
   Invariants& invariants_;
   const Weights& tolerances_;
@@ -130,7 +131,7 @@ class Projector {
   double negligible_;
   bool linearized_ = false;  // norm_ is of some earlier point, at least
   double bent_ = 0;          // relative change of the length of a gradient since the linearization before
-  std::vector<double> residual_before_, distance_before_, residual_after_;
+  std::vector<double> residual_before_, distance_before_, residual_after_, unit_;
   std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
   Eigen::MatrixXd scaled_;             // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
   Eigen::MatrixXd R_;                  // (m, m): column i has the components of row i in Q

@@ -48,6 +48,11 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
     off = left > _ROUNDOFF**0.5 * terms + np.finfo(float).tiny  # rates have rounding of φ_t and of differences too
     if off.any():
         i = int(np.flatnonzero(off)[0])
+        if i < motion.m_phi and not rows[i].any():
+            raise InvariantError(
+                f"{names[i]} changes with t, at the rate {left[i]:.3g} at t = {start.t}, and no velocity changes that: "
+                "it does not depend on q, or q0 is a singular position of it. Correct its formula, or start elsewhere"
+            )
         raise InvariantError(
             f"no velocities satisfy the constraints at t = {start.t}: what is left of the rate of {names[i]} is "
             f"{left[i]:.3g}. Constraints that contradict each other, or a position where they are singular, show like "
@@ -78,6 +83,11 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
     off = _off(residual, rows, q, q0)
     if off.any():
         i = int(np.argmax(np.abs(residual) * off))
+        if not rows[i].any():
+            raise InvariantError(
+                f"{names[i]} is {residual[i]:.6g} at t = {t}, and no change of q changes it: it does not depend on q, "
+                "or q0 is a singular position of it. Correct its formula, or start from another q0"
+            )
         raise InvariantError(
             f"no position near q0 satisfies the constraints at t = {t}: {names[i]} is {residual[i]:.6g} at the best "
             "one found. Constraints that contradict each other show like this; or start from a q0 nearer to a solution"

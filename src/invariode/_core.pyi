@@ -527,6 +527,13 @@ def solve_saddle(mass: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     a and λ of M a = Q + Aᵀ λ, A a = γ; the rank of A; whether a is unique (else it is NaN).
     """
 
+class Quadratic:
+    """
+    Sums of products of two components, or their Jacobian, as a function of the core.
+    """
+
+    def __init__(self, n: int, terms: int, first: Sequence[int], second: Sequence[int], gradient: bool) -> None: ...
+
 class Examination:
     """How invariants stand at a point: arrays (m,)."""
 

@@ -160,7 +160,7 @@ def _not_conserved(run: Run, names: list[str], demanded: list[bool]) -> str:
     if demanded[run.finding_invariant]:
         text += (
             "A hidden constraint is missing: the derivative of this constraint with respect to t has to be imposed "
-            "with it (or the formula is wrong). "
+            "with it; or the formula is wrong, or not smooth there, as abs at 0. "
         )
     else:
         text += "This is not an invariant of fun: check its formula and the parameters. "
@@ -190,7 +190,8 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
         return (
             f"y0 is not on the manifold: it violates invariant {name}, g(t0, y0) - value = {run.finding_size:.6g}, a "
             f"distance of {run.finding_distance:.3g} times the tolerance (rtol = {rtol:.3g}). Correct y0, or project "
-            "it first: y0 = invariode.impose(invariants, t0, y0).y"
+            "it first: y0 = invariode.impose(invariants, t0, y0).y, or for a mechanism problem(..., "
+            'consistent="project")'
         )
     if run.finding == "wrong_jacobian":
         return _wrong_jacobian_of(run, names, pairs)

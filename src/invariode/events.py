@@ -33,7 +33,8 @@ class Event:
         accumulate, as the impacts of a ball that comes to rest, need a `terminal` count.
     rehold : bool, default True
         After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
-        which y_new must have.
+        which y_new must have. Demanded values of invariants of a later level, as constraints of velocities, are imposed
+        first, whatever y_new: a blow on one body of a mechanism becomes one on all, as the joints pass it on.
     at_start : bool, default False
         Whether an event that is exactly zero at t0 occurs there, as in SciPy: then it is the first in `t_events`,
         counts for `terminal`, and has the direction in which the first step leaves zero. False: it does not occur until

@@ -134,6 +134,10 @@ class Invariants:
         self.moves = None if moves is None else _components(moves)
         self.metric: Any = None if metric is None else _metric(metric)
 
+    def _in_core(self, n: int) -> tuple[Any, Any] | None:
+        """The function and its Jacobian of n real components where the core has them itself."""
+        return None
+
     def __repr__(self) -> str:
         held = "" if self.value is None else f", value={self.value.tolist()}"
         return f"{type(self).__name__}({', '.join(self.names or [call_name(self.fun, 'g')])}{held})"
@@ -390,6 +394,8 @@ def bind(
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
             evaluations += probe.evaluations
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
+        if y.dtype.kind != "c":
+            fun, kind = one._in_core(len(y)) or (fun, kind)
         order = (one.level, _moves(one, name, y), *_metric_at(one, name, t, y, args, p))
         specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))

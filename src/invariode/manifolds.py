@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import _core
 from ._arguments import Array
 from .invariants import Invariants
 
@@ -18,6 +19,17 @@ __all__ = ["RotationMatrix", "UnitQuaternion", "UnitVector"]
 
 #: The entries of RᵀR that are prescribed: a symmetric matrix has six.
 _UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
+
+
+class _NativeQuadratic(_core.Quadratic):
+    """The equations in the core, made again from a pickle."""
+
+    def __init__(self, *made_of: Any) -> None:
+        super().__init__(*made_of)
+        self._made_of = made_of
+
+    def __reduce__(self) -> tuple[type[_NativeQuadratic], tuple[Any, ...]]:
+        return type(self), self._made_of
 
 
 class _Quadratic(Invariants):
@@ -36,6 +48,11 @@ class _Quadratic(Invariants):
         self._rows = np.arange(len(first))[:, None]
         self._least = int(first.max()) + 1  # components that the state must have
         super().__init__(self._products, self._gradients, value=value, names=names, iterations=iterations, when=when)
+
+    def _in_core(self, n: int) -> tuple[Any, Any]:
+        first, second = self._first.ravel().tolist(), self._second.ravel().tolist()
+        made_of = n, self._first.shape[1], first, second
+        return _NativeQuadratic(*made_of, False), _NativeQuadratic(*made_of, True)
 
     def _state(self, y: ArrayLike) -> Array:
         state = np.asarray(y)

@@ -1,0 +1,129 @@
+"""Ready manifolds: what native ones gain, and a rigid body over 1e5 rotations: ``python benchmarks/manifolds.py``.
+
+With ``--write``, or ``make bench``, the tables go into docs/benchmarks.md.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from statistics import median
+from time import process_time
+
+import numpy as np
+from measure import interleaved, machine, run, table
+from numpy.typing import NDArray
+
+import invariode as iv
+
+Array = NDArray[np.float64]
+
+
+@partial(iv.compile, inplace=True)
+def spinning(t, y, dy):
+    """Eight unit quaternions that turn about a fixed axis."""
+    for i in range(0, 32, 4):
+        dy[i], dy[i + 1], dy[i + 2], dy[i + 3] = -y[i + 1] / 2, y[i] / 2, y[i + 3] / 2, -y[i + 2] / 2
+
+
+@partial(iv.compile, inplace=True)
+def turning(t, y, dy):
+    """Four rotation matrices, R' = W R, row by row."""
+    for i in range(0, 36, 9):
+        for c in range(i, i + 3):
+            dy[c] = -y[c + 3]
+            dy[c + 3] = y[c] - 0.5 * y[c + 6]
+            dy[c + 6] = 0.5 * y[c + 3]
+
+
+def in_python(manifold: iv.Invariants) -> iv.Invariants:
+    """The same equations as functions of Python."""
+    return iv.Invariants(manifold.fun, manifold.jac, manifold.value, manifold.names)
+
+
+def gain(repetitions: int) -> str:
+    quaternions, matrices = np.tile([1.0, 0, 0, 0], 8), np.tile(np.eye(3).ravel(), 4)
+    cases = {
+        "1 quaternion": (spinning, quaternions, iv.UnitQuaternion(range(4))),
+        "8 quaternions": (spinning, quaternions, iv.UnitQuaternion(np.arange(32).reshape(8, 4))),
+        "1 rotation matrix": (turning, matrices, iv.RotationMatrix(np.arange(9))),
+        "4 rotation matrices": (turning, matrices, iv.RotationMatrix(np.arange(36).reshape(4, 9))),
+    }
+    rows = []
+    for name, (fun, y0, manifold) in cases.items():
+        problems = {
+            way: iv.Problem(fun, (0, 200), y0, invariants=held)
+            for way, held in (("plain", None), ("native", manifold), ("Python", in_python(manifold)))
+        }
+        runs = {way: partial(p.solve, "ode45", rtol=1e-6, atol=1e-6, keep="end") for way, p in problems.items()}
+        steps = {way: go().stats.steps for way, go in runs.items()}
+        times = interleaved(runs, repetitions, process_time)
+        rows.append([name, *(f"{1e6 * median(times[way]) / steps[way]:.1f}" for way in runs)])
+    return table(["µs per step of ode45, f compiled", "plain", "native", "Python"], rows)
+
+
+#: Principal moments of inertia of a body without forces.
+_A, _B, _C = 1.0, 2.0, 3.0
+
+
+@partial(iv.compile, inplace=True)
+def body(t, y, dy):
+    """q' = q ω / 2 with y = (q, ω), and Euler's equations."""
+    w, x, y_, z, a, b, c = y[0], y[1], y[2], y[3], y[4], y[5], y[6]
+    dy[0] = (-x * a - y_ * b - z * c) / 2
+    dy[1] = (w * a + y_ * c - z * b) / 2
+    dy[2] = (w * b + z * a - x * c) / 2
+    dy[3] = (w * c + x * b - y_ * a) / 2
+    dy[4] = (_B - _C) * b * c / _A
+    dy[5] = (_C - _A) * c * a / _B
+    dy[6] = (_A - _B) * a * b / _C
+
+
+@partial(iv.compile, inplace=True)
+def kept(t, y, g):
+    """Twice the energy, and the angular momentum in space."""
+    w, x, y_, z = y[0], y[1], y[2], y[3]
+    a, b, c = _A * y[4], _B * y[5], _C * y[6]
+    g[0] = a * y[4] + b * y[5] + c * y[6]
+    g[1] = (w * w + x * x - y_ * y_ - z * z) * a + 2 * (x * y_ - w * z) * b + 2 * (x * z + w * y_) * c
+    g[2] = 2 * (x * y_ + w * z) * a + (w * w - x * x + y_ * y_ - z * z) * b + 2 * (y_ * z - w * x) * c
+    g[3] = 2 * (x * z - w * y_) * a + 2 * (y_ * z + w * x) * b + (w * w - x * x - y_ * y_ + z * z) * c
+
+
+ROTATIONS = 10**5
+TUMBLING = np.array([1, 0, 0, 0, 0.1, 1.0, 0.1])  # about the middle axis, where rotation is unstable
+
+
+def rotations() -> str:
+    """|q| - 1, energy and angular momentum after 1e5 rotations; everything native, Jacobians by differences."""
+    attitude = iv.UnitQuaternion(range(4))
+    held = {
+        "nothing": None,
+        "norm of q": [attitude],
+        "norm, energy, momentum": [attitude, iv.Invariants(kept, names=["2E", "Lx", "Ly", "Lz"])],
+    }
+    rate = np.linalg.norm(TUMBLING[4:])
+    rows = []
+    for name, invariants in held.items():
+        problem = iv.Problem(body, (0, 2 * np.pi * ROTATIONS / rate), TUMBLING, invariants=invariants)
+        start = process_time()
+        sol = problem.solve("dop853", rtol=1e-6, atol=1e-6, keep="end", max_step=np.inf)
+        elapsed = process_time() - start
+        reached, before = (values(y) for y in (sol.y[:, -1], TUMBLING))
+        off = [f"{abs(np.linalg.norm(sol.y[:4, -1]) - 1):.0e}", f"{abs(reached[0] / before[0] - 1):.0e}"]
+        off.append(f"{np.linalg.norm(reached[1:] - before[1:]) / np.linalg.norm(before[1:]):.0e}")
+        rows.append([name, str(sol.stats.steps), *off, f"{elapsed:.1f}"])
+    return table(["held over 1e5 rotations, dop853, 1e-6", "steps", "norm - 1", "energy", "momentum", "s"], rows)
+
+
+def values(y: Array) -> Array:
+    g = np.empty(4)
+    kept.fun(0.0, y, g)
+    return g
+
+
+def report(repetitions: int) -> str:
+    return "\n\n".join([machine("invariode", "numpy", "numba"), gain(repetitions), rotations()])
+
+
+if __name__ == "__main__":
+    run("manifolds", __doc__, report, repetitions=5)
