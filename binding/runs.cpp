@@ -341,6 +341,8 @@ void define_summary_of_run(RunClass& run) {
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
+  property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
+  property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 

@@ -21,7 +21,7 @@ from .mechanics import MechanicalSystem
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .problem import Problem
-from .solution import DenseSolution, Drift, Solution, Stats, Steps
+from .solution import DenseSolution, Drift, Solution, Stats, Steps, StiffnessWarning
 
 __all__ = [
     "METHODS",
@@ -45,6 +45,7 @@ __all__ = [
     "Solution",
     "Stats",
     "Steps",
+    "StiffnessWarning",
     "UnitQuaternion",
     "UnitVector",
     "check_invariants",

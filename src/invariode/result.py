@@ -14,7 +14,17 @@ from ._arguments import Array, real_numbers
 from ._core import Dense
 from .invariants import BoundInvariants, as_columns
 
-__all__ = ["BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+__all__ = [
+    "BeforeProjection",
+    "DenseSolution",
+    "Drift",
+    "Names",
+    "Record",
+    "Result",
+    "Stats",
+    "Steps",
+    "StiffnessWarning",
+]
 
 
 class Record(Mapping[str, Any]):
@@ -74,6 +84,8 @@ class Stats(Record):
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
+    stiff_since : float or None
+        From this t on, stability limited most of the steps of an explicit method, not accuracy; None: it did not.
     """
 
     steps: int
@@ -90,6 +102,11 @@ class Stats(Record):
     ngdiff: int
     derivatives: str | None
     projected_start: bool
+    stiff_since: float | None = None
+
+
+class StiffnessWarning(UserWarning):
+    """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff for it."""
 
 
 class Steps(Record):

@@ -9,6 +9,7 @@ import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
+from ._messages import limited_by_stability
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -16,7 +17,7 @@ from .description import Description
 from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
 from .plan import Plan, make_plan, solver
-from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import BeforeProjection, DenseSolution, Names, Stats, Steps, StiffnessWarning
 from .solution import Solution
 
 __all__ = ["RunOrigin", "solve"]
@@ -98,6 +99,8 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
         _warn_harmed(sol._names.components[harmed // 2 if plan.functions.complex else harmed], harm)
+    if sol.stats.stiff_since is not None:
+        warn(f"{plan.method.name}: {limited_by_stability(sol.stats.stiff_since)}", StiffnessWarning)
     return sol
 
 
@@ -147,6 +150,7 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
+        stiff_since=run.stiff_since if run.stiff else None,
     )
     stats.ng += plan.bound.evaluations
     stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
@@ -279,5 +283,10 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
 
 def _summed(a: Stats, b: Stats) -> Stats:
     ways = {way for one in (a, b) if one.derivatives for way in one.derivatives.split(" and ")}
-    counts = {name: a[name] + b[name] for name in a if name not in ("derivatives", "projected_start")}
-    return Stats(**counts, derivatives=" and ".join(sorted(ways)) or None, projected_start=a.projected_start)
+    counts = {name: a[name] + b[name] for name in a if name not in ("derivatives", "projected_start", "stiff_since")}
+    return Stats(
+        **counts,
+        derivatives=" and ".join(sorted(ways)) or None,
+        projected_start=a.projected_start,
+        stiff_since=b.stiff_since if a.stiff_since is None else a.stiff_since,
+    )
