@@ -15,7 +15,7 @@ class StiffnessDetector {
  public:
   explicit StiffnessDetector(const Weights& weights) : weights_(weights) {}
 
-  /// Step number `step`, from (t0, y0), has been accepted. Looks at one step in 16.
+  /// Step number `step`, from (t0, y0), has been accepted. Looks at one step in 64.
   void note(const Step& method, std::int64_t step, double t0, const double* y0) {
     if (step % every != 0) return;
     const double limit = method.stability();
@@ -56,10 +56,10 @@ class StiffnessDetector {
     return max_norm(weights_.size(), [&](std::size_t i) { return (y1[i] - y0[i]) / weights_.at(i, y0[i], y1[i]); });
   }
 
-  static constexpr std::int64_t every = 16;  // so that it costs less than 1 % of a step
+  static constexpr std::int64_t every = 64;  // so that it costs less than 1 % of a step
   static constexpr double near = 0.5;  // of the limit: estimates there were 0.6 to 1.9 of it, in the median 0.9 to 1.1
   static constexpr double slow = 0.1;  // what may change in a step at the limit, in the weights
-  static constexpr int long_streak = 15, end_of_streak = 6;  // looks (Hairer & Wanner's DOPRI5)
+  static constexpr int long_streak = 10, end_of_streak = 4;  // looks
 
   const Weights& weights_;
   std::int64_t looks_ = 0, limited_ = 0;  // since `since_`
