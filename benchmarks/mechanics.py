@@ -25,7 +25,6 @@ from mechanisms import (
     Case,
     arevalo,
     car_axis,
-    chain,
     closed_chain,
     fekete,
     index_3_pendulum,

@@ -352,6 +352,8 @@ void define_summary_of_run(RunClass& run) {
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
+  property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
+  property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "breakpoints_passed", [](const RunResult& r) { return r.breakpoints_passed; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });

@@ -29,6 +29,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       callback_(callback),
       n_(weights.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
+      stiffness_(weights),
       events_(std::move(events), n_, step_->max_degree()),
       breaks_(std::move(breaks)) {
   if (invariants_) {
@@ -327,7 +328,7 @@ State Integration::finish_step() {
   reached_ = {interpolant_->start_t(), interpolant_->start_y()};  // until guard and events have passed the step
   note_drift();
   if (!judge_invariants()) return state_;
-  ++counts_.steps;
+  stiffness_.note(*step_, ++counts_.steps, interpolant_->start_t(), interpolant_->start_y());
   interpolant_->accept();
   if (find_events() && record() && emit(!events_.terminal() && (events_.acts() || breaks_here())) && conclude())
     goes_on();

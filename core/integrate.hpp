@@ -24,6 +24,7 @@
 #include "settings.hpp"
 #include "slope.hpp"
 #include "step.hpp"
+#include "stiffness.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -81,6 +82,7 @@ class Integration {
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
   /// What projections have done to the components of y, so far.
   [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
+  [[nodiscard]] Stiffness stiffness() const { return stiffness_.found(); }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
 
   /// The results, to be moved out when the run has ended.
@@ -177,6 +179,7 @@ class Integration {
   std::optional<Guard> guard_;
   std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;
+  StiffnessDetector stiffness_;
   Events events_;
   std::optional<StepInterpolant> interpolant_;
 

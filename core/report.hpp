@@ -68,6 +68,12 @@ struct Harm {
   double ratio = 0;    ///< of the sum of its corrections to that of its estimated errors
 };
 
+/// Whether stability, not accuracy, has limited the steps of an explicit method, and from which t on.
+struct Stiffness {
+  bool found = false;
+  double since = 0;
+};
+
 /// A jump of the solution: from which row of the output on it holds, and the values that invariants have from there.
 struct Jump {
   std::size_t row;

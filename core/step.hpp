@@ -87,6 +87,9 @@ class Step {
   [[nodiscard]] virtual int max_degree() const { return degree(); }
 
   [[nodiscard]] virtual int order() const = 0;
+  /// An estimate of |h λ| in the step just accepted, λ the dominant eigenvalue of ∂f/∂y, in units of what the formula
+  /// is stable for on the negative real axis. 0: nobody knows, or there is no such limit.
+  [[nodiscard]] virtual double stability() const { return 0; }
   /// y' at the end of the accepted step as the method has it, without another evaluation; after an implicit step only
   /// to the accuracy of its iteration.
   [[nodiscard]] virtual const double* slope() const = 0;

@@ -75,6 +75,7 @@ def test_decay_with_ramp():
     )
 
 
+@pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")
 @pytest.mark.parametrize("code", ["ode45", "ode15s"])
 def test_heat_equation_points(code):
     x = np.arange(100) / 100

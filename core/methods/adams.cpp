@@ -13,6 +13,10 @@ namespace {
 constexpr double gamma_star[] = {0,      0.5,     0.0833,  0.0417,  0.0264,  0.0188,  0.0143,
                                  0.0114, 0.00936, 0.00789, 0.00679, 0.00592, 0.00524, 0.00468};
 
+/// Where the formulas of order k become unstable on the negative real axis, at equal steps (tests/test_stiffness.py).
+constexpr double real_limit[] = {0, 2.0, 2.4, 1.93, 1.41, 1.04, 0.77, 0.58, 0.44, 0.34, 0.26, 0.21, 0.16};
+constexpr double indistinct = 1000 * eps;  // y₁ − p, in the weights: below, f tells nothing about λ but roundoff
+
 constexpr double starting_fraction = 0.25;  // of √rtol: what the first step may change y by
 
 }  // namespace
@@ -42,15 +46,14 @@ Adams::Adams(Callback& f, const Weights& weights, int max_order, int min_order)
       max_order_(max_order),
       min_order_(min_order),
       phi_(static_cast<std::size_t>(max_order + 2) * weights.size()),
-      values_(4 * weights.size()) {
+      values_(5 * weights.size()) {
   double* next = values_.data();
-  for (double** v : {&weight_, &candidate_, &defect_, &slope_}) *v = std::exchange(next, next + n());
+  for (double** v : {&weight_, &candidate_, &defect_, &slope_, &next_slope_}) *v = std::exchange(next, next + n());
 }
 
 Outcome Adams::start(double t, const double* y, const Span& span) {
   restart(t, y, 1);
-  if (const Outcome outcome = evaluate(t, y); outcome != Outcome::ok) return outcome;
-  std::swap(slope_, defect_);
+  if (const Outcome outcome = evaluate(t, y, slope_); outcome != Outcome::ok) return outcome;
   std::copy(slope_, slope_ + n(), phi(1));
   weights_.fill(y, weight_);
   h_ = first_h(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
@@ -87,11 +90,11 @@ void Adams::restart(double t, const double* y, int order) {
   sigma_[1] = 1;
 }
 
-/// d = f(t, y)
-Outcome Adams::evaluate(double t, const double* y) {
+Outcome Adams::evaluate(double t, const double* y, double* out) {
+  evaluated_ = out;
   if (!all_finite(y, n())) return Outcome::not_finite;
-  if (f_(t, y, defect_) == Status::stop) return Outcome::stop;
-  return all_finite(defect_, n()) ? Outcome::ok : Outcome::not_finite;
+  if (f_(t, y, out) == Status::stop) return Outcome::stop;
+  return all_finite(out, n()) ? Outcome::ok : Outcome::not_finite;
 }
 
 double Adams::norm(const double* v) const {
@@ -105,7 +108,7 @@ Step::Attempt Adams::attempt(double h, double t1) {
   weights_.fill(y(), weight_);
   update_coefficients();
   predict();
-  const Outcome outcome = evaluate(t1, candidate_);
+  const Outcome outcome = evaluate(t1, candidate_, defect_);
   if (outcome != Outcome::ok) {
     lower_ = order_;
     return {outcome, std::numeric_limits<double>::quiet_NaN(), candidate_};
@@ -231,8 +234,8 @@ bool Adams::reject(Cause, double hmin) {
 }
 
 Outcome Adams::accept(const double* y1) {
-  if (const Outcome outcome = evaluate(t1_, y1); outcome != Outcome::ok) return outcome;
-  std::swap(slope_, defect_);
+  if (const Outcome outcome = evaluate(t1_, y1, next_slope_); outcome != Outcome::ok) return outcome;
+  std::swap(slope_, next_slope_);
   t_ = t1_;
   std::copy(y1, y1 + n(), y_.begin());
   for_each_block([&](std::size_t begin, std::size_t end) {
@@ -297,9 +300,22 @@ Status Adams::extension(double* data) {
   return Status::ok;
 }
 
+/// From p and y₁, both at t₁: f(t₁, y₁) − f(t₁, p) is φ_{k+1} − d, and y₁ − p is h g_{k+1} d and the correction.
+double Adams::stability() const {
+  const auto k = static_cast<std::size_t>(previous_order_);
+  const double* change = phi(previous_order_ + 1);
+  MaxNorm slopes, arguments;
+  for (std::size_t i = 0; i < n(); ++i) {
+    slopes.add((change[i] - defect_[i]) / weight_[i]);
+    arguments.add((previous_h_ * g_[k + 1] * defect_[i] + (y_[i] - candidate_[i])) / weight_[i]);
+  }
+  return arguments.value() > indistinct ? std::abs(previous_h_) * slopes.value() / arguments.value() / real_limit[k]
+                                        : 0;
+}
+
 int Adams::undefined_component() const {
   for (std::size_t i = 0; i < n(); ++i)
-    if (!std::isfinite(defect_[i])) return static_cast<int>(i);
+    if (!std::isfinite(evaluated_[i])) return static_cast<int>(i);
   return -1;
 }
 

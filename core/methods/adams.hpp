@@ -39,6 +39,7 @@ class Adams final : public Step {
   Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return previous_order_; }
+  [[nodiscard]] double stability() const override;
   [[nodiscard]] const double* slope() const override { return slope_; }
   [[nodiscard]] int undefined_component() const override;
 
@@ -57,7 +58,7 @@ class Adams final : public Step {
   double compare_orders();
   void choose_order_and_step();
   [[nodiscard]] double norm(const double* v) const;
-  Outcome evaluate(double t, const double* y);
+  Outcome evaluate(double t, const double* y, double* out);
   template <class Work>
   void for_each_block(Work work);
 
@@ -79,8 +80,10 @@ class Adams final : public Step {
   std::vector<double> values_;
   double* weight_ = nullptr;     // w, of the start of the step
   double* candidate_ = nullptr;  // p, then y*
-  double* defect_ = nullptr;     // f as last evaluated; from it f(t₁, p) − φ₁ (predicted)
+  double* defect_ = nullptr;     // f(t₁, p), and from it d = f(t₁, p) − φ₁ (predicted)
   double* slope_ = nullptr;      // f at the last point reached
+  double* next_slope_ = nullptr;
+  const double* evaluated_ = nullptr;  // f as last evaluated
 };
 
 }  // namespace invariode

@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <utility>
 
+#include "methods/stability.hpp"
 #include "methods/tableau.hpp"
 
 namespace invariode::runge_kutta {
@@ -60,6 +61,14 @@ struct Kernel {
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
   static void errors(Real h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.stages>(k, [](auto j) { return T.E[j]; }, i);
+  }
+
+  /// Σ v_j k_j and Σ u_j k_j of `probe`, for component i.
+  static std::array<Real, 2> probed(const Stages& k, std::size_t i) {
+    static constexpr auto p = probe<T>();
+    return {dot<T.stages>(
+                k, [](auto j) { return p.slopes[j]; }, i),
+            dot<T.stages>(k, [](auto j) { return p.arguments[j]; }, i)};
   }
 
   /// Coefficients of the continuous extension, (degree, n): h Σ_j B_jd k_j.

@@ -18,6 +18,8 @@ inline constexpr double largest_growth = 5;  // of h after a success
 // Slopes of the extension that are larger, in units of the largest of the step, come from beside a singularity of f.
 // (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
 inline constexpr double largest_slope = 100;
+// Arguments of stages that differ by no more than this, in the weights, tell nothing about λ but roundoff.
+inline constexpr double indistinct = 1000 * eps;
 
 /// The pair T. `Few`: compiled for few equations, without vector instructions, by runge_kutta_few.cpp.
 template <const auto& T, bool Few>
@@ -131,6 +133,20 @@ class Pair final : public Step {
   }
 
   [[nodiscard]] int order() const override { return T.order; }
+  [[nodiscard]] double stability() const override {
+    static const double limit = real_limit<T>();
+    MaxNorm slopes, arguments;
+    for (std::size_t i = 0; i < n(); ++i) {
+      const double w = weights_.at(i, start_[i], y_[i]);
+      auto [slope, argument] = Kernel::probed(k_, i);
+      if constexpr (!T.last_in_error())
+        argument += (y_[i] - candidate_[i]) / purified_;  // the last slope is that at y₁
+      slopes.add(slope / w);
+      arguments.add(argument / w);
+    }
+    const double moved = std::abs(purified_) * arguments.value();
+    return moved > indistinct ? slopes.value() / arguments.value() / limit : 0;
+  }
   [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
   [[nodiscard]] int undefined_component() const override {
     for (std::size_t i = 0; i < n(); ++i) {

@@ -186,6 +186,7 @@ RunResult Run::take_result() {
   result.state = loop.state();
   result.report = loop.report();
   result.counts = loop.counts();
+  result.stiffness = loop.stiffness();
   result.linear = loop.step().linear_work();
   count_evaluations(result);
   describe_invariants(result);

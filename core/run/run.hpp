@@ -42,6 +42,7 @@ struct RunResult {
   std::vector<int> dropped;             ///< redundant invariants, and the t at which the first was seen
   double dropped_at = 0;
   Harm harm;
+  Stiffness stiffness;
   double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points

@@ -25,7 +25,7 @@ from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .odepack import odeint
 from .pictures.precision import plot_work_precision
 from .problem import Problem
-from .solution import DenseSolution, Drift, Solution, Stats, Steps
+from .solution import DenseSolution, Drift, Solution, Stats, Steps, StiffnessWarning
 
 __all__ = [
     "METHODS",
@@ -50,6 +50,7 @@ __all__ = [
     "Solution",
     "Stats",
     "Steps",
+    "StiffnessWarning",
     "UnitQuaternion",
     "UnitVector",
     "check_invariants",

@@ -31,6 +31,20 @@ _LIMITS = {
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
+    status, message = _ended(run, names, demanded, pairs)
+    return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
+
+
+def limited_by_stability(since: float) -> str:
+    """What is said of an explicit method on a stiff problem."""
+    return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     if run.state in MESSAGES:
         return MESSAGES[run.state]
     if run.state == "stopped_by_request":

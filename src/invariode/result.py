@@ -15,7 +15,18 @@ from ._core import Dense
 from .invariants import BoundInvariants, as_columns
 from .notebook import html_of_solution
 
-__all__ = ["LIMIT_REACHED", "BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+__all__ = [
+    "LIMIT_REACHED",
+    "BeforeProjection",
+    "DenseSolution",
+    "Drift",
+    "Names",
+    "Record",
+    "Result",
+    "Stats",
+    "Steps",
+    "StiffnessWarning",
+]
 
 #: The status of a run that a limit has ended: its results are right, and it can be extended.
 LIMIT_REACHED = -3
@@ -87,6 +98,8 @@ class Stats(Record):
         Of a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were had
         ('complex step', 'differences', 'given'), and how often each function was called and matrices of accelerations
         were factorised, 'sparse' and 'dense', in the whole run.
+    stiff_since : float or None
+        From this t on, stability limited most of the steps of an explicit method, not accuracy; None: it did not.
     """
 
     steps: int
@@ -106,6 +119,11 @@ class Stats(Record):
     projected_start: bool
     clipped_amount: float = 0.0
     mechanics: dict[str, Any] | None = None
+    stiff_since: float | None = None
+
+
+class StiffnessWarning(UserWarning):
+    """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff for it."""
 
 
 class Steps(Record):

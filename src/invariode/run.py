@@ -13,7 +13,7 @@ from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._calls import explained
 from ._interruption import stopped_by_interrupt
-from ._messages import MESSAGES, harmful_projection
+from ._messages import MESSAGES, harmful_projection, limited_by_stability
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -23,7 +23,7 @@ from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps, StiffnessWarning
 from .solution import Solution
 
 __all__ = ["RunOrigin", "solve"]
@@ -154,6 +154,8 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if harmed >= 0 and sol.success:
         component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
         warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
+    if sol.stats.stiff_since is not None:
+        warn(f"{plan.method.name}: {limited_by_stability(sol.stats.stiff_since)}", StiffnessWarning)
     return sol
 
 
@@ -210,6 +212,7 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
         clipped_amount=run.clipped,
+        stiff_since=run.stiff_since if run.stiff else None,
     )
     stats.ng += plan.bound.evaluations
     stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
@@ -334,7 +337,8 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
 
 def _summed(a: Stats, b: Stats) -> Stats:
     ways = {way for one in (a, b) if one.derivatives for way in one.derivatives.split(" and ")}
-    counts = {name: a[name] + b[name] for name in a if name not in ("derivatives", "projected_start", "mechanics")}
+    apart = ("derivatives", "projected_start", "mechanics", "stiff_since")
+    counts = {name: a[name] + b[name] for name in a if name not in apart}
     mechanics = (
         a.mechanics
         and b.mechanics
@@ -345,4 +349,5 @@ def _summed(a: Stats, b: Stats) -> Stats:
         derivatives=" and ".join(sorted(ways)) or None,
         projected_start=a.projected_start,
         mechanics=mechanics,
+        stiff_since=b.stiff_since if a.stiff_since is None else a.stiff_since,
     )

@@ -1,0 +1,55 @@
+#pragma once
+// How far from its limit of stability an explicit pair is (docs/algorithms.md, 'Stability limit of an explicit step').
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+
+#include "methods/tableau.hpp"
+
+namespace invariode::runge_kutta {
+
+/// Weights of two sums over stages: of the slopes, Σ v_i k_i, and of the arguments of those slopes, h Σ u_j k_j. A
+/// smooth solution has no part in them to a high power of h; what is left is what f amplifies most.
+template <std::size_t S>
+struct Probe {
+  std::array<double, S> slopes{}, arguments{};
+};
+
+/// Two stages at t₁ where the pair has them, as in Hairer and Wanner's DOPRI5 (Solving ODEs II, ch. IV.2). Else the
+/// third divided difference of the last four.
+template <const auto& T>
+constexpr auto probe() {
+  constexpr std::size_t S = T.stages, last = S - 1;
+  Probe<S> p;
+  if (T.c[last - 1] == 1) {
+    p.slopes[last] = 1;
+    p.slopes[last - 1] = -1;
+  } else {
+    for (std::size_t i = S - 4; i < S; ++i) {
+      p.slopes[i] = 1;
+      for (std::size_t j = S - 4; j < S; ++j)
+        if (j != i) p.slopes[i] /= T.c[i] - T.c[j];
+    }
+  }
+  for (std::size_t j = 0; j < S; ++j)
+    for (std::size_t i = 0; i < S; ++i) p.arguments[j] += p.slopes[i] * T.A[i][j];
+  return p;
+}
+
+/// The first x > 0 where the stability polynomial of the higher formula leaves |R(−x)| ≤ 1.
+template <const auto& T>
+double real_limit() {
+  constexpr double step = 1. / 64;
+  constexpr double roundoff = 1e-12;
+  for (double x = step;; x += step) {
+    std::array<double, T.stages> y{};  // of y' = −x y from 1, h = 1: the arguments of the stages
+    for (std::size_t i = 0; i < T.stages; ++i) {
+      y[i] = 1;
+      for (std::size_t j = 0; j < i; ++j) y[i] -= x * T.A[i][j] * y[j];
+    }
+    if (std::abs(y[T.stages - 1]) > 1 + roundoff) return x;
+  }
+}
+
+}  // namespace invariode::runge_kutta
