@@ -456,6 +456,8 @@ def test_differences_see_every_column_of_an_algebraic_equation_also_where_atol_i
         a, b, c = y
         return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b * b, a + b + c - 1]
 
+    if iv.METHODS[algebraic_code.__name__].order == 2 and rtol < 1e-10:
+        pytest.skip("Newton's iteration would have to be more exact than roundoff")
     mass = [[1, 0, 0], [0, 1, 0], [0, 0, 0]]
     sol = algebraic_code(robertson, (0, 400), [1, 0, 0], mass=mass, rtol=rtol, atol=1e-3 * rtol)
     assert sol.success
