@@ -125,7 +125,7 @@ def test_complex_problems(code, form):
     exact = vectors @ (np.exp(2 * values) * np.linalg.solve(vectors, z0))
     np.testing.assert_allclose(sol.y[:, -1], exact, atol=2e-6 * slack(code.__name__))
     reference = code(lambda t, z: A @ z, (0, 2), z0, rtol=1e-8, atol=1e-10, jac=A)
-    assert sol.stats.steps == pytest.approx(reference.stats.steps, rel=0.02)
+    assert sol.stats.steps == pytest.approx(reference.stats.steps, rel=0.05)
 
 
 def test_complex_f_that_is_not_analytic(code):
