@@ -353,5 +353,5 @@ def _lapack() -> dict[str, Any]:
     """LAPACK as SciPy ships it."""
     from scipy.linalg import cython_lapack
 
-    routines = ("getrf", "getrs", "gbtrf", "gbtrs")
-    return {kind + name: cython_lapack.__pyx_capi__[kind + name] for kind in "dz" for name in routines}
+    capsules: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
+    return {kind + name: capsules[kind + name] for kind in "dz" for name in ("getrf", "getrs", "gbtrf", "gbtrs")}
