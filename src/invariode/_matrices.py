@@ -353,5 +353,6 @@ def _lapack() -> dict[str, Any]:
     """LAPACK as SciPy ships it."""
     from scipy.linalg import cython_lapack
 
-    capsules: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
-    return {kind + name: capsules[kind + name] for kind in "dz" for name in ("getrf", "getrs", "gbtrf", "gbtrs")}
+    routines = ("getrf", "getrs", "gbtrf", "gbtrs")
+    capi: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
+    return {kind + name: capi[kind + name] for kind in "dz" for name in routines}

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
+from ._at_start import ended_at_start, found_at_start, with_start, without_start
+from ._calls import explained
+from ._interruption import stopped_by_interrupt
+from ._messages import MESSAGES, harmful_projection
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
+from .compiled import values_of
 from .description import Description
 from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
+from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps
 from .solution import Solution
 
 __all__ = ["RunOrigin", "solve"]
@@ -45,6 +52,7 @@ class RunOrigin:
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
+    passed: bool  # whether breakpoints at t are behind the run
     imposed: bool = False
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -55,6 +63,36 @@ class RunOrigin:
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         return _extended(self, sol, t_end, options)
+
+    def slopes(self, t: Array, y: Array) -> Array | None:
+        problem, options = self.source.problem, self.source.options
+        known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
+        if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
+            return None
+        if not np.allclose(y[:, -1], self.y, rtol=1e-2, atol=0):  # the user has changed its units
+            return None
+        if "jac" in find_method(self.source.method)[0].options:
+            return self._slopes_of_shape(t, y)
+        return values_of(problem.fun, t, y, problem.args)
+
+    def _slopes_of_shape(self, t: Array, y: Array) -> Array:
+        """Those of monotone cubics, for implicit methods: f at stiff solutions magnifies their errors, and its cubics
+        overshoot."""
+        from scipy.interpolate import PchipInterpolator
+
+        reals = np.ascontiguousarray(y.T).view(float)
+        slopes = np.zeros_like(reals)
+        for piece in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) == 0) + 1):  # between jumps
+            if len(piece) > 1:
+                at = self.forward * t[piece]
+                slopes[piece] = self.forward * PchipInterpolator(at, reals[piece])(at, 1)
+        return as_columns(slopes, y.dtype)
+
+    def field(self, y: Array) -> Array | None:
+        problem = self.source.problem
+        if problem.matrices.mass is not None:
+            return None
+        return values_of(problem.fun, np.full(y.shape[1], problem.t_span[0]), y, problem.args)
 
     def imposing(self) -> RunOrigin:
         return dataclasses.replace(self, imposed=True)
@@ -67,12 +105,24 @@ class RunOrigin:
 
 def solve(problem: Description, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
+    with explained(problem):
+        return _solved(problem, method, options)
+
+
+def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
     plan = make_plan(problem, method, options)
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
-    for name in ("t_eval", "rtol", "atol"):
+    for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
-    return _carried_out(plan, Source(problem, method, given))
+    source = Source(problem, method, given)
+    if any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
+        sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
+        if ended_at_start(plan, found) and sol.success:
+            status, message = MESSAGES["terminal_event"]
+            sol = sol.changed(status=status, message=message)
+        return sol
+    return _carried_out(plan, source)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -85,11 +135,13 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if resumed is not None:
         core.resume(*resumed)
     y0 = plan.y0.view(float)
-    if plan.progress:
-        with run_bar(source.problem.name, plan.settings.t0, plan.settings.tf) as told:
-            run = core.integrate(y0, told)
-    else:
-        run = core.integrate(y0, None)
+    with ExitStack() as around:
+        told = request = None
+        if plan.progress:
+            told = around.enter_context(run_bar(source.problem.name, plan.settings.t0, plan.settings.tf))
+        if plan.on_interrupt == "return":
+            request = around.enter_context(stopped_by_interrupt())
+        run = core.integrate(y0, told, request)
     if exception := plan.exception(run):
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
@@ -97,7 +149,8 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if dropped:
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
-        _warn_harmed(sol._names.components[harmed // 2 if plan.functions.complex else harmed], harm)
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
     return sol
 
 
@@ -134,8 +187,14 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         _rtol=plan.rtol,
         _atol=plan.atol,
         _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
-        _origin=RunOrigin(source, t_end, y_end, next_h),
+        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(plan, run.breakpoints_passed, t_end)),
     )
+
+
+def _passed(plan: Plan, count: int, t_end: float) -> bool:
+    """Whether the breakpoints at the end have been passed, if there are any: a terminal event comes before them."""
+    behind = plan.functions.breakpoints[:count]
+    return bool(behind) and behind[-1].t == t_end
 
 
 #: Of a run without invariants.
@@ -144,9 +203,10 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
     stats = Stats(
-        *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
+        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
+        clipped_amount=run.clipped,
     )
     stats.ng += plan.bound.evaluations
     stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
@@ -173,21 +233,12 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
     )
 
 
-def _warn_harmed(component: str, ratio: float) -> None:
-    warn(
-        f"projection moved {component} by {ratio:.2g} times its estimated errors: it corrects other components at the "
-        "cost of this one, which may then be less accurate than without invariants. Try an atol per component, larger "
-        "for what changes fast (for velocities, than for positions, by the highest frequency), and a smaller rtol",
-        AccuracyWarning,
-    )
-
-
 # ----------------------------------------------------------------------------------------------------------------------
 # Its extension
 
 
 def _extended(origin: RunOrigin, old: Solution, t_end: float, options: ExtensionOptions) -> Solution:
-    if not old.success:
+    if not (old.success or old.status == LIMIT_REACHED):
         raise ValueError(f"a run that failed cannot be extended: {old.message}")
     tf = number("t_end", t_end)
     forward = origin.forward or float(np.sign(tf - origin.t))
@@ -207,6 +258,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     given.pop("progress", None)
 
     plan = make_plan(rest, method, now).holding(old._invariants.last_value)
+    if origin.passed:
+        plan = plan.beyond(origin.t)
     new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)
@@ -256,8 +309,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
     first, then = old._drift, new._drift
-    return dataclasses.replace(
-        new,
+    return new.changed(
         t=np.concatenate([old.t[:points], new.t[known:]]),
         y=np.concatenate([old.y[:, :points], new.y[:, known:]], axis=1),
         sol=sol,

@@ -19,13 +19,21 @@ class Origin(Protocol):
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
+    def slopes(self, t: Array, y: Array) -> Array | None:
+        """Slopes of the solution at the outputs, (n, n_t), where these are the steps of a differential equation."""
+
+    def field(self, y: Array) -> Array | None:
+        """f at the start of the run, in other states (n, k)."""
+
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""
 
 
-@dataclasses.dataclass(eq=False, repr=False)
+@dataclasses.dataclass(eq=False, repr=False, init=False)
 class Solution(Plots, Exports):
-    """Result of a solve. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+    """Result of a solve, a dict. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+
+    Fields are attributes and items, as in SciPy: ``sol.t`` is ``sol["t"]``, and whatever is added is both too.
 
     Attributes
     ----------
@@ -46,8 +54,8 @@ class Solution(Plots, Exports):
     nlu : int
         Factorisations.
     status : int
-        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
-        invariant is not conserved.
+        0 reached the end, 1 a terminal event, 2 stopped by `callback` or by Ctrl-C, -1 the step failed, -2 a given
+        invariant is not conserved, -3 a limit was reached (`max_steps`, `time_limit`, `max_points`).
     message : str
         Why the integration ended.
     success : bool
@@ -95,7 +103,7 @@ class Solution(Plots, Exports):
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
         origin = self._origin and self._origin.imposing()
-        return dataclasses.replace(self, y=y, y_events=events, sol=dense, _origin=origin)
+        return self.changed(y=y, y_events=events, sol=dense, _origin=origin)
 
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
@@ -111,14 +119,16 @@ class Solution(Plots, Exports):
         ----------
         t_end : float
             The new end, beyond the old one in the direction of integration; the old one is where the run ended, also if
-            an event or the callback ended it. May be infinite.
+            an event, the callback or a limit ended it. May be infinite.
         t_eval : array_like, optional
             Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
             Those beyond `t_end` are left for a further extension.
         max_step : float, optional
             Default: that of the run, or a tenth of the whole interval.
-        first_step, callback, check, progress : optional
+        first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
+        max_steps, time_limit, max_points : optional
+            Likewise, for the extension alone. Default: those of the run.
 
         Returns
         -------

@@ -16,6 +16,7 @@ from rich.text import Text
 from .._arguments import Array, tolerances
 from .._progress import in_passing
 from ..invariants import bind
+from ..precision import unprojected
 from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
@@ -30,7 +31,6 @@ from .session import (
     method_of,
     numbers,
     stop,
-    unprojected,
     writable,
     write_to,
 )
@@ -53,6 +53,16 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 
 #: Points per step with --dense, as in the figures of the paper.
 DENSE = 10
+
+MaxSteps = Annotated[
+    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after so many steps, exit code 1.")
+]
+TimeLimit = Annotated[
+    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long, exit code 1.")
+]
+Progress = Annotated[
+    bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
+]
 
 
 def solve(
@@ -81,10 +91,9 @@ def solve(
         Path | None, typer.Option("--plot", "-p", metavar="FILE", help="Draw the solution: .png, .svg or .pdf.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
-    progress: Annotated[
-        bool | None,
-        typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal"),
-    ] = None,
+    progress: Progress = None,
+    max_steps: MaxSteps = None,
+    time_limit: TimeLimit = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors and warnings.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
@@ -108,7 +117,7 @@ def solve(
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
-            sol = run.solve(method, progress=shown, **options)
+            sol = run.solve(method, progress=shown, max_steps=max_steps, time_limit=time_limit, **options)
             seconds = perf_counter() - start
     _write(sol, problem.name, output, plot)  # first of all: what is printed may get lost
     if not quiet:
@@ -234,7 +243,7 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     from ..paper.plots import STYLE
-    from ..plotting import drawable
+    from ..pictures.canvas import drawable
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")
