@@ -106,6 +106,7 @@ stubs: $(VENV)/.installed-lint  ## regenerate the stubs, of the binding and of w
 bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/overhead.py --write
 	$(BIN)/python benchmarks/multistep.py --write
+	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
 	$(BIN)/python benchmarks/chains.py --write

@@ -60,16 +60,16 @@ def stiff_contestants(p: StiffProblem) -> dict[str, Solve]:
         ab = p.jac(t, y, *args)
         return sparse.dia_array((ab, p.uband - np.arange(len(ab))), (len(y), len(y))).tocsc()
 
-    def ours(rtol: float, bdf: bool) -> Outcome:
+    def ours(rtol: float, method: str) -> Outcome:
         bands = {"lband": p.lband, "uband": p.uband} if banded else {}
-        sol = iv.ode15s(
+        sol = iv.solve_ivp(
             p.fun,
             p.t_span,
             p.y0,
+            method,
             t_eval=p.times,
             args=p.args,
             jac=p.jac,
-            bdf=bdf,
             rtol=rtol,
             atol=rtol * p.scale,
             **bands,
@@ -118,7 +118,11 @@ def stiff_contestants(p: StiffProblem) -> dict[str, Solve]:
         sol = solver.solve(np.concatenate([[p.t_span[0]], p.times]), p.y0)
         return Outcome(p.error(sol.y[1:].T) if sol.success else np.inf, sol.nfev, sol.njev)
 
-    found: dict[str, Solve] = {"ode15s": partial(ours, bdf=False), "ode15s, bdf": partial(ours, bdf=True)}
+    found: dict[str, Solve] = {
+        "ode15s": partial(ours, method="ode15s"),
+        "ode15s, bdf": partial(ours, method="BDF"),
+        "radau": partial(ours, method="radau"),
+    }
     for method in ("BDF", "Radau", "LSODA"):
         if not large or method == "BDF":  # LSODA has no sparse matrices, Radau takes a minute
             found[f"SciPy {method}"] = partial(scipys, method=method)

@@ -78,7 +78,8 @@ def test_direction_is_that_of_the_integration(method):
 
 def test_backwards_in_the_order_of_integration(method):
     sol = run(method, at(2.0, 5.0, 7.0), t_span=(10, 0))
-    np.testing.assert_allclose(sol.t_events[0], [7.0, 5.0, 2.0], rtol=1e-14)
+    # y = t but for roundoff, which ode23tb passes on in its slopes
+    np.testing.assert_allclose(sol.t_events[0], [7.0, 5.0, 2.0], rtol=1e-12 if method == "ode23tb" else 1e-14)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

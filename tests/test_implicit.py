@@ -125,7 +125,7 @@ def test_complex_problems(code, form):
     exact = vectors @ (np.exp(2 * values) * np.linalg.solve(vectors, z0))
     np.testing.assert_allclose(sol.y[:, -1], exact, atol=2e-6 * slack(code.__name__))
     reference = code(lambda t, z: A @ z, (0, 2), z0, rtol=1e-8, atol=1e-10, jac=A)
-    assert sol.stats.steps == pytest.approx(reference.stats.steps, rel=0.02)
+    assert sol.stats.steps == pytest.approx(reference.stats.steps, rel=0.05)
 
 
 def test_complex_f_that_is_not_analytic(code):
@@ -456,6 +456,8 @@ def test_differences_see_every_column_of_an_algebraic_equation_also_where_atol_i
         a, b, c = y
         return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b * b, a + b + c - 1]
 
+    if iv.METHODS[algebraic_code.__name__].order == 2 and rtol < 1e-10:
+        pytest.skip("Newton's iteration would have to be more exact than roundoff")
     mass = [[1, 0, 0], [0, 1, 0], [0, 0, 0]]
     sol = algebraic_code(robertson, (0, 400), [1, 0, 0], mass=mass, rtol=rtol, atol=1e-3 * rtol)
     assert sol.success

@@ -86,7 +86,7 @@ def test_error_of_second_order_methods_follows_the_tolerance(method, name, rtol)
     """Steps with an error of O(h^3) below rtol are so long that all of them leave O(h^2), that is O(rtol^(2/3))."""
     sol = solve(name, rtol, method, t_eval=PROBLEMS[name].times)
     assert sol.success, sol.message
-    assert PROBLEMS[name].error(sol.y) <= 10 * rtol ** (2 / 3)
+    assert PROBLEMS[name].error(sol.y) <= 30 * rtol ** (2 / 3)
 
 
 @pytest.mark.parametrize("name", SMALL)

@@ -10,7 +10,6 @@ namespace invariode {
 namespace {
 
 // The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
-constexpr Convergence::Rules rules{.most_iterations = 4, .goal = 0.5, .first_goal = 0.05};
 constexpr double slowest_rate = 0.9;
 constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
@@ -185,7 +184,7 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
 
 // ----------------------------------------------------------------------------------------------- one implicit equation
 
-Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules)
     : AgingJacobian(f, weights, linear),
       weights_(weights),
       lu_(make_factorization(jacobian().structure, linear.lapack)),
@@ -234,6 +233,15 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Convergence::Verdict::go_on: break;
     }
   }
+}
+
+void Newton::damp(double* v) {
+  if (const Matrix* M = mass_matrix()) {
+    std::copy(v, v + sum_.size(), sum_.begin());
+    M->multiply(sum_.data(), v);
+  }
+  count_solve();
+  lu_->solve(v);
 }
 
 /// c f − M (ψ + d), with f at hand.

@@ -143,7 +143,10 @@ class Newton : public AgingJacobian {
  public:
   enum class [[nodiscard]] Result { converged, failed, stop };
 
-  Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+  /// The rules of the suite.
+  static constexpr Convergence::Rules suite{.most_iterations = 4, .goal = 0.5, .first_goal = 0.05};
+
+  Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules = suite);
 
   /// Memory as it is before any step.
   void restart();
@@ -151,6 +154,8 @@ class Newton : public AgingJacobian {
   Outcome prepare(double c, double t1);
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
+  /// v becomes (M − c J)⁻¹ M v, with the factors at hand.
+  void damp(double* v);
 
  private:
   void residual(double c, const double* psi, const double* d);

@@ -112,8 +112,8 @@ constexpr double estimate_order = 4;  // it is O(h⁴)
 constexpr Convergence::Rules rules{.most_iterations = 7, .goal = 0.03, .first_goal = 0.003};
 constexpr double safety = 0.9;
 constexpr double smallest_factor = 0.2, largest_factor = 8;
-constexpr double kept_up_to = 1.2;  // a change of h up to this is not worth a factorisation
-constexpr double fast = 1e-2;       // rate of convergence with which J is kept (measured in benchmarks/multistep.py)
+constexpr double kept_from = 0.9, kept_up_to = 1.2;  // such a change of h is not worth two factorisations
+constexpr double fast = 1e-2;  // rate of convergence with which J is kept (measured in benchmarks/multistep.py)
 constexpr double smallest_error = 1e-2;  // of the last step, that the prediction takes
 constexpr double newton_cut = 0.5;       // of h, where a current Jacobian does not help
 constexpr double starting_safety = 1.25;
@@ -362,7 +362,7 @@ double Radau::next_h() const {
     factor = std::min(factor, std::max(smallest_factor, factor * trend));
   }
   if (failed_) factor = std::min(factor, 1.0);
-  if (factor >= 1 && factor <= kept_up_to && !jacobian_.renewal_due()) factor = 1;
+  if (factor >= kept_from && factor <= kept_up_to && !jacobian_.renewal_due()) factor = 1;
   return factor * h_;
 }
 

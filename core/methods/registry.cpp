@@ -7,6 +7,7 @@
 #include "methods/ndf.hpp"
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
+#include "methods/trbdf2.hpp"
 
 namespace invariode {
 namespace {
@@ -17,6 +18,7 @@ bool rows_and_steps(std::size_t size, std::size_t n) {
 }
 constexpr Extension runge_kutta_polynomial{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n};
 constexpr Extension adams_polynomial{"Adams", integrate_polynomial, rows_and_steps};
+constexpr Extension hermite_cubics{"TR-BDF2", two_hermite_cubics, rows_of_n};
 constexpr Extension backward_differences{"NDF", newton_backward, rows_of_n};
 
 template <std::size_t I>
@@ -102,6 +104,18 @@ constexpr Method others[] = {
      .mass = MassMatrices::constant_regular,
      .extension = &runge_kutta_polynomial,
      .make = make_implicit<Rosenbrock>},
+    {.name = "ode23tb",
+     .summary = "TR-BDF2 of order 2, for stiff problems at crude tolerances and M y' = f",
+     .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
+     .source =
+         "M. E. Hosea, L. F. Shampine, Analysis and implementation of TR-BDF2, Appl. Numer. Math. 20 (1996) 21-37",
+     .min_order = TrBdf2::formula_order,
+     .order = TrBdf2::formula_order,
+     .extension_order = TrBdf2::formula_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::any,
+     .extension = &hermite_cubics,
+     .make = make_implicit<TrBdf2>},
     {.name = "radau",
      .summary = "Radau IIA formula of order 5, for stiff problems at tight tolerances and M y' = f",
      .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
