@@ -270,7 +270,7 @@ def test_solve_quietly_prints_nothing():
         (["prey.py:wrong"], 1, "Invariant sum_of_both is not conserved by fun"),
         (["faulty.py:blowing_up"], 1, "without reducing the step below its smallest size"),
         (["faulty.py:blowing_up", "-q"], 1, "without reducing the step below its smallest size"),
-        (["faulty.py:interrupted"], 130, "Interrupted."),
+        (["faulty.py:interrupted"], 130, "Interrupted at t = "),
         (["faulty.py:endless"], 0, "A termination event occurred."),
     ],
 )
@@ -731,3 +731,38 @@ def test_readme_shows_what_the_commands_print():
 
 def _without_numbers(text: str) -> list[str]:
     return re.sub(r"(?<!\w)\d[\d.e+-]*( [mµ]?s\b)?", "#", text).split()
+
+
+def test_an_interrupted_run_says_where_it_stopped():
+    result = invariode("solve", "faulty.py:interrupted")
+    assert re.fullmatch(r"Interrupted at t = \S+, after \d+ steps; nothing was saved.\n", result.output)
+
+
+def test_solve_draws_components_and_drift_in_panels(monkeypatch):
+    drawn = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *about, **options: drawn.append(figure))
+    assert invariode("solve", "pendulum.py", "--plot", "all.png").exit_code == 0
+    assert invariode("solve", "pendulum.py", "--save-figure", "two.png", "--components", "0,1", "--log").exit_code == 0
+    everything, some = drawn
+    assert len(everything.axes) == len(some.axes) == 2
+    assert everything.axes[-1].get_yscale() == "log"  # the drift
+    assert [len(figure.axes[0].get_legend().get_texts()) for figure in drawn] == [4, 2]
+    assert [figure.axes[0].get_xscale() for figure in drawn] == ["linear", "log"]
+    assert [figure.axes[-1].get_xlabel() for figure in drawn] == ["t", "t"]
+
+
+def test_components_that_are_not_there_are_refused_before_the_run():
+    result = invariode("solve", "pendulum.py", "--plot", "a.png", "--components", "0,west")
+    assert result.exit_code == 2
+    assert "choose from" in flat(result.output)
+    assert invariode("solve", "pendulum.py", "--log").exit_code == 2
+
+
+def test_compare_answers_first_and_quiet_answers_only():
+    options = ("compare", "pendulum.py", "-m", "ode45", "--decades", "3-5", "--no-progress")
+    loud, quiet = invariode(*options), invariode(*options, "--quiet")
+    assert flat(loud.output).startswith("Projection")
+    assert "Reference:" in loud.output
+    assert quiet.output.startswith("Projection")
+    assert "Reference:" not in quiet.output
+    assert len(quiet.output.splitlines()) <= 5
