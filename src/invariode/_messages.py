@@ -20,9 +20,15 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: 
     if run.state == "invariant_convicted":
         return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:
-        return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
+        return -1, (
+            f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'. Try a mass matrix "
+            "that is regular there, or differentiate the constraints until the slopes are determined."
+        )
     if run.state == "start_undefined":
-        return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
+        return -1, (
+            f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite. Correct fun or "
+            "y0."
+        )
     return -1, _step_failed(run, names, pairs)
 
 
@@ -34,9 +40,12 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
-        return f"{what} NaN or infinite also with the smallest step, {where}."
+        return (
+            f"{what} NaN or infinite also with the smallest step, {where}. If the solution should not come "
+            "there, try a smaller rtol and atol; if it should, stop it before by a terminal event."
+        )
     if run.cause == "newton":
-        return f"{_newton_failed(run, pairs)} {where}."
+        return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
     if run.cause == "projection" and run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, also "
@@ -46,7 +55,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     if run.cause == "projection":
         return (
             f"The projection onto the invariants fails also with the smallest step, {where}: "
-            "the tolerance is too loose, or the invariants are near singular here."
+            "the tolerance is too loose, or the invariants are near singular here. Try a smaller rtol, or fewer "
+            "invariants."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
     if run.pure_relative:
@@ -54,7 +64,16 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
             f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
             "impossible there. Give an atol > 0."
         )
+    else:
+        text += (
+            " The solution may have a singularity there, or fun a jump: try another rtol, stop before it by a terminal "
+            "event, or let an event with an action take the jump."
+        )
     return text
+
+
+#: What helps where Newton's iteration fails.
+_NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution before by a terminal event."
 
 
 def _newton_failed(run: Run, pairs: bool) -> str:
