@@ -93,9 +93,9 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     """The text of the ValueError for a start that satisfies no algebraic equations."""
     if verdict == "index_too_high":
         return (
-            f"the equations with this mass matrix are no differential-algebraic system of index 1 at t = {t0}: its "
-            "algebraic equations do not determine the components that mass leaves free. Differentiate the constraints "
-            "until they do"
+            f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
+            "the algebraic equations do not determine the components that mass leaves free. Differentiate the "
+            "constraints until they do"
         )
     return (
         f"y0 does not satisfy the algebraic equations of the singular mass matrix at t = {t0}, and no consistent "
@@ -112,7 +112,10 @@ def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) ->
             "event rehold."
         )
     if run.finding == "undefined":
-        return f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}."
+        return (
+            f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let the "
+            "action return a point where it is."
+        )
     if run.finding == "wrong_jacobian":
         text = _wrong_jacobian_of(run, names, pairs)
         return text[0].upper() + text[1:]

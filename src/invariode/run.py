@@ -270,7 +270,7 @@ def _resumed(old: Solution, origin: RunOrigin, rest: Description) -> Resumed:
 def _times(origin: RunOrigin, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
     """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
     if origin.source.options.get("t_eval") is None:
-        raise ValueError("the run has output at its steps, so has its extension: t_eval is not possible")
+        raise ValueError("the run has output at its steps, and so will its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
     beyond = times[forward * (times - tf) > 0]
     if t_eval is not None:

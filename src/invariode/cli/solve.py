@@ -201,7 +201,8 @@ def _options(problem: Problem, rtol: float, atol: float, points: int | None, den
 def _times(problem: Problem, size: int) -> Array:
     if not np.isfinite(problem.t_span).all():
         raise typer.BadParameter(
-            f"{problem.name} has no end to space them up to: {problem.t_span}", param_hint="--t-eval"
+            f"equally spaced times need a finite interval, and that of {problem.name} is {problem.t_span}",
+            param_hint="--t-eval",
         )
     return np.linspace(*problem.t_span, size)
 
