@@ -113,8 +113,8 @@ def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) ->
         )
     if run.finding == "undefined":
         return (
-            f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let the "
-            "action return a point where it is."
+            f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let "
+            "the action return a point where it is."
         )
     if run.finding == "wrong_jacobian":
         text = _wrong_jacobian_of(run, names, pairs)

@@ -10,7 +10,7 @@ import numpy as np
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
-from ._calls import explained
+from ._calls import explain
 from ._messages import MESSAGES
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
@@ -102,8 +102,11 @@ class RunOrigin:
 
 def solve(problem: Description, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
-    with explained(problem):
+    try:
         return _solved(problem, method, options)
+    except (TypeError, ValueError) as error:
+        explain(error, problem)
+        raise
 
 
 def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
@@ -113,7 +116,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
         if name in given:
             given[name] = kept(given[name])
     source = Source(problem, method, given)
-    if any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
+    if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
         if ended_at_start(plan, found) and sol.success:
             status, message = MESSAGES["terminal_event"]
