@@ -113,6 +113,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/ensembles.py --write
 	$(BIN)/python benchmarks/large.py --write
 	$(BIN)/python benchmarks/detest.py --write
+	$(BIN)/python benchmarks/events.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist

@@ -9,6 +9,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -20,6 +21,7 @@
 #include "arrays.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
+#include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
@@ -123,9 +125,15 @@ bool run_with_interpreter(Integration& integration, const double* y0, Progress& 
   return true;
 }
 
-FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told) {
+/// A wish to end a run, which another thread or a handler of signals makes while it goes on.
+struct StopRequest {
+  std::atomic<bool> made{false};
+};
+
+FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request) {
   require_state(y0, self.solver.problem().n);
   Run run(self.solver);
+  if (request != nullptr) run.integration().heed(request->made);
   Progress progress(told);
   const bool finished = self.bound.native() ? run_without_interpreter(run.integration(), y0.data(), progress)
                                             : run_with_interpreter(run.integration(), y0.data(), progress);
@@ -319,6 +327,9 @@ void define_report_of_run(RunClass& run) {
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
   property(run, "undefined_jacobian", [](const RunResult& r) { return r.report.linear.undefined_jacobian; });
   property(run, "event", [](const RunResult& r) { return r.report.event; });
+  property(run, "limit", [](const RunResult& r) { return name_of(r.report.limit); });
+  property(run, "steps_to_limit", [](const RunResult& r) { return r.report.steps; });
+  property(run, "seconds_to_limit", [](const RunResult& r) { return r.report.seconds; });
   property(run, "finding", [](const RunResult& r) { return name_of(r.report.finding.kind); });
   property(run, "finding_invariant", [](const RunResult& r) { return r.report.finding.invariant; });
   property(run, "finding_component", [](const RunResult& r) { return r.report.finding.component; });
@@ -341,6 +352,8 @@ void define_summary_of_run(RunClass& run) {
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
+  property(run, "clipped", [](const RunResult& r) { return r.clipped; });
+  property(run, "breakpoints_passed", [](const RunResult& r) { return r.breakpoints_passed; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 
@@ -357,6 +370,7 @@ void define_ensemble(nb::module_& module) {
                  to_array<Table>(std::move(r.value), r.size, r.m), to_array<Table>(std::move(r.before), r.size, r.m),
                  to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
            })
+      .def("take_clipped", [](Result& r) { return to_array<Vector>(std::move(r.clipped), r.size); })
       .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
       .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
       .def("take_events",
@@ -375,6 +389,9 @@ void define_ensemble(nb::module_& module) {
 }
 
 void define_solver(nb::module_& module) {
+  nb::class_<StopRequest>(module, "StopRequest", "A wish to end a run.")
+      .def(nb::init<>())
+      .def("make", [](StopRequest& self) { self.made = true; }, "From any thread, or in a handler of signals.");
   nb::class_<BoundSolver>(module, "Solver", nb::type_slots(solver_slots),
                           "A problem with a method: all that is known before the initial value.")
       .def(nb::init<const std::string&, const ProblemSpec&, const Tolerances&, const RunSettings&>(), nb::arg("method"),
@@ -382,6 +399,13 @@ void define_solver(nb::module_& module) {
       .def_prop_ro(
           "native", [](const BoundSolver& self) { return self.bound.native(); },
           "Whether no function needs the interpreter.")
+      .def_prop_ro(
+          "motion_work",
+          [](const BoundSolver& self) -> nb::object {
+            const auto motions = self.bound.motions();
+            return motions.empty() ? nb::none() : nb::object(to_dict(motions[0]->motion().work()));
+          },
+          "What a mechanical system has cost so far: calls of its functions and factorisations.")
       .def(
           "resume",
           [](BoundSolver& self, const std::vector<std::int64_t>& seen, const std::vector<bool>& asleep) {
@@ -389,8 +413,10 @@ void define_solver(nb::module_& module) {
           },
           nb::arg("seen"), nb::arg("asleep"),
           "Its runs go on from where another one ended, with so many occurrences of each event.")
-      .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(),
-           "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end.");
+      .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(), nb::arg("request") = nb::none(),
+           "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` "
+           "ends "
+           "the run after the step in which it is made.");
 }
 
 void define_stepper(nb::module_& module) {
@@ -413,6 +439,8 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
+      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
+      .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

@@ -13,36 +13,43 @@ constexpr double stretch = 1.1;   // a step that comes this close to tf lands on
 constexpr double largest_correction =
     100;                                 // in units of rtol; right invariants stay below (docs/algorithms.md, 'Guard')
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
+constexpr int start_iterations = 5;      // of the projection of the start within bounds: Newton's is at roundoff then
 constexpr int patience = 3;              // corrections refused in a step before the invariant is looked at
 
 }  // namespace
 
 Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
-                         std::vector<EventFunction> events, Callback callback, Settings settings)
+                         std::vector<EventFunction> events, Breaks breaks, Callback callback, Settings settings)
     : step_(std::move(step)),
       weights_(weights),
       invariants_(manifold.steps),
+      bounds_(manifold.bounds),
+      off_bounds_only_(manifold.off_bounds_only),
       settings_(std::move(settings)),
       callback_(callback),
       n_(weights.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
-      events_(std::move(events), n_, step_->max_degree()) {
+      events_(std::move(events), n_, step_->max_degree()),
+      breaks_(std::move(breaks)) {
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
     if (settings_.check) harm_.emplace(n_);
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
-    y1_.resize(n_);
+    if (bounds_) active_set_.emplace(*projector_, *bounds_);
   }
+  if (invariants_ || bounds_) y1_.resize(n_);
   if (manifold.between) output_projector_.emplace(*manifold.between, weights, 1);
   interpolant_.emplace(*step_, settings_.interpolation, output_projector_ ? &*output_projector_ : nullptr,
-                       projector_ ? &*projector_ : nullptr);
+                       projector_ ? &*projector_ : nullptr, bounds_);
   if (!events_.empty()) event_y_.resize(n_);
-  if (settings_.output_at_times || settings_.refine > 1 || !events_.empty()) inside_y_.resize(n_);
+  if (settings_.output_at_times || settings_.refine > 1 || !events_.empty() || !breaks_.points.empty())
+    inside_y_.resize(n_);
   occurrences.resize(events_.count());
   if (settings_.dense)
-    dense.emplace(n_, manifold.between ? manifold.between->m() : 0, settings_.interpolation, step_->interpolate());
+    dense.emplace(n_, manifold.between ? manifold.between->m() : 0, settings_.interpolation, step_->interpolate(),
+                  bounds_ ? std::optional(*bounds_) : std::nullopt);
 }
 
 bool Integration::end(State state) {
@@ -65,16 +72,20 @@ bool Integration::refuse(const Finding& finding) {
 // ---------------------------------------------------------------------------------------------------------- the start
 
 State Integration::start(const double* y0) {
+  started_ = std::chrono::steady_clock::now();
   const double t0 = settings_.t0;
   interpolant_->start_at(t0, y0);
   reached_ = {t0, interpolant_->start_y()};
   report_.t = t0;
+  aim();
   if (!inspect_start()) return state_;
   const double* y = interpolant_->start_y();
   if (dense) dense->start(t0, y);
-  if (!emit(false) || !start_memory(t0, y)) return state_;
+  const bool breaks = breaks_here();
+  if (!emit(breaks) || !start_memory(t0, y)) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   if (!start_rate(t0, y) || !watch_events(events_.start(t0, y))) return state_;
+  if (breaks && !pass_breakpoint()) return state_;
   if (t0 == settings_.tf || n_ == 0)
     nothing_to_integrate();
   else
@@ -84,15 +95,44 @@ State Integration::start(const double* y0) {
 
 /// The invariants at y0, which may be projected.
 bool Integration::inspect_start() {
-  if (!guard_ || settings_.resumed) return true;
+  if (settings_.resumed) return true;
   double* y0 = interpolant_->start_y();
+  if (!start_within_bounds()) return end(State::start_out_of_bounds);
+  if (!guard_) return true;
   if (!refuse(guard_->start_value(settings_.t0, y0))) return false;
+  if (bounds_ && !bounds_->contain(y0) && !project_start_within_bounds()) return false;
   return !settings_.check || refuse(guard_->start_jacobian(settings_.t0, y0));
+}
+
+/// Moves the start onto the bounds that it is outside of by less than the tolerance.
+bool Integration::start_within_bounds() {
+  if (!bounds_) return true;
+  double* y = interpolant_->start_y();
+  const Bounds::Excess outside = bounds_->excess(y, weights_);
+  if (outside.size > weights_.rtol()) {
+    report_.component = outside.component;
+    return false;
+  }
+  bounds_->clip(y);
+  return true;
+}
+
+/// The projection of the start, which has led out of the bounds, again within them.
+bool Integration::project_start_within_bounds() {
+  const double t = settings_.t0;
+  double* y = interpolant_->start_y();
+  for (int i = 0; i < start_iterations; ++i) {
+    std::copy(y, y + n_, y1_.begin());
+    const Outcome outcome = active_set_->project(t, y1_.data(), y).outcome;
+    if (outcome == Outcome::stop) return end(State::interrupted);
+    if (outcome != Outcome::ok) return end(State::start_contradicts);
+  }
+  return refuse(guard_->start_value(t, y)) && (bounds_->contain(y) || end(State::start_contradicts));
 }
 
 /// Builds the method's memory at (t, y), at the start and after a jump.
 bool Integration::start_memory(double t, const double* y) {
-  switch (step_->start(t, y, {settings_.tf, settings_.hmax, hmin_ulps * ulp(t)})) {
+  switch (step_->start(t, y, {target_, settings_.hmax, hmin_ulps * ulp(t)})) {
     case Outcome::ok: return true;
     case Outcome::stop: return end(State::interrupted);
     case Outcome::not_finite: break;
@@ -147,19 +187,24 @@ State Integration::advance() {
       case Verdict::accepted: return finish_step();
       case Verdict::rejected: break;
     }
+    if (out_of_time()) {
+      reach(Limit::time);
+      return state_;
+    }
   }
 }
 
-/// |h| ≤ hmax but never below hmin, and a step that comes close to tf is stretched or cut to land on it exactly.
+/// |h| ≤ hmax but never below hmin, and a step that comes close to the target is stretched or cut to land on it
+/// exactly.
 void Integration::begin_step() {
   const double t = step_->t();
   interpolant_->start_at(t, step_->y());
   attempt_ = {.hmin = hmin_ulps * ulp(t)};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
   const double size = std::max(attempt_.hmin, std::min({settings_.hmax, huge, step_->h()}));
-  attempt_.landing = stretch * size >= std::abs(settings_.tf - t);
-  attempt_.h = attempt_.landing ? settings_.tf - t : forward_ * size;
-  attempt_.t1 = attempt_.landing ? settings_.tf : t + attempt_.h;
+  attempt_.landing = stretch * size >= std::abs(target_ - t);
+  attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
+  attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
 }
 
 Integration::Verdict Integration::attempt() {
@@ -171,9 +216,14 @@ Integration::Verdict Integration::attempt() {
   if (!(proposal.error <= weights_.rtol())) return reject(Cause::error);
 
   const double* y1 = proposal.y;
-  if (projector_) {
+  if (bounds_)
+    if (const Verdict verdict = stay_within_bounds(y1); verdict != Verdict::accepted) return verdict;
+  projected_ = {};
+  projected_.skipped = true;
+  if (projector_ && (attempt_.off_bounds || !off_bounds_only_)) {
     if (const Verdict verdict = project(proposal.y); verdict != Verdict::accepted) return verdict;
-    if (harm_) harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
+    if (harm_ && !at_bounds())
+      harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
     y1 = y1_.data();
   }
   switch (step_->accept(y1)) {
@@ -184,10 +234,29 @@ Integration::Verdict Integration::attempt() {
   return Verdict::accepted;
 }
 
+/// A candidate that is outside of the bounds by more than the tolerance fails the attempt, any other is moved onto
+/// them.
+Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
+  const Bounds::Excess outside = bounds_->excess(y1, weights_);
+  attempt_.off_bounds = outside.component >= 0;
+  step_->moved_onto_bounds(attempt_.off_bounds);
+  attempt_.clipped = 0;
+  if (!attempt_.off_bounds) return Verdict::accepted;
+  if (outside.size > weights_.rtol()) {
+    attempt_.outside = outside.component;
+    return reject(Cause::bounds);
+  }
+  std::copy(y1, y1 + n_, y1_.begin());
+  attempt_.clipped = bounds_->clip(y1_.data());
+  y1 = y1_.data();
+  return Verdict::accepted;
+}
+
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
-  projected_ = projector_->project(attempt_.t1, interpolant_->start_y(), y1_.data());
+  projected_ = active_set_ ? active_set_->project(attempt_.t1, interpolant_->start_y(), y1_.data())
+                           : projector_->project(attempt_.t1, interpolant_->start_y(), y1_.data());
   ++(projected_.skipped ? counts_.skipped : counts_.projections);
   if (projected_.outcome == Outcome::stop) return ended(State::interrupted);
   const bool defined = projected_.outcome == Outcome::ok;
@@ -214,7 +283,7 @@ Integration::Verdict Integration::oversized(const double* candidate) {
   attempt_.refused[0] = attempt_.refused[1];
   attempt_.refused[1] = attempt_.correction;
   const bool falls = attempt_.correction < before / expected_decrease;
-  if (++attempt_.refusals >= patience && settings_.check && !falls &&
+  if (++attempt_.refusals >= patience && settings_.check && !falls && !at_breakpoint() &&
       !refuse(guard_->confirm(attempt_.t1, candidate, attempt_.h)))
     return Verdict::ended;
   return reject(Cause::projection);
@@ -228,7 +297,7 @@ Integration::Verdict Integration::reject(Cause cause) {
   }
   attempt_.landing = attempt_.landing && step_->h() >= std::abs(attempt_.h);
   if (!attempt_.landing) attempt_.h = forward_ * step_->h();
-  attempt_.t1 = attempt_.landing ? settings_.tf : interpolant_->start_t() + attempt_.h;
+  attempt_.t1 = attempt_.landing ? target_ : interpolant_->start_t() + attempt_.h;
   return Verdict::rejected;
 }
 
@@ -240,6 +309,7 @@ void Integration::explain_failure(Cause cause) {
   if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
   if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
+  if (cause == Cause::bounds) report_.component = attempt_.outside;
   if (cause != Cause::error) return;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && interpolant_->start_y()[i] == 0) {
@@ -258,24 +328,27 @@ State Integration::finish_step() {
   if (!judge_invariants()) return state_;
   ++counts_.steps;
   interpolant_->accept();
-  if (find_events() && record() && emit(events_.acts())) conclude();
+  if (find_events() && record() && emit(!events_.terminal() && (events_.acts() || breaks_here())) && conclude())
+    goes_on();
   return state_;
 }
 
 void Integration::note_drift() {
-  for (std::size_t i = 0; i < drift.residual.size(); ++i) {
+  for (std::size_t i = 0; i < projected_.residual.size(); ++i) {
     drift.residual[i] = std::max(drift.residual[i], std::abs(projected_.residual[i]));
     drift.distance[i] = std::max(drift.distance[i], projected_.distance[i] / weights_.rtol());
   }
   drift.correction = std::max(drift.correction, attempt_.correction / weights_.rtol());
+  clipped += attempt_.clipped;
+  counts_.clipped += attempt_.off_bounds ? 1 : 0;
 }
 
 bool Integration::judge_invariants() {
-  if (!guard_ || !settings_.check || projected_.skipped) return true;
+  if (!guard_ || !settings_.check || projected_.skipped || at_breakpoint()) return true;
   const double h = attempt_.h, t1 = attempt_.t1;
   const std::int64_t step = counts_.steps + 1;
   return refuse(guard_->rate(projector_->linearization(), t1, step_->slope(), h, step)) &&
-         refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step));
+         (at_bounds() || refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step)));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
@@ -347,6 +420,9 @@ bool Integration::emit_times(bool jumps_here) {
   return true;
 }
 
+/// A value that was left to come after a jump, and the jump does not come.
+bool Integration::emit_before_end() { return !settings_.save_all || !settings_.output_at_times || emit_times(false); }
+
 bool Integration::emit_inside(double t) {
   if (interpolant_->value(t, inside_y_.data()) == Status::stop) return end(State::interrupted);
   points.add(t, inside_y_.data(), n_);
@@ -359,23 +435,55 @@ bool Integration::conclude() {
   double stop = 0;
   if (callback_ && callback_(t, y, &stop) == Status::stop) return end(State::interrupted);
   if (events_.terminal()) return end(State::terminal_event);
-  if (stop != 0) return end(State::stopped_by_callback);
+  if (stop != 0) return emit_before_end() && end(State::stopped_by_callback);
   if (events_.acts() && !jump()) return false;
+  if (breaks_here() && !pass_breakpoint()) return false;
   if (attempt_.landing && t == settings_.tf) return end(State::reached_end);
   return true;
+}
+
+/// What is known of the step that has ended does not hold at (reached t, y), where the solution goes on.
+void Integration::leave_step(const double* y) {
+  if (y != interpolant_->start_y()) interpolant_->start_at(reached_.t, y);
+  interpolant_->restart();
+  if (projector_) projector_->forget();
+  report_.t = reached_.t;
+  reached_.y = interpolant_->start_y();
 }
 
 /// Takes the actions of the events at the point reached, where the step was cut, and starts again from what they
 /// return.
 bool Integration::jump() {
-  const double t = reached_.t;
-  interpolant_->start_at(t, event_y_.data());
-  interpolant_->restart();
-  if (projector_) projector_->forget();
-  double* y = interpolant_->start_y();
-  report_.t = t;
+  leave_step(event_y_.data());
   bool rehold = true;
-  if (!take_actions(rehold)) return false;
+  return take_actions(rehold) && go_on_from_jump(rehold);
+}
+
+/// `rehold`: every event that acts asks for it.
+bool Integration::take_actions(bool& rehold) {
+  for (const Occurrence& occurrence : events_.occurrences()) {
+    EventFunction& function = events_.function(occurrence.event);
+    if (occurrence.t != reached_.t || !function.action) continue;
+    rehold = rehold && function.rehold;
+    report_.event = occurrence.event;
+    if (!take(function.action)) return false;
+  }
+  return true;
+}
+
+/// The solution after the jump into the start of the next step.
+bool Integration::take(Callback& action) {
+  double* y = interpolant_->start_y();
+  std::copy(y, y + n_, inside_y_.begin());
+  if (action(reached_.t, inside_y_.data(), y) == Status::stop) return end(State::interrupted);
+  return all_finite(y, n_) || end(State::action_undefined);
+}
+
+/// Holds the invariants at the start of the next step, where the solution has jumped to, and starts again.
+bool Integration::go_on_from_jump(bool rehold) {
+  const double t = reached_.t;
+  double* y = interpolant_->start_y();
+  if (!start_within_bounds()) return end(State::action_out_of_bounds);
   if (invariants_) {
     if (rehold && invariants_->hold(t, y) == Status::stop) return end(State::interrupted);
     if (!refuse(guard_->start_value(t, y))) return false;
@@ -385,26 +493,105 @@ bool Integration::jump() {
       {settings_.save_all ? points.t.size() : 0, t, invariants_ ? invariants_->value() : std::vector<double>{}});
   if (t != settings_.tf && !start_memory(t, y)) return false;
   if (!watch_events(events_.restart(t, y))) return false;
-  reached_.y = y;
-  return emit(false);
+  return emit(breaks_here());
 }
 
-/// The solution after the jump into the start of the next step. `rehold`: every event that acts asks for it.
-bool Integration::take_actions(bool& rehold) {
-  const double t = reached_.t;
-  double* y = interpolant_->start_y();
-  for (const Occurrence& occurrence : events_.occurrences()) {
-    EventFunction& function = events_.function(occurrence.event);
-    if (occurrence.t != t || !function.action) continue;
-    rehold = rehold && function.rehold;
-    std::copy(y, y + n_, inside_y_.begin());
-    if (function.action(t, inside_y_.data(), y) == Status::stop) return end(State::interrupted);
-    if (!all_finite(y, n_)) {
-      report_.event = occurrence.event;
-      return end(State::action_undefined);
-    }
+// -------------------------------------------------------------------------------------------------------- breakpoints
+
+/// Does the step end at a breakpoint?
+bool Integration::at_breakpoint() const {
+  return attempt_.landing && next_break_ < breaks_.points.size() && breaks_.points[next_break_].t == attempt_.t1;
+}
+
+/// Is the point reached a breakpoint that has not been passed?
+bool Integration::breaks_here() const {
+  return next_break_ < breaks_.points.size() && breaks_.points[next_break_].t == reached_.t;
+}
+
+/// Steps go to the next breakpoint from now on, and functions see the piece up to there.
+void Integration::aim() {
+  std::size_t next = next_break_;
+  while (next < breaks_.points.size() && breaks_.points[next].t == reached_.t) ++next;
+  const bool breaks = next < breaks_.points.size();
+  target_ = breaks ? breaks_.points[next].t : settings_.tf;
+  const bool from = next > 0 && breaks_.points[next - 1].t == reached_.t;
+  if (breaks_.piece) breaks_.piece->enter(reached_.t, from, target_, breaks);
+}
+
+/// Starts again at the point reached, in the next piece, from what the actions return.
+bool Integration::pass_breakpoint() {
+  leave_step(reached_.y);
+  aim();
+  bool acts = false, moved = false;
+  for (; breaks_here(); ++next_break_) {
+    Breakpoint& point = breaks_.points[next_break_];
+    if (!point.action) continue;
+    acts = true;
+    report_.event = events_.count() + next_break_;
+    if (!take(point.action)) return false;
+  }
+  if (!make_consistent(moved)) return false;
+  if (acts || moved) return go_on_from_jump(acts);
+  if (reached_.t != settings_.tf && !start_memory(reached_.t, reached_.y)) return false;
+  return !settings_.output_at_times || emit_times(false);
+}
+
+/// Algebraic variables jump where their equations do.
+bool Integration::make_consistent(bool& moved) {
+  if (!breaks_.consistent) return true;
+  switch (breaks_.consistent(reached_.t, interpolant_->start_y())) {
+    case Consistency::corrected: moved = true; return true;
+    case Consistency::stop: return end(State::interrupted);
+    case Consistency::not_found:
+    case Consistency::index_too_high: return end(State::restart_inconsistent);
+    case Consistency::consistent:
+    case Consistency::undefined: break;  // the restart says so
   }
   return true;
+}
+
+// ------------------------------------------------------------------------------------------------------------- limits
+
+/// Unless the run is asked to stop, or a limit is reached.
+bool Integration::goes_on() {
+  if (request_ && request_->load(std::memory_order_relaxed)) {
+    report_.t = reached_.t;
+    return end(State::stopped_by_request);
+  }
+  if (counts_.steps >= settings_.max_steps) return reach(Limit::steps);
+  if (out_of_time()) return reach(Limit::time);
+  if (kept_points() >= settings_.max_points) return reach(Limit::points);
+  return kept_bytes() < settings_.max_bytes || reach(Limit::memory);
+}
+
+double Integration::seconds() const {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count();
+}
+
+bool Integration::out_of_time() const {
+  return settings_.time_limit < std::numeric_limits<double>::infinity() && seconds() >= settings_.time_limit;
+}
+
+/// Outputs or steps of the continuous solution, whichever are more, and occurrences of events.
+std::int64_t Integration::kept_points() const {
+  std::size_t count = std::max(points.t.size(), dense ? dense->knots().size() : 0);
+  for (const Trajectory& one : occurrences) count += one.t.size();
+  return static_cast<std::int64_t>(count);
+}
+
+std::int64_t Integration::kept_bytes() const {
+  std::size_t bytes = points.bytes() + steps.size() * sizeof(AcceptedStep) + (dense ? dense->bytes() : 0);
+  for (const Trajectory& one : occurrences) bytes += one.bytes();
+  return static_cast<std::int64_t>(bytes);
+}
+
+bool Integration::reach(Limit limit) {
+  report_.t = reached_.t;
+  report_.h = step_->h();
+  report_.limit = limit;
+  report_.steps = counts_.steps;
+  report_.seconds = seconds();
+  return end(State::limit_reached);
 }
 
 std::optional<DenseOutput> Integration::last_step() {
@@ -414,7 +601,8 @@ std::optional<DenseOutput> Integration::last_step() {
     return {};
   }
   const std::size_t m = output_projector_ ? output_projector_->invariants().m() : 0;
-  DenseOutput one(n_, m, settings_.interpolation, step_->interpolate());
+  DenseOutput one(n_, m, settings_.interpolation, step_->interpolate(),
+                  bounds_ ? std::optional(*bounds_) : std::nullopt);
   one.start(interpolant_->start_t(), interpolant_->start_y());
   one.add(segment, reached_.t, reached_.y);
   return one;

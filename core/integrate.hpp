@@ -1,17 +1,24 @@
 #pragma once
 // The loop: one for all methods.
 
+#include <atomic>
+#include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
 
+#include "linear/mass.hpp"
+#include "manifold/active_set.hpp"
+#include "manifold/bounds.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
 #include "manifold/projection.hpp"
 #include "output/events.hpp"
 #include "output/interpolant.hpp"
 #include "output/output.hpp"
+#include "piece.hpp"
 #include "report.hpp"
 #include "settings.hpp"
 #include "slope.hpp"
@@ -20,21 +27,40 @@
 
 namespace invariode {
 
+/// A time at which f, g or their derivatives may jump, and what the solution does there, if it does.
+struct Breakpoint {
+  double t;
+  Callback action;  ///< (t, y) -> y from there on, or empty
+};
+
 /// Integrates one initial value problem with one method. `start` then `advance` by accepted steps, or `run` to the end;
 /// both can be called again after `advance` returned `running`.
 class Integration {
  public:
   /// What the solution is kept on: `steps` by projection after each step, `between` in the output between them; `slope`
-  /// is y' as a function, with which invariants are tested. Null: no invariants.
+  /// is y' as a function, with which invariants are tested. Null: no invariants. And within bounds, or null.
   struct Manifold {
     Invariants* steps = nullptr;
     Invariants* between = nullptr;
     Slope* slope = nullptr;
+    const Bounds* bounds = nullptr;
+    bool off_bounds_only = false;  // steps are projected only after they were moved onto bounds
+  };
+
+  /// Where the run starts anew, `piece` being told; `consistent` moves y at t onto the algebraic equations, where there
+  /// are some.
+  struct Breaks {
+    std::vector<Breakpoint> points;
+    Piece* piece = nullptr;
+    std::function<Consistency(double t, double* y)> consistent;
   };
 
   /// The manifold and the callbacks belong to the caller and outlive this. `callback` may be empty.
   Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
-              std::vector<EventFunction> events, Callback callback, Settings settings);
+              std::vector<EventFunction> events, Breaks breaks, Callback callback, Settings settings);
+
+  /// Ends the run after the first accepted step that finds the request true: whoever makes it keeps it meanwhile.
+  void heed(const std::atomic<bool>& request) { request_ = &request; }
 
   State start(const double* y0);
   State advance();
@@ -46,6 +72,8 @@ class Integration {
   [[nodiscard]] const Step& step() const { return *step_; }
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_.t; }
+  /// How many breakpoints have been passed.
+  [[nodiscard]] std::size_t passed() const { return next_break_; }
   [[nodiscard]] const double* y() const { return reached_.y; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
@@ -60,6 +88,7 @@ class Integration {
   Buffer<AcceptedStep> steps;
   std::optional<DenseOutput> dense;
   Drift drift;
+  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
   std::vector<Jump> jumps;
 
  private:
@@ -72,9 +101,12 @@ class Integration {
   struct Attempted {
     double h = 0, t1 = 0;  // h is signed
     double hmin = 0;
-    bool landing = false;  // t1 is tf
+    bool landing = false;  // t1 is the target
     double error = 0;
     double correction = 0;       // max_i |y*_i − y₁_i| / w_i
+    double clipped = 0;          // what moving the candidate onto bounds added to the sum of its components
+    bool off_bounds = false;     // whether it was outside
+    int outside = -1;            // the component for which the attempt was rejected
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
     int refusals = 0;            // how many were
   };
@@ -84,18 +116,23 @@ class Integration {
   bool refuse(const Finding& finding);
   bool nothing_to_integrate();
   bool inspect_start();
+  bool start_within_bounds();
+  bool project_start_within_bounds();
   bool start_memory(double t, const double* y);
   bool start_rate(double t, const double* y);
   bool watch_events(Outcome outcome);
 
   void begin_step();
   Verdict attempt();
+  Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict ended(State state);
   void explain_failure(Cause cause);
   [[nodiscard]] double roundoff_of_correction() const;
+  /// The correction belongs to the bounds as well: it tells nothing of the invariants.
+  [[nodiscard]] bool at_bounds() const { return active_set_ && active_set_->active(); }
 
   State finish_step();
   void note_drift();
@@ -104,20 +141,38 @@ class Integration {
   bool record();
   bool emit(bool jumps_here);
   bool emit_times(bool jumps_here);
+  bool emit_before_end();
   bool emit_inside(double t);
   bool conclude();
+  void leave_step(const double* y);
   bool jump();
   bool take_actions(bool& rehold);
+  bool take(Callback& action);
+  [[nodiscard]] bool at_breakpoint() const;
+  [[nodiscard]] bool breaks_here() const;
+  void aim();
+  bool pass_breakpoint();
+  bool make_consistent(bool& moved);
+  bool go_on_from_jump(bool rehold);
+  bool goes_on();
+  [[nodiscard]] bool out_of_time() const;
+  [[nodiscard]] double seconds() const;
+  [[nodiscard]] std::int64_t kept_points() const;
+  [[nodiscard]] std::int64_t kept_bytes() const;
+  bool reach(Limit limit);
 
   std::unique_ptr<Step> step_;
   const Weights& weights_;
   Invariants* invariants_;
+  const Bounds* bounds_;
+  bool off_bounds_only_;
   Settings settings_;
   Callback callback_;
   std::size_t n_;
   double forward_;
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
+  std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
   std::optional<Guard> guard_;
   std::optional<HarmDetector> harm_;
   Events events_;
@@ -133,6 +188,11 @@ class Integration {
   std::vector<double> event_y_;   // state at an event
   std::vector<double> inside_y_;  // output inside a step
   std::size_t next_time_ = 0;
+  Breaks breaks_;
+  std::size_t next_break_ = 0;
+  double target_ = 0;  // the next breakpoint, or tf
+  const std::atomic<bool>* request_ = nullptr;
+  std::chrono::steady_clock::time_point started_;
 };
 
 }  // namespace invariode

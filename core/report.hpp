@@ -16,14 +16,23 @@ enum class State {
   reached_end,
   terminal_event,
   stopped_by_callback,
-  interrupted,         ///< a user function raised
-  event_undefined,     ///< an event function returned NaN
-  action_undefined,    ///< an action returned NaN or infinity
-  start_undefined,     ///< f is not finite at the start
-  step_failed,         ///< an attempt failed at hmin
-  invariant_refused,   ///< at the start; see the finding
-  invariant_convicted  ///< during the run
+  stopped_by_request,    ///< from outside: see `Integration::heed`
+  restart_inconsistent,  ///< after a breakpoint the algebraic equations have no solution that was found
+  limit_reached,         ///< one of the settings; see `Report::limit`
+  interrupted,           ///< a user function raised
+  event_undefined,       ///< an event function returned NaN
+  action_undefined,      ///< an action returned NaN or infinity
+  start_undefined,       ///< f is not finite at the start
+  step_failed,           ///< an attempt failed at hmin
+  invariant_refused,     ///< at the start; see the finding
+  invariant_convicted,   ///< during the run
+  start_out_of_bounds,   ///< y0 is outside of the bounds by more than the tolerance
+  start_contradicts,     ///< there is no point near y0 within the bounds on which the invariants have their values
+  action_out_of_bounds   ///< an action returned a point outside of the bounds by more than the tolerance
 };
+
+/// What may end a run early (settings.hpp).
+enum class Limit { steps, time, points, memory };
 
 /// Where and why a run ended, for whoever writes the message.
 struct Report {
@@ -35,10 +44,14 @@ struct Report {
   LinearWork linear;           ///< of an implicit method, in the attempt that failed
   std::size_t event = 0;
   Finding finding;
+  Limit limit = Limit::steps;
+  std::int64_t steps = 0;  ///< accepted until the limit
+  double seconds = 0;      ///< from the start to the limit
 };
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
+  std::int64_t clipped = 0;  ///< steps that ended outside of the bounds, by less than the tolerance
 };
 
 /// What projection met in the accepted steps: of each invariant the largest residual before it, and as a distance in

@@ -1,6 +1,8 @@
 #pragma once
 // What a run is asked for, beyond the problem and the method.
 
+#include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "output/interpolant.hpp"
@@ -23,6 +25,13 @@ struct Settings {
   bool check = true;      ///< the tests that may find that an invariant is not conserved
   bool resumed = false;   ///< goes on from where another run ended: its start was inspected then
   double negligible = 0;  ///< candidates so close to the manifold, in units of rtol, are not projected
+
+  // Where one of these is reached, the run ends early.
+  static constexpr std::int64_t unlimited = std::numeric_limits<std::int64_t>::max();
+  std::int64_t max_steps = unlimited;                           ///< accepted ones
+  double time_limit = std::numeric_limits<double>::infinity();  ///< seconds of the wall clock
+  std::int64_t max_points = unlimited;                          ///< kept
+  std::int64_t max_bytes = unlimited;                           ///< of all that is kept
 };
 
 }  // namespace invariode

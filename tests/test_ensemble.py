@@ -124,7 +124,7 @@ def test_each_trajectory_holds_its_own_value():
         "native", invariants=iv.Invariants(integrals_code, value=out.value[3], names=["energy", "momentum"])
     )
     assert demanded.status[3] == 0
-    assert (np.delete(demanded.status, 3) == -3).all()
+    assert (np.delete(demanded.status, 3) == -4).all()
     assert "not on the manifold" in demanded.messages[0]
 
 
@@ -136,7 +136,7 @@ def test_a_trajectory_that_fails_is_a_status_and_disturbs_no_other(kind):
     bad[3] = np.nan
     bad[11] = 0.0  # into the centre: f is not finite
     out = solve(kind, y0=bad)
-    assert (out.status[[3, 11]] == [-3, -3 if kind == "python" else out.status[11]]).all()
+    assert (out.status[[3, 11]] == [-4, -4 if kind == "python" else out.status[11]]).all()
     assert not out.success[[3, 11]].any()
     assert sorted(out.messages) == [3, 11]
     assert "finite" in out.messages[3]
@@ -174,7 +174,7 @@ def test_threads_and_processes_agree_on_rows_that_fail(workers):
     native = iv.Event(iv.compile(lambda t, y, p: y[0] if t < 1.3 or p[0] < 2 else np.nan))
     threads = iv.solve_ensemble(turn_code, (0, 4), y0, events=native, **about)
     processes = iv.solve_ensemble(turn_code, (0, 4), y0, events=undefined_later, workers=workers, **about)
-    np.testing.assert_array_equal(threads.status, [0, -3, -3, 0])
+    np.testing.assert_array_equal(threads.status, [0, -4, -4, 0])
     assert 0 < threads.t_end[2] < 4
     assert (threads.stats.steps[[0, 2, 3]] > 0).all()
     assert np.isnan(threads.value[1]).all()
@@ -215,7 +215,7 @@ def test_an_exception_becomes_the_status_of_its_trajectory(workers):
     out = iv.solve_ensemble(raising, SPAN, y0, args=mu, workers=workers)
     hit = mu[:, 0] > 1.9
     assert 0 < hit.sum() < SIZE
-    np.testing.assert_array_equal(out.status, np.where(hit, -3, 0))
+    np.testing.assert_array_equal(out.status, np.where(hit, -4, 0))
     first = int(np.flatnonzero(hit)[0])
     assert out.messages[first] == f"RuntimeError: mu is {mu[first, 0]:.3f}"
 
@@ -223,7 +223,7 @@ def test_an_exception_becomes_the_status_of_its_trajectory(workers):
 def test_a_process_that_dies_takes_only_its_trajectory_with_it():
     y0, mu = rows()
     out = iv.solve_ensemble(dying, SPAN, y0, args=mu, workers=2)
-    np.testing.assert_array_equal(out.status, np.where(mu[:, 0] > 1.9, -3, 0))
+    np.testing.assert_array_equal(out.status, np.where(mu[:, 0] > 1.9, -4, 0))
     assert "worker process died" in out.messages[int(np.flatnonzero(mu[:, 0] > 1.9)[0])]
 
 
@@ -336,7 +336,7 @@ def test_starts_that_singular_mass_matrices_refuse_are_told_apart():
     about = {"method": "ode15s", "mass": np.diag([1, 0])}
     y0 = [1.0, 1.0]
     out = iv.solve_ensemble(equations, (0, 1), y0, args=p, **about)
-    np.testing.assert_array_equal(out.status, [0, -3, -3, -1])
+    np.testing.assert_array_equal(out.status, [0, -4, -4, -1])
     for i in (1, 2):
         with pytest.raises(ValueError, match="algebraic") as refused:
             iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[i]), **about)

@@ -186,3 +186,113 @@ def test_wrong_attributes():
         run("ode45", [3])
     with pytest.raises(TypeError, match="events must be a function"):
         run("ode45", 3)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Several roots in a step
+
+LONG = {"first_step": 1.0, "max_step": np.inf, "keep": "end"}
+
+
+def one_long_step(method, event, **options):
+    """y' = 1 from 0 to 1: one step, in which the solution is exact, with every method."""
+    return iv.solve_ivp(lambda t, y: [1.0], (0, 1), [0.0], method, events=event, **LONG, **options)
+
+
+def many_roots(roots):
+    return lambda t, y: np.prod(4 * (y[0] - roots))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 10, 20])
+def test_adaptive_samples_find_all_roots_of_a_step(method, count):
+    """Random ones, the closest at a distance of 1e-4; the usual points miss most of them."""
+    rng = np.random.default_rng(count)
+    for _ in range(5):
+        roots = np.sort(rng.uniform(0.01, 0.99, count))
+        if count > 1 and np.diff(roots).min() < 1e-4:
+            continue
+        found = one_long_step(method, iv.Event(many_roots(roots), samples="adaptive")).t_events[0]
+        assert len(found) == count
+        np.testing.assert_allclose(found, roots, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [3, 10, 40])
+def test_adaptive_samples_find_all_roots_of_sines(method, rate):
+    found = one_long_step(method, iv.Event(lambda t, y: np.sin(rate * np.pi * y[0] + 0.3), samples="adaptive"))
+    exact = (np.arange(1, rate + 1) * np.pi - 0.3) / (rate * np.pi)
+    np.testing.assert_allclose(found.t_events[0], exact, rtol=1e-13)
+
+
+def test_so_many_samples_find_roots_between_them(method):
+    """Two roots at a distance of 0.05 are seen by 20 points and not by the usual ones."""
+    roots = np.array([0.505, 0.555]) if method != "ode23" else np.array([0.55, 0.6])
+    about = many_roots(roots)
+    np.testing.assert_allclose(one_long_step(method, iv.Event(about, samples=40)).t_events[0], roots, rtol=1e-13)
+    assert len(one_long_step(method, about).t_events[0]) == 0
+
+
+def test_attribute_of_a_function(method):
+    def event(t, y):
+        return np.sin(40 * y[0] + 0.3)
+
+    event.samples = "adaptive"
+    assert len(one_long_step(method, event).t_events[0]) == 12
+
+
+def test_kinks_jumps_touches_and_noise_end(method):
+    """What no polynomial resolves is left to signs, after a bounded number of samples."""
+    calls = 0
+
+    def counted(fun):
+        def event(t, y):
+            nonlocal calls
+            calls += 1
+            return fun(y[0])
+
+        return iv.Event(event, samples="adaptive")
+
+    rng = np.random.default_rng(0)
+    expected = {
+        "kink": (lambda t: abs(t - 0.3) - 0.1, 2),
+        "jump": (lambda t: 1.0 if t > 0.7 else -1.0, 1),
+        "touch": (lambda t: (t - 0.4) ** 2 + 1e-30, 0),
+        "constant": (lambda t: 2.0, 0),
+        "zero": (lambda t: 0.0, 0),
+        "infinite": (lambda t: np.inf if t < 0.5 else -1.0, 1),
+        "noise": (lambda t: 1 + rng.normal() * 1e-3, 0),
+    }
+    for name, (fun, count) in expected.items():
+        calls = 0
+        assert len(one_long_step(method, counted(fun)).t_events[0]) == count, name
+        assert calls < 4000, name
+
+
+def test_cubic_of_scipys_issue_9228(method):
+    """y = (x + 6)(x + 2)(x - 2) has three zeros, two of which SciPy's solve_ivp steps over."""
+    for samples in (None, "adaptive"):
+        sol = iv.solve_ivp(
+            lambda x, y: [3 * x**2 + 12 * x - 4], (-8, 4), [-120.0], method, max_step=np.inf,
+            events=iv.Event(lambda x, y: y[0], samples=samples), rtol=1e-6,
+        )  # fmt: skip
+        np.testing.assert_allclose(sol.t_events[0], [-6, -2, 2], atol=1e-3)
+
+
+def test_adaptive_samples_on_the_manifold(method):
+    """Events are located on the projected solution, backwards and with actions too."""
+    kepler = PROBLEMS["Kepler"]
+    about = {"invariants": kepler.invariants(), "rtol": 1e-6, "atol": 1e-8}
+    usual = iv.solve_ivp(kepler.fun, (0, 20), kepler.y0, method, events=lambda t, y: y[1], **about)
+    event = iv.Event(lambda t, y: y[1], samples="adaptive")
+    sol = iv.solve_ivp(kepler.fun, (0, 20), kepler.y0, method, events=event, **about)
+    np.testing.assert_allclose(sol.t_events[0], usual.t_events[0], rtol=1e-13)
+    back = iv.solve_ivp(kepler.fun, (20, 0.5), usual.y[:, -1], method, events=event, **about)
+    assert len(back.t_events[0]) == len(sol.t_events[0])
+    clock = iv.Event(lambda t, y: np.sin(np.pi * (t + 0.5)), action=lambda t, y: y + 1, samples="adaptive")
+    jumps = iv.solve_ivp(lambda t, y: [0.0], (0, 4.2), [0.0], method, events=clock, max_step=np.inf)
+    assert jumps.y[0, -1] == 4
+
+
+@pytest.mark.parametrize(("samples", "error"), [(0, ValueError), (2.5, TypeError), ("many", ValueError)])
+def test_wrong_samples(samples, error):
+    with pytest.raises(error, match="samples of an event must be a positive integer"):
+        iv.Event(lambda t, y: 1.0, samples=samples)

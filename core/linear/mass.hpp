@@ -24,6 +24,12 @@ class Mass {
   /// orthonormal columns, the same for all t; r = 0 for a regular M.
   Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis);
 
+  /// M(t) is to be called by way of what `see` makes of it.
+  template <class See>
+  void see(See&& see) {
+    if (function_) function_ = see(function_);
+  }
+
   /// Takes M at t, if it depends on t.
   Status evaluate(double t) { return function_ ? function_(t, nullptr, matrix_) : Status::ok; }
 

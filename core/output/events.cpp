@@ -48,8 +48,7 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
     : functions_(std::move(functions)),
       n_(n),
       intervals_(static_cast<std::size_t>(std::max(max_degree, fewest_points)) + 1),
-      times_(intervals_ + 1),
-      values_(intervals_ + 1),
+      scan_{std::vector<double>(intervals_ + 1), std::vector<double>(intervals_ + 1)},
       last_(functions_.size()),
       sign_(functions_.size()),
       times_seen_(functions_.size()),
@@ -94,24 +93,34 @@ Outcome Events::search(double t0, double t1, const double* y1, int degree, StepI
   terminal_ = acts_ = false;
   points_known_[0] = points_known_[1] = false;
   const auto parts = static_cast<double>(intervals_);
-  for (std::size_t j = 0; j < intervals_; ++j) times_[j] = t0 + (t1 - t0) * (static_cast<double>(j) / parts);
-  times_[intervals_] = t1;
+  for (std::size_t j = 0; j < intervals_; ++j) scan_.times[j] = t0 + (t1 - t0) * (static_cast<double>(j) / parts);
+  scan_.times[intervals_] = t1;
 
-  for (std::size_t e = 0; e < count(); ++e) {
-    if (const Outcome outcome = scan(e, false); outcome != Outcome::ok) return outcome;
-    if (!brackets_.empty() && interpolant.projects())  // decide on the values that will be returned
-      if (const Outcome outcome = scan(e, true); outcome != Outcome::ok) return outcome;
-    for (const Bracket& bracket : brackets_) {
-      const int direction = sign_of(values_[bracket.b] == 0 ? -values_[bracket.a] : values_[bracket.b]);
-      if (functions_[e].direction != 0 && sign_of(functions_[e].direction) != direction) continue;
-      double root = times_[bracket.b];
-      if (const Outcome outcome = locate(e, bracket, root); outcome != Outcome::ok) return outcome;
-      occurrences_.push_back({e, root});
-    }
-    last_[e] = values_[intervals_];
-    sign_[e] = sign_after_;
-  }
+  for (std::size_t e = 0; e < count(); ++e)
+    if (const Outcome outcome = find(e); outcome != Outcome::ok) return outcome;
   if (!occurrences_.empty()) settle();
+  return Outcome::ok;
+}
+
+/// The occurrences of one event.
+Outcome Events::find(std::size_t event) {
+  const bool closely = functions_[event].samples != 0;
+  Outcome outcome = closely ? scan_closely(event) : scan(event, false);
+  if (outcome == Outcome::ok && !closely && !brackets_.empty() && step_.interpolant->projects())
+    outcome = scan(event, true);  // decide on the values that will be returned
+  if (outcome != Outcome::ok) return outcome;
+  const Scan& scanned = closely ? close_scan_ : scan_;
+  const std::vector<double>& values = scanned.values;
+  for (const Bracket& bracket : brackets_) {
+    const int direction = sign_of(values[bracket.b] == 0 ? -values[bracket.a] : values[bracket.b]);
+    if (functions_[event].direction != 0 && sign_of(functions_[event].direction) != direction) continue;
+    double root = scanned.times[bracket.b];
+    outcome = locate(event, scanned, bracket, root);
+    if (outcome != Outcome::ok) return outcome;
+    occurrences_.push_back({event, root});
+  }
+  last_[event] = closely ? values.back() : values[intervals_];
+  sign_[event] = sign_after_;
   return Outcome::ok;
 }
 
@@ -121,7 +130,7 @@ Outcome Events::points(bool projected) {
   for (std::size_t j = 1; j < intervals_; ++j) {
     double* y = points_[projected].data() + (j - 1) * n_;
     const Status status =
-        projected ? step_.interpolant->value(times_[j], y) : step_.interpolant->corrected(times_[j], y);
+        projected ? step_.interpolant->value(scan_.times[j], y) : step_.interpolant->corrected(scan_.times[j], y);
     if (status == Status::stop) return Outcome::stop;
   }
   return Outcome::ok;
@@ -130,24 +139,62 @@ Outcome Events::points(bool projected) {
 /// Values of the event along the step, and the brackets that they show.
 Outcome Events::scan(std::size_t event, bool projected) {
   if (const Outcome outcome = points(projected); outcome != Outcome::ok) return outcome;
-  values_[0] = last_[event];
+  scan_.values[0] = last_[event];
   for (std::size_t j = 1; j <= intervals_; ++j) {
     const double* y = j < intervals_ ? points_[projected].data() + (j - 1) * n_ : step_.y1;
-    if (const Outcome outcome = evaluate(event, times_[j], y, values_[j]); outcome != Outcome::ok) return outcome;
+    const Outcome outcome = evaluate(event, scan_.times[j], y, scan_.values[j]);
+    if (outcome != Outcome::ok) return outcome;
   }
-  find_brackets(event);
+  find_brackets(event, scan_);
   return Outcome::ok;
 }
 
-void Events::find_brackets(std::size_t event) {
+/// The same with samples of its own, on the values that will be returned.
+Outcome Events::scan_closely(std::size_t event) {
+  const double t0 = step_.t0, t1 = step_.t1;
+  auto& [times, values] = close_scan_;
+  double start = last_[event], end = 0;
+  Outcome outcome = evaluate(event, t1, step_.y1, end);
+  if (outcome == Outcome::ok && start == 0)
+    outcome = evaluate(event, t0, step_.interpolant->start_y(), start);  // asleep
+  if (outcome != Outcome::ok) return outcome;
+  const auto inside = [&](double t, double& value) {
+    outcome = evaluate_inside(event, t, value);
+    return outcome == Outcome::ok;
+  };
+  times.assign(1, t0);
+  if (functions_[event].samples == EventFunction::adaptive) {
+    if (!separator_.separate(inside, t0, start, sign_[event] == 0, t1, end, times)) return outcome;
+  } else {
+    const auto parts = std::max(intervals_, static_cast<std::size_t>(functions_[event].samples) + 1);
+    for (std::size_t j = 1; j < parts; ++j)
+      times.push_back(t0 + (t1 - t0) * (static_cast<double>(j) / static_cast<double>(parts)));
+  }
+  values.assign(1, last_[event]);
+  for (std::size_t j = 1; j < times.size(); ++j)
+    if (!inside(times[j], values.emplace_back())) return outcome;
+  times.push_back(t1);
+  values.push_back(end);
+  find_brackets(event, close_scan_);
+  return Outcome::ok;
+}
+
+Outcome Events::evaluate_inside(std::size_t event, double t, double& value) {
+  if (step_.interpolant->value(t, y_.data()) == Status::stop) return Outcome::stop;
+  return evaluate(event, t, y_.data(), value);
+}
+
+void Events::find_brackets(std::size_t event, const Scan& scan) {
+  const std::vector<double>& values = scan.values;
+  const std::size_t intervals = &scan == &scan_ ? intervals_ : values.size() - 1;
   brackets_.clear();
   int sign = sign_[event];
   std::size_t a = 0;     // where the event was last not zero
   std::size_t zero = 0;  // first exact zero since, if any
-  for (std::size_t j = 1; j <= intervals_; ++j) {
-    const int s = sign_of(values_[j]);
+  for (std::size_t j = 1; j <= intervals; ++j) {
+    const int s = sign_of(values[j]);
     if (s == 0 && sign != 0 && zero == 0) zero = j;
-    if (s == 0 && j < intervals_) continue;  // crossing or tangency: the next nonzero value tells
+    if (s == 0 && j < intervals) continue;  // crossing or tangency: the next nonzero value tells
     if (sign != 0 && s != sign) brackets_.push_back({a, zero != 0 ? zero : j});
     sign = s;
     a = j;
@@ -156,18 +203,16 @@ void Events::find_brackets(std::size_t event) {
   sign_after_ = sign;
 }
 
-Outcome Events::locate(std::size_t event, const Bracket& bracket, double& root) {
-  if (values_[bracket.b] == 0) return Outcome::ok;  // the scan hit it
+Outcome Events::locate(std::size_t event, const Scan& scan, const Bracket& bracket, double& root) {
+  const auto& [times, values] = scan;
+  if (values[bracket.b] == 0) return Outcome::ok;  // the scan hit it
   Outcome outcome = Outcome::ok;
   const auto e = [&](double t, double& value) {
-    if (step_.interpolant->value(t, y_.data()) == Status::stop)
-      outcome = Outcome::stop;
-    else
-      outcome = evaluate(event, t, y_.data(), value);
+    outcome = evaluate_inside(event, t, value);
     return outcome == Outcome::ok;
   };
   const double width = location_ulps * step_ulp();
-  find_root(e, times_[bracket.a], values_[bracket.a], times_[bracket.b], values_[bracket.b], width, root);
+  find_root(e, times[bracket.a], values[bracket.a], times[bracket.b], values[bracket.b], width, root);
   return outcome;
 }
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "output/chebyshev.hpp"
 #include "output/interpolant.hpp"
 
 namespace invariode {
@@ -17,7 +18,11 @@ struct EventFunction {
   Callback action;            ///< (t, y) -> y from there on, or empty
   bool rehold = true;         ///< after the action invariants are held at their new values
   std::int64_t seen = 0;      ///< occurrences before the start, where a run is continued
-  bool asleep = false;        ///< it has occurred right at the start, and sleeps until it has left zero
+  /// Points inside a step at which it is evaluated, if these are more than the usual ones; or as many as it takes to
+  /// separate its roots.
+  int samples = 0;
+  static constexpr int adaptive = -1;
+  bool asleep = false;  ///< it has occurred right at the start, and sleeps until it has left zero
 };
 
 /// An event that happened.
@@ -27,9 +32,9 @@ struct Occurrence {
 };
 
 /// Watches the events from step to step. A sign change between successive points of a step (its ends and as many
-/// interior ones as the degree, or 3) brackets a root; tangencies without a sign change are not events. An event that
-/// is exactly zero sleeps until it has left zero, so that a zero at the start is not reported, and one at a step's end
-/// only once.
+/// interior ones as the degree, or 3, or those that an event asks for) brackets a root; tangencies without a sign
+/// change are not events. An event that is exactly zero sleeps until it has left zero, so that a zero at the start is
+/// not reported, and one at a step's end only once.
 class Events {
  public:
   Events(std::vector<EventFunction> functions, std::size_t n, int max_degree);
@@ -63,15 +68,22 @@ class Events {
     const double* y1;
     StepInterpolant* interpolant;
   };
+  struct Scan {
+    std::vector<double> times;   // both ends of the step included
+    std::vector<double> values;  // of one event
+  };
   struct Bracket {
     std::size_t a, b;  // indices into the scan; equal where the event is exactly zero there
   };
 
   Outcome evaluate(std::size_t event, double t, const double* y, double& value);
   Outcome points(bool projected);
+  Outcome find(std::size_t event);
   Outcome scan(std::size_t event, bool projected);
-  void find_brackets(std::size_t event);
-  Outcome locate(std::size_t event, const Bracket& bracket, double& root);
+  Outcome scan_closely(std::size_t event);
+  Outcome evaluate_inside(std::size_t event, double t, double& value);
+  void find_brackets(std::size_t event, const Scan& scan);
+  Outcome locate(std::size_t event, const Scan& scan, const Bracket& bracket, double& root);
   void settle();
   [[nodiscard]] double step_ulp() const;
 
@@ -79,10 +91,11 @@ class Events {
   std::size_t n_;
   std::size_t intervals_;
   Step step_{};
-  std::vector<double> times_;      // of the scan: intervals + 1, both ends included
+  Scan scan_;        // at intervals + 1 times, the same for all events
+  Scan close_scan_;  // of an event with samples of its own
+  RootSeparator separator_;
   std::vector<double> points_[2];  // y at the interior times: corrected, projected
   bool points_known_[2] = {false, false};
-  std::vector<double> values_;     // of one event along the scan
   std::vector<Bracket> brackets_;  // of one event in the step
   std::vector<double> last_;       // value of each event at the end of the last step
   std::vector<int> sign_;          // of each event where it was last not zero; 0: asleep

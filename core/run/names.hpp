@@ -29,18 +29,28 @@ inline constexpr Named<State> state_names[] = {{"created", State::created},
                                                {"reached_end", State::reached_end},
                                                {"terminal_event", State::terminal_event},
                                                {"stopped_by_callback", State::stopped_by_callback},
+                                               {"stopped_by_request", State::stopped_by_request},
+                                               {"restart_inconsistent", State::restart_inconsistent},
+                                               {"limit_reached", State::limit_reached},
                                                {"interrupted", State::interrupted},
                                                {"event_undefined", State::event_undefined},
                                                {"action_undefined", State::action_undefined},
                                                {"start_undefined", State::start_undefined},
                                                {"step_failed", State::step_failed},
                                                {"invariant_refused", State::invariant_refused},
-                                               {"invariant_convicted", State::invariant_convicted}};
+                                               {"invariant_convicted", State::invariant_convicted},
+                                               {"start_out_of_bounds", State::start_out_of_bounds},
+                                               {"start_contradicts", State::start_contradicts},
+                                               {"action_out_of_bounds", State::action_out_of_bounds}};
 
 inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},
                                                {"newton", Cause::newton},
                                                {"projection", Cause::projection},
-                                               {"not_finite", Cause::not_finite}};
+                                               {"not_finite", Cause::not_finite},
+                                               {"bounds", Cause::bounds}};
+
+inline constexpr Named<Limit> limit_names[] = {
+    {"steps", Limit::steps}, {"time", Limit::time}, {"points", Limit::points}, {"memory", Limit::memory}};
 
 inline constexpr Named<Finding::Kind> finding_names[] = {{"none", Finding::Kind::none},
                                                          {"stop", Finding::Kind::stop},
@@ -68,6 +78,9 @@ inline constexpr Named<Jacobian::Kind> jacobian_names[] = {{"constant", Jacobian
 
 inline constexpr Named<Fsal> fsal_names[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
 
+inline constexpr Named<MassMatrices> mass_names[] = {
+    {"none", MassMatrices::none}, {"regular", MassMatrices::constant_regular}, {"any", MassMatrices::any}};
+
 inline constexpr Named<Interpolation> interpolation_names[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
 
@@ -93,15 +106,17 @@ constexpr bool in_order(const Named<Value> (&table)[count]) {
     if (static_cast<std::size_t>(table[i].value) != i) return false;
   return true;
 }
-static_assert(in_order(state_names) && in_order(cause_names) && in_order(finding_names) &&
+static_assert(in_order(state_names) && in_order(cause_names) && in_order(limit_names) && in_order(finding_names) &&
               in_order(consistency_names) && in_order(derivative_names));
 
 constexpr const char* name_of(State state) { return name_in(state_names, state); }
 constexpr const char* name_of(Cause cause) { return name_in(cause_names, cause); }
+constexpr const char* name_of(Limit limit) { return name_in(limit_names, limit); }
 constexpr const char* name_of(Finding::Kind kind) { return name_in(finding_names, kind); }
 constexpr const char* name_of(Consistency verdict) { return name_in(consistency_names, verdict); }
 constexpr const char* name_of(Derivative derivative) { return name_in(derivative_names, derivative); }
 constexpr const char* name_of(Fsal fsal) { return name_in(fsal_names, fsal); }
+constexpr const char* name_of(MassMatrices kind) { return name_in(mass_names, kind); }
 constexpr const char* name_of(Interpolation mode) { return name_in(interpolation_names, mode); }
 
 }  // namespace invariode

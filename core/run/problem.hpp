@@ -12,6 +12,7 @@
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix.hpp"
+#include "manifold/bounds.hpp"
 #include "manifold/invariants.hpp"
 #include "methods/registry.hpp"
 #include "output/events.hpp"
@@ -35,9 +36,11 @@ struct Problem {
   Callback f;
   Callback callback;  ///< asked after each accepted step whether to stop; may be empty
   std::vector<EventFunction> events;
+  std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
   std::vector<InvariantBlock> invariants;
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;
+  std::optional<Bounds> bounds;
   /// Where the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;
 };

@@ -12,6 +12,7 @@ from .compiled import CompiledFunction, compile
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from .events import Event
+from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
 from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
@@ -38,6 +39,7 @@ __all__ = [
     "EnsembleStats",
     "Event",
     "ImposeResult",
+    "Input",
     "InvariantError",
     "Invariants",
     "MechanicalSystem",

@@ -24,6 +24,9 @@ EPS = float(np.finfo(float).eps)
 #: The largest number that the core's `int` holds.
 LARGEST_INT = 2**31 - 1
 
+#: The same of its counts.
+LARGEST_COUNT = 2**63 - 1
+
 #: The kinds of NumPy's types that are numbers; objects may be, which is found out.
 _NUMERIC = "biufcO"
 
@@ -134,6 +137,18 @@ def positive_integer(name: str, value: object) -> int:
         raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
     if not 1 <= result <= LARGEST_INT:
         what = "a positive integer" if result < 1 else f"at most {LARGEST_INT}"
+        raise ValueError(f"{name} must be {what}, got {shown(value)}")
+    return result
+
+
+def count(name: str, value: object) -> int:
+    """A positive integer that may be large."""
+    try:
+        result = operator.index(value)  # type: ignore[arg-type]  # the same
+    except TypeError:
+        raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
+    if not 1 <= result <= LARGEST_COUNT:
+        what = "a positive integer" if result < 1 else f"at most {LARGEST_COUNT}: leave it out"
         raise ValueError(f"{name} must be {what}, got {shown(value)}")
     return result
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from ._arguments import EPS
+from ._bounds import Limits
 from ._core import Run
 
 #: How runs end that do not fail: status and message, those of SciPy where it has them.
@@ -12,11 +15,26 @@ MESSAGES = {
     "stopped_by_callback": (2, "The callback stopped the integration."),
 }
 
+_LIMITS = {
+    "steps": ("max_steps = {0} is reached", "give a larger max_steps, or looser tolerances"),
+    "time": ("time_limit = {0:g} s is over", "give a larger time_limit, or looser tolerances"),
+    "points": (
+        "{0} points are kept, as many as max_points allows",
+        "give a larger max_points, or keep fewer: t_eval or keep='end'",
+    ),
+    "memory": (
+        "What is kept fills {0} bytes, the most without max_points",
+        "give max_points, or keep less: t_eval or keep='end'",
+    ),
+}
+
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
     if run.state in MESSAGES:
         return MESSAGES[run.state]
+    if run.state == "stopped_by_request":
+        return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
         return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:
@@ -29,7 +47,35 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: 
             f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite. Correct fun or "
             "y0."
         )
+    if run.state == "action_out_of_bounds":
+        return -1, (
+            f"After the action of an event at t = {run.t:.6g} component {run.component} is outside of its bounds by "
+            "more than the tolerance. Let the action return a point within them."
+        )
+    if run.state == "restart_inconsistent":
+        return -1, (
+            f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
+            "it an action that returns a state near the consistent one."
+        )
     return -1, _step_failed(run, names, pairs)
+
+
+def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
+    """The text of the ValueError for a start that is outside of its bounds."""
+    within = "" if limits is None else f", {limits.lower[component]} to {limits.upper[component]},"
+    return f"{what}[{component}] is outside of its bounds{within} by more than the tolerance: correct it, or the bounds"
+
+
+def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
+    """Which limit, of this value, where, how fast the run was, and what to try."""
+    what, advice = _LIMITS[run.limit]
+    text = f"{what.format(limit)} at t = {run.t!r}: "
+    if math.isfinite(tf):
+        text += f"{(run.t - t0) / (tf - t0):.2%} of the interval, "
+    text += f"after {run.steps_to_limit} steps and {run.seconds_to_limit:.3g} s. The next step is of size {run.h:.3g}"
+    if math.isfinite(tf) and run.h > 0:
+        text += f"; with steps of this size {abs(tf - run.t) / run.h:.2g} more lead to the end"
+    return f"{text}. All results so far are kept. To come farther {advice}; a solution can also be extended from here."
 
 
 def _component(run: Run, pairs: bool) -> str:
@@ -46,6 +92,11 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         )
     if run.cause == "newton":
         return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
+    if run.cause == "bounds":
+        return (
+            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance also with the "
+            f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
+        )
     if run.cause == "projection" and run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, also "
@@ -106,7 +157,7 @@ def inconsistent_start(verdict: str, t0: float) -> str:
 def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> str:
     if run.finding == "off_value":
         return (
-            f"After the action of an event at t = {run.finding_t:.6g} the solution violates invariant "
+            f"After the action at t = {run.finding_t:.6g} the solution violates invariant "
             f"{names[run.finding_invariant]}: g - value = {run.finding_size:.6g}, a distance of "
             f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or the "
             "event rehold."
@@ -168,3 +219,13 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, names, demanded)
+
+
+def harmful_projection(components: str, distance: str) -> str:
+    """The text of an AccuracyWarning: which components projections move, and how far."""
+    return (
+        f"projection moved {components} by {distance}: it corrects other components at the cost of "
+        f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
+        "invariants. Try an atol per component, larger for what changes fast (for velocities, than for positions, by "
+        "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
+    )

@@ -12,8 +12,21 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, choice, flag, function, positive, positive_integer, unknown_option, warn
-from ._types import EventsLike, Fsal, Function, Interpolation, Keep, MethodName, Numbers, Span
+from ._arguments import Array, choice, count, flag, function, positive, positive_integer, unknown_option, warn
+from ._types import (
+    BreakpointsLike,
+    EventsLike,
+    Fsal,
+    Function,
+    Interpolation,
+    Keep,
+    MethodName,
+    Numbers,
+    OnInterrupt,
+    Span,
+)
+from .breakpoints import to_breakpoints
+from .inputs import InputsLike
 from .invariants import InvariantsLike
 from .methods import Method, find_method
 
@@ -127,6 +140,17 @@ class MethodOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
+    calibrate: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Solve with tighter tolerances, so that the error of the solution, not of a step, is about as large as "
+            "`rtol` and `atol` on well-behaved problems, and proportional to them.",
+            flag,
+            every_method=False,
+        ),
+    ]
     check: Annotated[
         bool,
         Option(True, "bool", "Test that the invariants are invariants, and that their Jacobians are right.", flag),
@@ -175,12 +199,78 @@ class KeepingOptions(TypedDict, total=False):
     ]
 
 
-class RunOptions(SteppingOptions, KeepingOptions, total=False):
+class LimitOptions(TypedDict, total=False):
+    """What may end a run early, with status -3 and everything up to there."""
+
+    max_steps: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Most accepted steps. Where this or one of the next two limits is reached, the run ends with status -3, a "
+            "message that says how far it came and how fast, and everything up to there; `Solution.extend` goes on. "
+            "Default: no limit.",
+            count,
+            command=True,
+        ),
+    ]
+    time_limit: Annotated[
+        float | None,
+        Option(
+            None,
+            "float",
+            "Most seconds of the run, looked at after each attempted step. Default: no limit.",
+            positive,
+            command=True,
+        ),
+    ]
+    max_points: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Most points that are kept: outputs (or steps of the continuous solution, if these are more) and "
+            "occurrences of events. Default: 10 million or as many as fill 4 GiB, whichever is less, beyond those of "
+            "`t_eval`: no run fills the memory by accident.",
+            count,
+        ),
+    ]
+
+
+class BreakingOptions(TypedDict, total=False):
+    """Where a run starts anew."""
+
+    breakpoints: Annotated[
+        BreakpointsLike | None,
+        Option(
+            None,
+            "list of float or of (float, callable)",
+            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
+            "reached exactly, and the method starts anew there; each piece sees the functions from its own side, at a "
+            "time inside of it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
+            "invariants without a demanded value are held at their new values, and the output has both states. Those "
+            "outside the interval wait for an extension.",
+            to_breakpoints,
+        ),
+    ]
+
+
+class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, total=False):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[
         int,
         Option(1, "int", "Points per step in the output; those inside the step are interpolated.", positive_integer),
+    ]
+    on_interrupt: Annotated[
+        OnInterrupt,
+        Option(
+            "raise",
+            "{'raise', 'return'}",
+            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the present step and return what there "
+            "is, with status 2. A second Ctrl-C raises in any case.",
+            partial(choice, known=get_args(OnInterrupt)),
+        ),
     ]
     progress: Annotated[
         bool,
@@ -263,6 +353,26 @@ class DescribingOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
+    nonnegative: Annotated[
+        bool | int | str | Sequence[int] | Sequence[str] | None,
+        Option(
+            None,
+            "bool, indices or labels",
+            "Components that are not to be negative, as concentrations are: True, all. A step that takes one below 0 "
+            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before "
+            "the method commits the step. Output between steps is not negative either; the arguments at which explicit "
+            "methods evaluate f within a step may be. With `invariants` the result is the nearest point that keeps "
+            "both.",
+        ),
+    ]
+    bounds: Annotated[
+        Any,
+        Option(
+            None,
+            "(lower, upper) or scipy.optimize.Bounds",
+            "The same for any bounds: numbers or arrays of shape (n,), infinite or None where there is none.",
+        ),
+    ]
 
 
 class CallingOptions(TypedDict, total=False):
@@ -299,7 +409,7 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
     ]
 
 
-class EnsembleOptions(SteppingOptions, KeepingOptions, DescribingOptions, total=False):
+class EnsembleOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, DescribingOptions, total=False):
     """Those of `solve_ensemble` that its signature does not spell out."""
 
 
@@ -315,6 +425,10 @@ class ExtensionOptions(TypedDict, total=False):
     max_step: float | None
     callback: Callable[[float, Array], object] | None
     check: bool
+    max_steps: int | None
+    time_limit: float | None
+    max_points: int | None
+    on_interrupt: OnInterrupt
     progress: bool
 
 
@@ -324,6 +438,7 @@ class ProblemArguments(DescribingOptions, CallingOptions, total=False):
     fun: Function
     t_span: Span
     y0: ArrayLike
+    inputs: InputsLike | None
     name: str | None
     labels: Sequence[str] | None
 

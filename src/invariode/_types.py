@@ -10,16 +10,19 @@ import numpy as np
 from ._arguments import Array
 
 __all__ = [
+    "BreakpointsLike",
     "EventFunction",
     "EventsLike",
     "Fsal",
     "Function",
+    "InputKind",
     "Interpolation",
     "JacobianKind",
     "Keep",
     "LowLevelCallable",
     "MethodName",
     "Numbers",
+    "OnInterrupt",
     "Span",
 ]
 
@@ -39,11 +42,14 @@ EventsLike: TypeAlias = EventFunction | Sequence[EventFunction] | None
 
 #: One number or several. `ArrayLike` has strings too.
 Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array
+BreakpointsLike: TypeAlias = Sequence[float | tuple[float, Function | None]] | Array
 Span: TypeAlias = Sequence[float] | Array
 #: A name in `METHODS`, or SciPy's name or class. The registry may grow, so that names are not part of the type.
 MethodName: TypeAlias = str | type[Any]
 
 Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
+InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
+OnInterrupt: TypeAlias = Literal["raise", "return"]

@@ -10,11 +10,13 @@ from typing import Any, Self, Unpack
 from numpy.typing import ArrayLike
 
 from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from ._bounds import limits
 from ._formulas import unlambdified
 from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
 from .events import direction_sign, terminal_count, to_events
+from .inputs import InputsLike, to_inputs
 from .invariants import InvariantsLike, to_invariants
 from .notebook import html_of_problem
 
@@ -49,6 +51,9 @@ class Description:
         lband: int | None = None,
         uband: int | None = None,
         mass: Any = None,
+        nonnegative: Any = None,
+        bounds: Any = None,
+        inputs: InputsLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
@@ -61,11 +66,14 @@ class Description:
         for event in self.events:
             terminal_count(event), direction_sign(event)
         self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
+        self.inputs = to_inputs(inputs, self.t_span)
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         self.name = call_name(self.fun, "problem") if name is None else name
         self._title = name
         self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
+        self._bounds_as_given = {"nonnegative": nonnegative, "bounds": bounds}
+        self.limits = limits(nonnegative, bounds, self.y0, self._labels)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A problem that differs from this one in some arguments; this one does not change.
@@ -102,6 +110,8 @@ class Description:
             "invariants": self.invariants,
             "events": self.events,
             **vars(self.matrices),
+            **self._bounds_as_given,
+            "inputs": self.inputs,
             "name": self._title,
             "labels": self._labels,
         }

@@ -26,7 +26,7 @@ from ._arguments import (
     warn,
 )
 from ._docstrings import documented
-from ._messages import inconsistent_start
+from ._messages import harmful_projection, inconsistent_start
 from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
 from ._processes import may_start, solve_rows
 from ._progress import bar
@@ -35,15 +35,31 @@ from .compiled import native_parameters
 from .description import Description
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, Trajectories
 from .events import to_events
-from .invariants import as_columns
+from .invariants import AccuracyWarning, as_columns
 from .plan import Plan, make_plan, solver
+from .result import LIMIT_REACHED, default_labels
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
-_STATUS = {"reached_end": 0, "terminal_event": 1, "stopped_by_callback": 2, "invariant_convicted": -2}
+_STATUS = {
+    "reached_end": 0,
+    "terminal_event": 1,
+    "stopped_by_callback": 2,
+    "invariant_convicted": -2,
+    "limit_reached": LIMIT_REACHED,
+}
+#: What a single solve ends with by an exception.
+_RAISED = -4
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
-_EXCEPTIONS = ("invariant_refused", "event_undefined", "action_undefined", "interrupted")
-_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+_EXCEPTIONS = (
+    "invariant_refused",
+    "start_contradicts",
+    "start_out_of_bounds",
+    "event_undefined",
+    "action_undefined",
+    "interrupted",
+)
+_NG, _NGDIFF, _DROPPED, _HARMED = (_core.COUNTS.index(name) for name in ("ng", "ngdiff", "dropped", "harmed"))
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
 _INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
@@ -144,7 +160,8 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     """The options of each trajectory."""
     for name, value in given.items():
         if name in _OF_SINGLE_RUNS and not (np.isscalar(value) and value == TABLE[name].default):
-            raise ValueError(f"{name} is not possible for an ensemble; give t_eval")
+            instead = "; give t_eval" if name in ("refine", "dense_output") else ""
+            raise ValueError(f"{name} is not possible for an ensemble{instead}")
     options = given.copy()
     if t_eval is not None:
         options["t_eval"] = t_eval
@@ -235,21 +252,35 @@ class _Task:
         raise first_error
 
 
-def _solution(task: _Task, plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) -> EnsembleSolution:
+def _solution(
+    task: _Task, plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, **fields: Any
+) -> EnsembleSolution:
     times = plan.settings.times
-    if dropped := int((counts[:, -1] > 0).sum()):
+    if dropped := int((counts[:, _DROPPED] > 0).sum()):
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
+    _warn_harmed(plan, counts[fields["status"] >= 0, _HARMED])
     stats = dict(zip(_core.COUNTS, counts.T, strict=True))
-    del stats["dropped"]
+    del stats["dropped"], stats["harmed"]
     return EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
         y=y_end[:, :, None].copy() if times is None else y,
         y_end=y_end,
         success=fields["status"] >= 0,
-        stats=EnsembleStats(**stats),
+        stats=EnsembleStats(**stats, clipped_amount=clipped_amount),
         _trajectories=_trajectories(plan, task),
         **fields,
     )
+
+
+def _warn_harmed(plan: Plan, harmed: Array) -> None:
+    """One warning for all trajectories that did not fail. `harmed`: 1 + the component that projection harmed, or 0."""
+    some = harmed[harmed > 0]
+    if not some.size:
+        return
+    names = default_labels(len(plan.y0))
+    components = np.unique((some - 1) // (2 if plan.functions.complex else 1))
+    much = f"much more than estimated errors in {some.size} trajectories"
+    warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
 
 
 def _trajectories(plan: Plan, task: _Task) -> Trajectories:
@@ -277,15 +308,18 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
     dtype = y0.dtype
     states = run.take_states()
     value, before, after, correction = run.take_drift()
-    codes = np.array([_STATUS.get(name, -3 if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8)
+    codes = np.array(
+        [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8
+    )
     return _solution(
         task,
         plan,
         y=run.take_y().view(dtype),
         t_end=run.take_t(),
         y_end=run.take_end().view(dtype),
-        status=np.where(states < 0, np.int8(-3), codes[states]),
+        status=np.where(states < 0, np.int8(_RAISED), codes[states]),
         counts=run.take_counts(),
+        clipped_amount=run.take_clipped(),
         messages=_messages(task, plan, run, states),
         events=[_in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
         value=value,
@@ -349,6 +383,7 @@ class _Row:
     before: Array
     after: Array
     correction: float
+    clipped_amount: float
     events: list[tuple[Array, Array]]
 
 
@@ -367,12 +402,12 @@ def _solve_one(task: _Task, i: int) -> _Outcome:
             plan = task.plan(i)
         run = solver(plan).integrate(plan.y0.view(float))
         exception = plan.exception(run)
-        status, message = plan.verdict(run) if exception is None else (-3, _as_text(exception))
+        status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
         return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # sys.exit in a function too
-        return _Outcome(i, -3, _as_text(error), None)
+        return _Outcome(i, _RAISED, _as_text(error), None)
 
 
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
@@ -400,6 +435,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
         before=before[: len(bound)],
         after=after,
         correction=correction,
+        clipped_amount=run.clipped,
         events=[(times, points.view(dtype)) for times, points in run.take_events()],
     )
 
@@ -413,10 +449,11 @@ class _Rows:
         self.task, self.plan = task, plan
         self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
         self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), task.y0.copy()
-        self.status = np.full(size, -3, dtype=np.int8)
+        self.status = np.full(size, _RAISED, dtype=np.int8)
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)
         self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
+        self.clipped_amount = np.zeros(size)
         self.messages: dict[int, str] = {}
         self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
 
@@ -434,6 +471,7 @@ class _Rows:
         self.counts[i] = one.counts
         self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
         self.correction[i] = one.correction
+        self.clipped_amount[i] = one.clipped_amount
         for found, (t, y) in zip(self.found, one.events, strict=True):
             if len(t):
                 found.append((i, t, y))
@@ -447,6 +485,7 @@ class _Rows:
             y_end=self.y_end,
             status=self.status,
             counts=self.counts,
+            clipped_amount=self.clipped_amount,
             messages=dict(sorted(self.messages.items())),
             events=[self._events(found) for found in self.found],
             value=self.value,
@@ -487,4 +526,4 @@ def _elsewhere(task: _Task, workers: int) -> Generator[list[_Outcome]]:
 
 
 def _died(i: int) -> _Outcome:
-    return _Outcome(i, -3, "the worker process died: fun ended the process, or memory ran out", None)
+    return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", None)

@@ -106,9 +106,11 @@ class EnsembleStats(Record):
     nsolve: Array
     projections: Array
     skipped: Array
+    clipped: Array
     ng: Array
     ngjac: Array
     ngdiff: Array
+    clipped_amount: Array
 
 
 @dataclasses.dataclass(eq=False, repr=False)
@@ -131,8 +133,9 @@ class EnsembleSolution:
         The state there.
     status : ndarray of int, (N,)
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
-        invariant is not conserved, -3 what ends a single solve with an exception: the initial value is off a demanded
-        manifold, not consistent or not finite, an invariant or an event is refused, a function raised.
+        invariant is not conserved, -3 a limit was reached, -4 what ends a single solve with an exception: the initial
+        value is off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function
+        raised.
     success : ndarray of bool, (N,)
         status >= 0.
     messages : dict of int to str

@@ -55,7 +55,7 @@ def solve_ivp(
         accepted too, here as for all other functions: see `compile`.
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards; with an infinite tf only a terminal event or a callback ends the run;
-        without one it goes on until memory is full.
+        without one it goes on until a limit is reached (`max_steps`, `time_limit`, `max_points`).
     y0 : array_like of shape (n,)
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'

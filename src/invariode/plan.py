@@ -5,21 +5,30 @@ It is made in four stages: options, functions, linear algebra, invariants.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from . import _core
-from ._arguments import Array, distinct, kept, output_times, reals, tolerances, warn
-from ._messages import inconsistent_start, refusal, status_and_message
+from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
+from ._bounds import Limits
+from ._messages import inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
-from ._types import MethodName, Numbers
+from ._types import MethodName, Numbers, OnInterrupt
+from .breakpoints import Breakpoint, of_inputs, ordered
 from .compiled import native_parameters, to_native
 from .description import Description
 from .events import EventSpec, event_spec
+from .inputs import fed
 from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
 from .methods import Method, find_method
+from .result import LIMIT_REACHED
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
+
+#: Errors of ode15s at rtol 1e-4 are as large as those asked for if its steps are ten times as accurate (measured on the
+#: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
+CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
 
 
 class Tolerances(NamedTuple):
@@ -49,11 +58,20 @@ class Settings(NamedTuple):
     bdf: bool
     iterations: int  # of the projection of a step
     negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
+    max_steps: int = LARGEST_COUNT
+    time_limit: float = math.inf
+    max_points: int = LARGEST_COUNT
+    max_bytes: int = LARGEST_COUNT
 
     @property
     def forward(self) -> float:
         """The direction of integration."""
         return 1.0 if self.tf >= self.t0 else -1.0
+
+    def limit(self, kind: str) -> float:
+        """The limit that the core calls so."""
+        limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
+        return limits[kind]
 
 
 class Functions(NamedTuple):
@@ -66,9 +84,11 @@ class Functions(NamedTuple):
     parameters: Array  # `args` for native functions
     linear: _core.Linear | None
     events: list[EventSpec]
+    breakpoints: list[Breakpoint]
     callback: Any
     invariants: list[InvariantSpec]
     value: Array  # at which they are held
+    limits: Limits | None  # of y
 
 
 class Plan(NamedTuple):
@@ -87,14 +107,22 @@ class Plan(NamedTuple):
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
+    on_interrupt: OnInterrupt
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
 
+    def beyond(self, t: float) -> Plan:
+        """The same without the actions of breakpoints at t, which have been taken."""
+        points = [point._replace(action=None) if point.t == t else point for point in self.functions.breakpoints]
+        return self._replace(functions=self.functions._replace(breakpoints=points))
+
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
+        if run.state == "limit_reached":
+            return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
         return status_and_message(run, self.names, self.demanded, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
@@ -102,10 +130,19 @@ class Plan(NamedTuple):
         if run.state == "invariant_refused":
             text = refusal(run, self.names, self.demanded, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)
+        if run.state == "start_contradicts":
+            return InvariantError(
+                f"no point near y0 is within the bounds and has the values of the invariants: {', '.join(self.names)}. "
+                "Widen the bounds, or correct the values"
+            )
+        if run.state == "start_out_of_bounds":
+            return ValueError(out_of_bounds("y0", run.component, self.functions.limits))
         if run.state == "event_undefined":
             return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
         if run.state == "action_undefined":
-            return ValueError(f"the action of event {self.event_names[run.event]} returned NaN at t = {run.t}")
+            at_event = run.event < len(self.event_names)
+            what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
+            return ValueError(f"the action {what} returned NaN at t = {run.t}")
         return None
 
 
@@ -120,9 +157,12 @@ def solver(plan: Plan) -> _core.Solver:
         parameters=functions.parameters,
         linear=functions.linear,
         events=[_core.Event(*spec) for spec in functions.events],
+        breakpoints=[_core.Breakpoint(*point) for point in functions.breakpoints],
         callback=functions.callback,
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
         value=functions.value,
+        lower=None if functions.limits is None else functions.limits.lower,
+        upper=None if functions.limits is None else functions.limits.upper,
     )
     settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
@@ -136,12 +176,16 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         options["bdf"] = implied.get("bdf", False)
     if problem.matrices.mass is not None and "mass" not in chosen.options:
         raise ValueError(
-            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s, or solve M y' = f for y' in fun"
+            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
+            "y' in fun"
         )
     rtol, atol = options["rtol"], options["atol"]
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))
     settings = _settings(problem, chosen, options)
-    parameters, fun = _native_functions(problem)
+    if options["calibrate"] and "calibrate" in chosen.options:
+        weights = _calibrated(weights, settings.max_order)
+    breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
+    parameters, fun = _native_functions(problem, breakpoints)
     linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
@@ -151,7 +195,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         method=chosen,
         tolerances=weights,
         settings=settings,
-        functions=_functions(problem, fun, parameters, linear, bound, options["callback"]),
+        functions=_functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints),
         y0=y0,
         moved=y0 is not problem.y0,
         bound=bound,
@@ -161,6 +205,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],
+        on_interrupt=options["on_interrupt"],
     )
 
 
@@ -198,7 +243,28 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         max_order=_highest_order(method, options["max_order"]),
         bdf=bool(options["bdf"]),
         iterations=method.iterations,
+        max_steps=options["max_steps"] or LARGEST_COUNT,
+        time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
+        **_most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0)),
     )
+
+
+def _calibrated(weights: Tolerances, order: int) -> Tolerances:
+    """Tolerances of the steps for errors of the size of these ('NDF'). atol / rtol stays as it is."""
+    factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / order)
+    return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
+
+
+#: What is kept without `max_points`. Of a few components so many points are less than a gigabyte.
+_MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
+
+
+def _most_kept(points: int | None, demanded: int, n: int) -> dict[str, int]:
+    """The limits of what is kept. `demanded`: times of output, which somebody wants."""
+    if points is not None:
+        return {"max_points": points}
+    size = 8 * (n + 1)  # of t and y, doubles
+    return {"max_points": _MOST_POINTS + demanded, "max_bytes": _MOST_BYTES + demanded * size}
 
 
 def _highest_order(method: Method, order: int | None) -> int:
@@ -213,14 +279,15 @@ def _highest_order(method: Method, order: int | None) -> int:
 # Functions
 
 
-def _native_functions(problem: Description) -> tuple[Array, Any]:
+def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
     used = [problem.fun, problem.matrices.jac]
     used += [f for one in problem.invariants for f in (one.fun, one.jac)]
     used += [f for event in problem.events for f in (event.fun, event.action)]
+    used += [point.action for point in breakpoints]
     p = native_parameters(problem.args, used)
     n = reals(problem.y0)
-    return p, to_native("fun", problem.fun, n, n, p)
+    return p, to_native("fun", fed(problem.fun, problem.inputs), n, n, p)
 
 
 def _functions(
@@ -230,6 +297,7 @@ def _functions(
     linear: _core.Linear | None,
     bound: BoundInvariants,
     callback: Any,
+    breakpoints: list[Breakpoint],
 ) -> Functions:
     n = reals(problem.y0)
     return Functions(
@@ -240,9 +308,14 @@ def _functions(
         parameters=parameters,
         linear=linear,
         events=[event_spec(event, n, parameters) for event in problem.events],
+        breakpoints=[
+            point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
+            for point in breakpoints
+        ],
         callback=callback,
         invariants=bound.specs,
         value=bound.value,
+        limits=problem.limits,
     )
 
 
@@ -260,7 +333,8 @@ def _linear_algebra(
     from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
 
     t0, y0 = problem.t_span[0], problem.y0
-    linear = prepare(problem.matrices, t0, y0, problem.args, parameters)
+    matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
+    linear = prepare(matrices, t0, y0, problem.args, parameters)
     if not linear.algebraic:
         return linear, y0
     if any(event.action for event in problem.events):

@@ -10,8 +10,10 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from ._arguments import EPS, Array
+from ._matrices import null_basis
 from .invariants import InvariantError
 from .methods import METHODS, Method
 from .problem import Problem
@@ -125,7 +127,11 @@ class _Limit:
 
 def able(problem: Problem) -> list[Method]:
     """The methods that can solve the problem."""
-    return [m for m in METHODS.values() if problem.matrices.mass is None or "mass" in m.options]
+    mass = problem.matrices.mass
+    if mass is None:
+        return list(METHODS.values())
+    regular = not callable(mass) and null_basis(csc_array(mass)).shape[1] == 0
+    return [m for m in METHODS.values() if m.mass == "any" or (m.mass == "regular" and regular)]
 
 
 # ----------------------------------------------------------------------------------------------------------------------

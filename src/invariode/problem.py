@@ -26,10 +26,13 @@ class Problem(Description):
         holds the last one, so it may be kept; a buffer may be returned again and again.
     t_span : (float, float)
         (t0, tf); tf < t0 integrates backwards; with an infinite tf only a terminal event or a callback ends the run;
-        without one it goes on until memory is full.
+        without one it goes on until a limit is reached (`max_steps`, `time_limit`, `max_points`).
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     {describing}
+    inputs : Input or list of Input, optional
+        Tabulated functions of t: `fun` and `jac` are called with their values after y, ``f(t, y, u, *args)``, native
+        ones with these at the beginning of p. A run starts anew where an input jumps, as at `breakpoints`.
     name : str, optional
         For tables and plots.
     labels : sequence of n str, optional
@@ -40,7 +43,8 @@ class Problem(Description):
     TypeError
         An argument of a wrong type, such as a `fun` that is not callable.
     ValueError
-        y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; `labels` are not n. What only a
+        y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; `labels` are not n; an input does not
+        cover `t_span`. What only a
         method can tell, as a Jacobian of a wrong shape, is an error of `solve`.
 
     Examples

@@ -15,7 +15,10 @@ from ._core import Dense
 from .invariants import BoundInvariants, as_columns
 from .notebook import html_of_solution
 
-__all__ = ["BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+__all__ = ["LIMIT_REACHED", "BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
+
+#: The status of a run that a limit has ended: its results are right, and it can be extended.
+LIMIT_REACHED = -3
 
 
 class Record(Mapping[str, Any]):
@@ -63,6 +66,8 @@ class Stats(Record):
         Projected attempts.
     skipped : int
         Attempts whose projection was not needed.
+    clipped : int
+        Steps that ended outside of `bounds` by less than the tolerance, and were moved onto them.
     ng : int
         Evaluations of the invariants, output between steps included.
     ngjac : int
@@ -75,6 +80,9 @@ class Stats(Record):
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
+    clipped_amount : float
+        What moving steps onto `bounds` has added to the sum of the components; with invariants, before these were
+        imposed again.
     """
 
     steps: int
@@ -86,11 +94,13 @@ class Stats(Record):
     nsolve: int
     projections: int
     skipped: int
+    clipped: int
     ng: int
     ngjac: int
     ngdiff: int
     derivatives: str | None
     projected_start: bool
+    clipped_amount: float = 0.0
 
 
 class Steps(Record):

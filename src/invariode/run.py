@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -11,7 +12,8 @@ from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._calls import explain
-from ._messages import MESSAGES
+from ._interruption import stopped_by_interrupt
+from ._messages import MESSAGES, harmful_projection
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
@@ -21,7 +23,7 @@ from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps
 from .solution import Solution
 
 __all__ = ["RunOrigin", "solve"]
@@ -50,6 +52,7 @@ class RunOrigin:
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
+    passed: bool  # whether breakpoints at t are behind the run
     imposed: bool = False
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -112,7 +115,7 @@ def solve(problem: Description, method: MethodName, options: Options) -> Solutio
 def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
     plan = make_plan(problem, method, options)
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
-    for name in ("t_eval", "rtol", "atol"):
+    for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
     source = Source(problem, method, given)
@@ -135,11 +138,13 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if resumed is not None:
         core.resume(*resumed)
     y0 = plan.y0.view(float)
-    if plan.progress:
-        with run_bar(source.problem.name, plan.settings.t0, plan.settings.tf) as told:
-            run = core.integrate(y0, told)
-    else:
-        run = core.integrate(y0, None)
+    with ExitStack() as around:
+        told = request = None
+        if plan.progress:
+            told = around.enter_context(run_bar(source.problem.name, plan.settings.t0, plan.settings.tf))
+        if plan.on_interrupt == "return":
+            request = around.enter_context(stopped_by_interrupt())
+        run = core.integrate(y0, told, request)
     if exception := plan.exception(run):
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
@@ -147,7 +152,8 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if dropped:
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
-        _warn_harmed(sol._names.components[harmed // 2 if plan.functions.complex else harmed], harm)
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
     return sol
 
 
@@ -184,8 +190,14 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         _rtol=plan.rtol,
         _atol=plan.atol,
         _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
-        _origin=RunOrigin(source, t_end, y_end, next_h),
+        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(plan, run.breakpoints_passed, t_end)),
     )
+
+
+def _passed(plan: Plan, count: int, t_end: float) -> bool:
+    """Whether the breakpoints at the end have been passed, if there are any: a terminal event comes before them."""
+    behind = plan.functions.breakpoints[:count]
+    return bool(behind) and behind[-1].t == t_end
 
 
 #: Of a run without invariants.
@@ -194,9 +206,10 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
     stats = Stats(
-        *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
+        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
+        clipped_amount=run.clipped,
     )
     stats.ng += plan.bound.evaluations
     stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
@@ -223,21 +236,12 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
     )
 
 
-def _warn_harmed(component: str, ratio: float) -> None:
-    warn(
-        f"projection moved {component} by {ratio:.2g} times its estimated errors: it corrects other components at the "
-        "cost of this one, which may then be less accurate than without invariants. Try an atol per component, larger "
-        "for what changes fast (for velocities, than for positions, by the highest frequency), and a smaller rtol",
-        AccuracyWarning,
-    )
-
-
 # ----------------------------------------------------------------------------------------------------------------------
 # Its extension
 
 
 def _extended(origin: RunOrigin, old: Solution, t_end: float, options: ExtensionOptions) -> Solution:
-    if not old.success:
+    if not (old.success or old.status == LIMIT_REACHED):
         raise ValueError(f"a run that failed cannot be extended: {old.message}")
     tf = number("t_end", t_end)
     forward = origin.forward or float(np.sign(tf - origin.t))
@@ -257,6 +261,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     given.pop("progress", None)
 
     plan = make_plan(rest, method, now).holding(old._invariants.last_value)
+    if origin.passed:
+        plan = plan.beyond(origin.t)
     new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)

@@ -54,8 +54,8 @@ class Solution(Plots, Exports):
     nlu : int
         Factorisations.
     status : int
-        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
-        invariant is not conserved.
+        0 reached the end, 1 a terminal event, 2 stopped by `callback` or by Ctrl-C, -1 the step failed, -2 a given
+        invariant is not conserved, -3 a limit was reached (`max_steps`, `time_limit`, `max_points`).
     message : str
         Why the integration ended.
     success : bool
@@ -108,7 +108,7 @@ class Solution(Plots, Exports):
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
 
-        The method starts again from the final state, with the problem and the options of the run. The Runge-Kutta pairs
+        The method starts again from the final state, with the problem and the options of the run. Methods of one order
         go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
         order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
         event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the
@@ -119,14 +119,16 @@ class Solution(Plots, Exports):
         ----------
         t_end : float
             The new end, beyond the old one in the direction of integration; the old one is where the run ended, also if
-            an event or the callback ended it. May be infinite.
+            an event, the callback or a limit ended it. May be infinite.
         t_eval : array_like, optional
             Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
             Those beyond `t_end` are left for a further extension.
         max_step : float, optional
             Default: that of the run, or a tenth of the whole interval.
-        first_step, callback, check, progress : optional
+        first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
+        max_steps, time_limit, max_points : optional
+            Likewise, for the extension alone. Default: those of the run.
 
         Returns
         -------

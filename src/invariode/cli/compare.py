@@ -165,7 +165,7 @@ def _methods(problem: Problem, named: Sequence[Method]) -> Sequence[Method]:
     for one in named:
         if one not in possible:
             names = ", ".join(able_one.name for able_one in possible)
-            raise typer.BadParameter(f"{one.name} cannot use a mass matrix; {names} can", param_hint="--method")
+            raise typer.BadParameter(f"{one.name} cannot use this mass matrix; {names} can", param_hint="--method")
     return [one for i, one in enumerate(named) if one not in named[:i]] or possible
 
 

@@ -57,6 +57,16 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 #: Points per step with --dense, as in the figures of the paper.
 DENSE = 10
 
+MaxSteps = Annotated[
+    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after so many steps, exit code 1.")
+]
+TimeLimit = Annotated[
+    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long, exit code 1.")
+]
+Progress = Annotated[
+    bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
+]
+
 
 # The options of the command.
 MethodOption = Annotated[
@@ -89,10 +99,6 @@ ComponentsOption = Annotated[
     str | None,
     typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, as in x,y,3."),
 ]
-ProgressOption = Annotated[
-    bool | None,
-    typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal"),
-]
 
 
 def solve(
@@ -108,7 +114,9 @@ def solve(
     components: ComponentsOption = None,
     log: Annotated[bool, typer.Option("--log", help="Draw over a logarithmic axis of time.")] = False,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
-    progress: ProgressOption = None,
+    progress: Progress = None,
+    max_steps: MaxSteps = None,
+    time_limit: TimeLimit = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors and warnings.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
@@ -135,7 +143,8 @@ def solve(
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
-            sol = _solved(run, method, {"progress": shown, **options})
+            limits = {"max_steps": max_steps, "time_limit": time_limit}
+            sol = _solved(run, method, {"progress": shown, **limits, **options})
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all: what is printed may get lost
     if not quiet:

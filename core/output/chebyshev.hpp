@@ -1,0 +1,47 @@
+#pragma once
+// All roots of a smooth function on an interval, from its Chebyshev interpolant (docs/algorithms.md, 'Events').
+
+#include <cstddef>
+#include <functional>
+#include <vector>
+
+namespace invariode {
+
+/// Separates the roots of a function. It is sampled at Chebyshev points until its coefficients have decayed, on halves
+/// of the interval where they do not; the roots of the interpolant are separated by halving too, until its coefficients
+/// on a part say that there is none or that it is monotonic.
+class RootSeparator {
+ public:
+  /// The value at t; false: the search is to end.
+  using Sample = std::function<bool(double t, double& value)>;
+
+  /// Appends points between a and b to `points`, in their order, so that no two roots that the function's interpolant
+  /// has lie between neighbours. `ea` and `eb`: the values at the ends. False: a sample was.
+  /// `zero_at_start`: a is a root.
+  bool separate(const Sample& sample, double a, double ea, bool zero_at_start, double b, double eb,
+                std::vector<double>& points);
+
+ private:
+  struct Interval {
+    double a, ea, b, eb;
+    int depth;
+    [[nodiscard]] double time(double x) const { return 0.5 * (a + b) + 0.5 * (b - a) * x; }
+  };
+
+  bool interpolate(const Sample& sample, const Interval& on, bool& resolved);
+  bool refine(const Sample& sample, const Interval& on);
+  bool confirmed(const Sample& sample, const Interval& on, bool& agrees);
+  [[nodiscard]] bool decayed() const;
+  bool locate_roots();
+  [[nodiscard]] double bisected(double low, double high) const;
+  [[nodiscard]] double evaluate(double x) const;
+  void split_between_roots(const Interval& on, std::vector<double>& points) const;
+
+  std::size_t samples_ = 0;
+  std::vector<double> values_;        // at cos(kπ / N), k = 0 … N
+  std::vector<double> coefficients_;  // of the Chebyshev polynomials
+  std::vector<double> part_values_, part_coefficients_;
+  std::vector<double> roots_;
+};
+
+}  // namespace invariode

@@ -1,0 +1,66 @@
+#pragma once
+// The functions of a problem as a piece between two breakpoints sees them (docs/algorithms.md, 'Breakpoints').
+
+#include <cmath>
+#include <deque>
+#include <limits>
+
+#include "callback.hpp"
+#include "linear/matrix.hpp"
+
+namespace invariode {
+
+/// The present piece of the interval. Functions that may jump at its ends are called through it, with times inside of
+/// it only: at a breakpoint they get the next double, so that no stage sees the other side. What is made of functions
+/// refers to this, and to nothing else.
+class Piece {
+ public:
+  Piece() = default;
+  Piece(const Piece&) = delete;
+  Piece& operator=(const Piece&) = delete;
+
+  /// From now on the piece between the times `from` and `to`. What is not a breakpoint bounds nothing.
+  void enter(double from, bool from_breakpoint, double to, bool to_breakpoint) {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    const double forward = to >= from ? infinity : -infinity;
+    const double first = from_breakpoint ? std::nextafter(from, forward) : -forward;
+    double last = to_breakpoint ? std::nextafter(to, -forward) : forward;
+    if (forward * last < forward * first) last = first;  // there is no double between the two
+    low_ = forward > 0 ? first : last;
+    high_ = forward > 0 ? last : first;
+  }
+
+  Callback seen(const Callback& function) {
+    if (!function) return {};
+    return {&Piece::callback_entry, &functions_.emplace_back(*this, function)};
+  }
+  MatrixFunction seen(const MatrixFunction& function) {
+    if (!function) return {};
+    return {&Piece::matrix_entry, &matrices_.emplace_back(*this, function)};
+  }
+
+ private:
+  template <class Function>
+  struct Seen {
+    Seen(const Piece& piece_, const Function& function_) : piece(piece_), function(function_) {}
+    const Piece& piece;
+    Function function;
+  };
+
+  [[nodiscard]] double inside(double t) const { return t < low_ ? low_ : t > high_ ? high_ : t; }
+
+  static Status callback_entry(void* self, double t, const double* y, double* out) {
+    auto& [piece, function] = *static_cast<Seen<Callback>*>(self);
+    return function(piece.inside(t), y, out);
+  }
+  static Status matrix_entry(void* self, double t, const double* y, Matrix& out) {
+    auto& [piece, function] = *static_cast<Seen<MatrixFunction>*>(self);
+    return function(piece.inside(t), y, out);
+  }
+
+  double low_ = -std::numeric_limits<double>::infinity(), high_ = std::numeric_limits<double>::infinity();
+  std::deque<Seen<Callback>> functions_;  // which stay where they are when there are more of them
+  std::deque<Seen<MatrixFunction>> matrices_;
+};
+
+}  // namespace invariode

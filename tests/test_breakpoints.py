@@ -1,0 +1,386 @@
+"""Breakpoints are reached exactly, seen from either side, and passed once; inputs from tables bring their own."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import invariode as iv
+from problems import PROBLEMS
+
+KEPLER = PROBLEMS["Kepler"]
+TIGHT = {"rtol": 1e-8, "atol": 1e-10}
+
+# Twenty square pulses in [0, 100], each of width 1e-3.
+PULSES = 20
+EDGES = np.sort(np.random.default_rng(18039).uniform(0, 100 - 1e-3, PULSES)[:, None] + [0, 1e-3], axis=0).ravel()
+EDGES.sort()
+AREA = 1e-3 * PULSES
+
+
+def pulses(t, y):
+    return [float(np.searchsorted(EDGES, t, side="right") % 2)]
+
+
+def pulse_input():
+    return iv.Input([0, *EDGES], [0, *np.tile([1.0, 0.0], PULSES)])
+
+
+def assert_area(sol, area=AREA):
+    """Each pulse is integrated exactly, but for roundoff."""
+    assert sol.success
+    assert abs(sol.y[0, -1] - area) < 1e-9
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+def test_narrow_pulses_are_not_missed(method, rtol):
+    sol = iv.solve_ivp(pulses, (0, 100), [0.0], method, breakpoints=EDGES, rtol=rtol)
+    assert_area(sol)
+    assert np.isin(EDGES, sol.t).all()  # to the bit
+    assert (np.diff(sol.t) > 0).all()
+    assert_area(iv.solve_ivp(pulses, (100, 0), [0.0], method, breakpoints=EDGES, rtol=rtol), -AREA)
+    missed = iv.solve_ivp(pulses, (0, 100), [0.0], method, rtol=rtol)
+    assert missed.y[0, -1] == 0  # which is what they are for
+
+
+def test_inputs_bring_their_breakpoints(method):
+    problem = iv.Problem(lambda t, y, u: [u], (0, 100), [0.0], inputs=pulse_input())
+    assert_area(problem.solve(method, rtol=1e-6))
+    assert_area(problem.replace(t_span=(0, 50)).solve(method).extend(100))
+    assert_area(pickle.loads(pickle.dumps(problem.inputs[0])) and problem.solve(method, t_eval=[1, 99, 100]))
+
+
+@pytest.mark.parametrize("jac", [False, True])
+def test_native_functions_have_inputs_first_in_their_parameters(method, jac):
+    """The same values as the Python functions get, to the last bit."""
+    pytest.importorskip("numba")
+    wind = iv.Input(np.linspace(0, 10, 7), np.random.default_rng(1).normal(size=(7, 2)), "linear")
+    level = iv.Input([0, 3, 6], [1.0, 2.0, 0.5])
+
+    def f(t, y, u, v, a):
+        return [y[1] + u[0], -a * v * y[0] + u[1]]
+
+    def slope(t, y, u, v, a):
+        return [[0, 1], [-a * v, 0]]
+
+    about = {"inputs": [wind, level], "args": (3.0,), "jac": slope if jac else None}
+    python = iv.Problem(f, (0, 10), [1.0, 0.0], **about)
+    native = python.replace(
+        fun=iv.compile(lambda t, y, p: (y[1] + p[0], -p[3] * p[2] * y[0] + p[1])),
+        jac=iv.compile(lambda t, y, p: (0.0, 1.0, -p[3] * p[2], 0.0)) if jac else None,
+    )
+    if jac and "jac" not in iv.METHODS[method].options:
+        return
+    np.testing.assert_array_equal(python.solve(method).y, native.solve(method).y)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_each_piece_sees_f_from_its_own_side(method, backwards):
+    """No time outside of the piece in which the step is, and none that is a breakpoint."""
+    points = [1.0, 1.5, 4.0]
+    called = []
+
+    def f(t, y):
+        called.append(t)
+        return [np.searchsorted(points, t) + np.sin(y[0])]
+
+    span = (5.0, 0.0) if backwards else (0.0, 5.0)
+    sol = iv.solve_ivp(f, span, [0.0], method, breakpoints=points, callback=lambda t, y: called.append(None), **TIGHT)
+    assert sol.success
+    calls, steps = np.array(called, dtype=float), np.flatnonzero([t is None for t in called])
+    assert not np.isin(calls, points).any()
+    for start, *inside in zip(sol.t, np.split(calls, steps), strict=True):
+        times = np.array(inside).ravel()
+        times = times[~np.isnan(times)]
+        pieces = np.unique(np.searchsorted(points, times))
+        assert len(pieces) <= 1 or start in points, (start, times)
+    for point in points:  # the neighbours are what it sees instead
+        assert np.isin(np.nextafter(point, [-9, 9]), calls).all()
+
+
+def test_order_is_not_lost_at_a_breakpoint(method):
+    """y' = |t - 1| y: accurate to the tolerance in no more work than two runs, one for each side."""
+
+    def f(t, y):
+        return [abs(t - 1) * y[0]]
+
+    sol = iv.solve_ivp(f, (0, 3), [1.0], method, breakpoints=[1.0], **TIGHT)
+    np.testing.assert_allclose(sol.y[0, -1], np.exp(0.5 + 2), rtol=2e-6)
+    parts = [iv.solve_ivp(f, span, [1.0], method, max_step=0.3, **TIGHT) for span in ((0, 1), (1, 3))]
+    assert sol.nfev <= 1.2 * sum(part.nfev for part in parts) + 20
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Actions
+
+
+def dose(t, y):
+    return y + 1
+
+
+def decayed(*times):
+    """At t = 4, from 1 at 0, with a dose of 1 at each of the times."""
+    return np.exp(-4) + sum(np.exp(t - 4) for t in times)
+
+
+@pytest.mark.parametrize("at", [(1.0, 2.0, 3.0), (0.0,), (2.0, 2.0), (0.0, 4.0)])
+def test_actions_are_taken_once_and_both_states_are_there(method, at):
+    """At the start and at the end too; two at one time are two."""
+    about = {"breakpoints": [(t, dose) for t in at], "dense_output": True, **TIGHT}
+    sol = iv.solve_ivp(lambda t, y: -y, (0, 4), [1.0], method, **about)
+    np.testing.assert_allclose(sol.y[0, -1], decayed(*at), rtol=1e-6)
+    jumps = np.flatnonzero(np.diff(sol.t) == 0)
+    np.testing.assert_array_equal(sol.t[jumps], np.unique(at))
+    np.testing.assert_allclose(sol.y[0, jumps + 1] - sol.y[0, jumps], [at.count(t) for t in np.unique(at)], rtol=1e-15)
+    np.testing.assert_array_equal(sol.sol(sol.t[jumps]), sol.y[:, jumps + 1])
+    times = np.unique([*at, 0.5, 4.0])
+    chosen = iv.solve_ivp(lambda t, y: -y, (0, 4), [1.0], method, t_eval=times, **about)
+    np.testing.assert_array_equal(chosen.t, times)
+    np.testing.assert_allclose(chosen.y, sol.sol(times), rtol=1e-6)
+    two = iv.solve_ivp(lambda t, y: -y, (0, 2), [1.0], method, **about).extend(4)
+    np.testing.assert_allclose(two.y[0, -1], decayed(*at), rtol=1e-6)
+    assert (np.diff(two.t) == 0).sum() == len(jumps)
+
+
+@pytest.mark.parametrize("how", ["event", "callback", "limit"])
+def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(method, how):
+    """But a limit, which is looked at when the breakpoint has been passed."""
+    taken = []
+
+    def act(t, y):
+        taken.append(t)
+        return y + 1
+
+    ends = {
+        "event": {"events": iv.Event(lambda t, y: t - 2, terminal=True)},
+        "callback": {"callback": lambda t, y: t == 2},
+        "limit": {"max_points": 1000, "max_steps": 1, "max_step": 9, "first_step": 2},
+    }[how]
+    sol = iv.solve_ivp(lambda t, y: [0.0], (0, 4), [0.0], method, breakpoints=[(2.0, act)], t_eval=[1, 2, 3], **ends)
+    assert (sol.t_end, len(taken)) == (2.0, how == "limit")
+    assert sol.status == {"event": 1, "callback": 2, "limit": -3}[how]
+    sol = sol.extend(4, **({"callback": None} if how == "callback" else {"max_steps": None}))
+    assert taken == [2.0]
+    np.testing.assert_array_equal(sol.t, [1, 2, 3])
+    assert sol.y[0, 2] == 1
+
+
+def test_invariants_are_held_at_their_new_values(method):
+    """A kick changes the energy; a demanded value has to be kept by the action."""
+
+    def kick(t, y):
+        return [*y[:2], *(1.05 * y[2:])]
+
+    sol = iv.solve_ivp(
+        KEPLER.fun, (0, 10), KEPLER.y0, method, invariants=KEPLER.invariants(), breakpoints=[(3.0, kick)], **TIGHT
+    )
+    assert sol.success
+    assert np.abs(sol.residual).max() < 1e-9
+    before, after = (KEPLER.g(0, sol.y[:, i])[0] for i in (0, -1))
+    assert abs(after - before) > 1e-2
+
+    def off(t, y):
+        return [1.1 * y[0], *y[1:]]
+
+    circle = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 - 1, value=0)
+    sol = iv.solve_ivp(
+        lambda t, y: [-y[1], y[0]], (0, 3), [1.0, 0.0], method, invariants=circle, breakpoints=[(1.0, off)]
+    )
+    assert sol.status == -2
+    assert "After the action at t = 1" in sol.message
+
+
+def test_invariants_may_have_kinks_at_breakpoints(method):
+    """y' = ramp'(t): y - ramp(t) is kept, and its derivative with respect to t jumps, without a false conviction."""
+
+    def ramp(t):
+        return max(t - 1, 0) ** 1 * 2 - max(t - 2, 0) * 5
+
+    sol = iv.solve_ivp(
+        lambda t, y: [2.0 * (t > 1) - 5.0 * (t > 2), y[0]],
+        (0, 3),
+        [0.0, 0.0],
+        method,
+        invariants=lambda t, y: y[0] - ramp(t),
+        breakpoints=[1, 2],
+        **TIGHT,
+    )
+    assert sol.status == 0
+    assert np.abs(sol.residual).max() < 1e-12
+
+
+def test_an_event_at_a_breakpoint_is_found_once(method):
+    """Without an action the signs go on; f has a knee there."""
+    sol = iv.solve_ivp(
+        lambda t, y: [1.0 if t < 2 else 3.0], (0, 4), [0.0], method, events=[lambda t, y: t - 2, lambda t, y: y[0] - 2],
+        breakpoints=[2.0],
+    )  # fmt: skip
+    assert [len(t) for t in sol.t_events] == [1, 1]
+    np.testing.assert_allclose(np.ravel(sol.t_events), 2.0, rtol=1e-14)
+
+
+def test_an_event_and_a_dose_at_once(method):
+    """First the event acts, then the dose."""
+    double = iv.Event(lambda t, y: t - 2, action=lambda t, y: 2 * y)
+    sol = iv.solve_ivp(lambda t, y: [1.0], (0, 3), [0.0], method, events=double, breakpoints=[(2.0, dose)])
+    assert sol.y[0, -1] == pytest.approx(6)
+
+
+@pytest.mark.parametrize("with_action", [False, True])
+def test_algebraic_variables_jump_with_their_equations(with_action):
+    """0 = z - u(t): z is u on each side, and both are in the output."""
+
+    def f(t, y):
+        return [y[1], y[1] - (1.0 if t < 2 else 5.0)]
+
+    def act(t, y):
+        return [y[0] + 1, y[1]]
+
+    sol = iv.ode15s(
+        f, (0, 4), [0.0, 1.0], mass=np.diag([1.0, 0.0]), breakpoints=[(2.0, act if with_action else None)], rtol=1e-8
+    )
+    assert sol.success
+    i = np.flatnonzero(np.diff(sol.t) == 0)
+    np.testing.assert_array_equal(sol.t[i], [2.0])
+    np.testing.assert_allclose([sol.y[1, i], sol.y[1, i + 1]], [[1.0], [5.0]], rtol=1e-12)
+    np.testing.assert_allclose(sol.y[0, -1], 2 + 10 + with_action, rtol=1e-7)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("native", [False, True])
+def test_trajectories_of_an_ensemble(method, native, workers):
+    pytest.importorskip("numba")
+    f = iv.compile(switched) if native else switched
+    act = iv.compile(add_one) if native else add_one
+    about = {"breakpoints": [1.0, (2.0, act)], "t_eval": [0.5, 2.0, 3.0], **TIGHT}
+    many = iv.solve_ensemble(f, (0, 3), [[1.0], [2.0], [3.0]], method, workers=workers, **about)
+    for i, y0 in enumerate([1.0, 2.0, 3.0]):
+        np.testing.assert_array_equal(many.y[i], iv.solve_ivp(f, (0, 3), [y0], method, **about).y)
+
+
+def switched(t, y):
+    return [-y[0] if t < 1.0 else y[0]]
+
+
+def add_one(t, y):
+    return [y[0] + 1.0]
+
+
+def test_pieces_may_be_as_narrow_as_they_like(method):
+    points = [1.0, np.nextafter(1.0, 2), np.nextafter(1.0, 2) + 4e-16, 1 + 1e-12, 1 + 1e-12]
+    sol = iv.solve_ivp(lambda t, y: [1.0], (0, 2), [0.0], method, breakpoints=points)
+    assert sol.success
+    assert sol.y[0, -1] == pytest.approx(2)
+
+
+def test_bare_ends_are_no_breakpoints(method):
+    plain = iv.solve_ivp(KEPLER.fun, (0, 5), KEPLER.y0, method)
+    far = iv.solve_ivp(KEPLER.fun, (0, 5), KEPLER.y0, method, breakpoints=[-1, 6, 1e300])
+    np.testing.assert_array_equal(plain.y, far.y)
+    assert plain.nfev == far.nfev
+
+
+def test_complex_states(method):
+    sol = iv.solve_ivp(
+        lambda t, y: 1j * y * (1 if t < 1 else 2),
+        (0, 2),
+        [1 + 0j],
+        method,
+        breakpoints=[(1, lambda t, y: 1j * y)],
+        **TIGHT,
+    )
+    np.testing.assert_allclose(sol.y[:, -1], 1j * np.exp([3j]), atol=1e-5)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Inputs
+
+
+@pytest.mark.parametrize("kind", ["previous", "linear", "cubic"])
+@pytest.mark.parametrize("shape", [(6,), (6, 3)])
+def test_an_input_is_the_function_of_its_table(kind, shape):
+    rng = np.random.default_rng(3)
+    t, values = np.sort(rng.uniform(0, 5, 6)), rng.normal(size=shape)
+    u = iv.Input(t, values, kind)
+    np.testing.assert_allclose(u(t), values, rtol=1e-13)
+    x = rng.uniform(t[0], t[-1], 50)
+    rows = values.reshape(6, -1)
+    reference = {
+        "previous": lambda: rows[np.searchsorted(t, x, side="right") - 1],
+        "linear": lambda: np.stack([np.interp(x, t, column) for column in rows.T], axis=1),
+        "cubic": lambda: CubicSpline(t, rows)(x),
+    }[kind]()
+    np.testing.assert_allclose(u(x), reference.reshape(50, *shape[1:]), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(u(float(x[0])), u(x)[0])
+    np.testing.assert_array_equal(copy.deepcopy(u)(x), u(x))
+    if kind == "previous":
+        np.testing.assert_array_equal(u(np.nextafter(t[2], 0)), values[1])
+        np.testing.assert_array_equal(u(t[-1] + 1e6), values[-1])
+
+
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+def test_a_measured_force(method, kind):
+    """The area under a table, to the tolerance; of pairs, which are of order 2 and more, the broken line's exactly."""
+    t = np.linspace(0, 4, 17)
+    u = iv.Input(t, np.sin(t) + 0.3 * np.cos(7 * t), kind)
+    sol = iv.Problem(lambda t, y, u: [u], (0, 4), [0.0], inputs=u).solve(method, **TIGHT)
+    exact = np.trapezoid(u.values, t) if kind == "linear" else CubicSpline(t, u.values).integrate(0, 4)
+    exactly = kind == "linear" and iv.METHODS[method].fixed_order
+    np.testing.assert_allclose(sol.y[0, -1], exact, rtol=1e-12 if exactly else 1e-6)
+    assert np.isin(t, sol.t).all()
+    free = iv.Problem(lambda t, y, u: [u], (0, 4), [0.0], inputs=iv.Input(t, u.values, kind, breakpoints=False))
+    assert not np.isin(t, free.solve(method).t).all()
+
+
+WRONG = [
+    ({"breakpoints": 3}, TypeError, r"breakpoints must be a list of times or of pairs \(t, action\), got 3"),
+    ({"breakpoints": ["soon"]}, TypeError, "a time in breakpoints must be a real number, got 'soon'"),
+    ({"breakpoints": [np.inf]}, ValueError, "a time in breakpoints must be finite, got inf"),
+    ({"breakpoints": [(1, 2, 3)]}, ValueError, r"must be times or pairs \(t, action\), got \(1, 2, 3\)"),
+    ({"breakpoints": [(1, 2)]}, TypeError, r"the action in breakpoints must be a function action\(t, y\), got 2"),
+    ({"breakpoints": [(0.5, lambda t, y: [np.nan])]}, ValueError, r"action in breakpoints returned NaN at t = 0\.5"),
+    ({"breakpoints": [(0.5, lambda t, y: [1, 2])]}, ValueError, "the action at a breakpoint returned shape|expected"),
+]
+
+
+@pytest.mark.parametrize(("options", "error", "message"), WRONG)
+def test_wrong_breakpoints_are_refused(method, options, error, message):
+    with pytest.raises(error, match=message):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], method, **options)
+
+
+WRONG_INPUTS = [
+    (lambda: iv.Input([1, 1], [1, 2]), "times of an input must increase"),
+    (lambda: iv.Input([1], [1], "linear"), "at least 2 finite numbers"),
+    (lambda: iv.Input([1, 2], [1, 2, 3]), "one row for each of its 2 times"),
+    (lambda: iv.Input([1, 2], [1, np.nan]), "values of an input must be finite"),
+    (lambda: iv.Input([1, 2], [1, 2], "spline"), "kind must be one of 'previous', 'linear', 'cubic'"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), WRONG_INPUTS)
+def test_wrong_inputs_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_problem_stays_in_the_table_of_its_inputs():
+    u = iv.Input([0, 1, 2], [0, 1, 2], "linear")
+    with pytest.raises(ValueError, match="leaves the table of Input"):
+        iv.Problem(lambda t, y, u: [u], (0, 3), [0.0], inputs=u)
+    sol = iv.Problem(lambda t, y, u: [u], (0, 1), [0.0], inputs=u).solve()
+    with pytest.raises(ValueError, match="leaves the table of Input"):
+        sol.extend(3)
+    with pytest.raises(TypeError, match=r"inputs must be an invariode\.Input or a list"):
+        iv.Problem(lambda t, y, u: [u], (0, 3), [0.0], inputs=[3])
+
+
+def test_classes_for_scipy_say_what_they_cannot():
+    import invariode.scipy
+
+    with pytest.raises(TypeError, match="breakpoints is an option of solve_ivp, not of ODE45"):
+        invariode.scipy.ODE45(lambda t, y: -y, 0, [1.0], 1, breakpoints=[0.5])

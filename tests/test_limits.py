@@ -1,0 +1,232 @@
+"""A run ends at its limits, says how far it came, and can go on from there; Ctrl-C may do the same."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import PROBLEMS
+
+KEPLER = PROBLEMS["Kepler"]
+END = 20.0
+
+
+def kepler(method, **options):
+    return iv.solve_ivp(KEPLER.fun, (0, END), KEPLER.y0, method, rtol=1e-8, atol=1e-10, **options)
+
+
+def circle(t, y):
+    return [y[1], -y[0]]
+
+
+@pytest.mark.parametrize("project", [False, True])
+@pytest.mark.parametrize("keep", ["all", "outputs", "end"])
+def test_max_steps_ends_the_run_where_the_unlimited_run_is_then(method, keep, project):
+    about = {"keep": keep, "invariants": KEPLER.invariants() if project else None}
+    whole, sol = kepler(method, **{**about, "keep": "all"}), kepler(method, max_steps=17, **about)
+    assert (sol.status, sol.success, sol.stats.steps) == (-3, False, 17)
+    assert sol.t_end == sol.t[-1] == whole.t[17]
+    np.testing.assert_array_equal(sol.y[:, -1], whole.y[:, 17])
+    assert f"max_steps = 17 is reached at t = {sol.t_end!r}" in sol.message
+    assert f"{sol.t_end / END:.2%} of the interval" in sol.message
+    assert "after 17 steps" in sol.message
+
+
+def test_the_limit_is_no_limit_where_the_run_ends_before(method):
+    whole = kepler(method)
+    assert kepler(method, max_steps=whole.stats.steps, max_points=whole.stats.steps + 1, time_limit=1e6).status == 0
+    assert kepler(method, max_steps=whole.stats.steps - 1).status == -3
+
+
+def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
+    sol = kepler(method, max_steps=10, events=lambda t, y: y[1], dense_output=True)
+    for parts in (2, 3):
+        sol = sol.extend(END)
+        assert (sol.status, sol.stats.steps) == (-3, 10 * parts)
+    sol = sol.extend(END, max_steps=None)
+    assert (sol.status, sol.t[-1]) == (0, END)
+    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(END), atol=2e-5)
+    np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
+
+
+@pytest.mark.parametrize("end", [1e9, np.inf])
+def test_time_limit(method, end):
+    """Python's function waits: the limit is looked at after each attempt, which takes a few calls."""
+
+    def slow(t, y):
+        time.sleep(1e-3)
+        return circle(t, y)
+
+    start = time.perf_counter()
+    sol = iv.solve_ivp(slow, (0, end), [1.0, 0.0], method, time_limit=0.1, max_step=1.0)
+    assert sol.status == -3
+    assert "time_limit = 0.1 s is over at t = " in sol.message
+    assert 0.1 <= time.perf_counter() - start < 5
+
+
+def test_attempts_that_fail_are_no_way_round_the_time(method):
+    def undefined_beyond_one(t, y):
+        time.sleep(1e-3)
+        return [np.nan if t > 1 else 1.0]
+
+    sol = iv.solve_ivp(undefined_beyond_one, (0, 10), [0.0], method, time_limit=0.01, first_step=1.5, max_step=2.0)
+    assert sol.status == -3
+    assert sol.t_end <= 1
+
+
+def test_max_points_counts_what_is_kept(method):
+    by_steps = kepler(method, max_points=50)
+    assert by_steps.status == -3
+    assert len(by_steps.t) == 50
+    assert "50 points are kept" in by_steps.message
+    refined = kepler(method, max_points=50, refine=4)
+    assert refined.status == -3
+    assert 50 <= len(refined.t) < 54
+    dense = kepler(method, max_points=50, dense_output=True, t_eval=np.linspace(0, END, 3))
+    assert dense.status == -3
+    assert len(dense.sol.ts) == 50
+    with_events = kepler(method, max_points=2, keep="end", events=lambda t, y: y[1])
+    assert with_events.status == -3
+    assert len(with_events.t_events[0]) == 1  # the other one is the final state
+    assert kepler(method, max_points=2, keep="end").status == 0
+
+
+def test_what_is_kept_is_bounded_without_any_option(method, monkeypatch):
+    """The bounds made small: as many points, or as much memory."""
+    from invariode import plan
+
+    monkeypatch.setattr(plan, "_MOST_POINTS", 40)
+    assert kepler(method).status == -3
+    assert kepler(method, max_points=10**6).status == 0
+    asked_for = kepler(method, t_eval=np.linspace(0, END, 100))
+    assert (asked_for.status, len(asked_for.t)) == (0, 100)
+    monkeypatch.setattr(plan, "_MOST_POINTS", 10**7)
+    monkeypatch.setattr(plan, "_MOST_BYTES", 4096)
+    sol = kepler(method)
+    kept = sol.t.nbytes + sol.y.nbytes + sol.steps._rows.nbytes
+    assert sol.status == -3
+    assert "What is kept fills 4096 bytes, the most without max_points" in sol.message
+    assert 4096 <= kept < 4096 + 2 * 80
+    assert kepler(method, keep="end").status == 0
+
+
+@pytest.fixture(scope="module")
+def native_circle():
+    pytest.importorskip("numba")
+    return iv.compile(circle)
+
+
+def test_native_runs_end_at_their_limits(method, native_circle):
+    sol = iv.solve_ivp(native_circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, time_limit=0.05, keep="end")
+    assert sol.status == -3
+    assert "time_limit" in sol.message
+    assert sol.t_end > 1
+    assert iv.solve_ivp(native_circle, (0, 1e9), [1.0, 0.0], method, max_step=0.1, max_steps=9).stats.steps == 9
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, native_circle):
+    """The fast oscillations need more steps than the slow ones."""
+
+    def oscillator(t, y, k):
+        return [y[1], -k * y[0]]
+
+    fun = iv.compile(lambda t, y, p: [y[1], -p[0] * y[0]]) if native else oscillator
+    about = {"rtol": 1e-6, "atol": 1e-8, "max_steps": 60, "max_step": np.inf}
+    sol = iv.solve_ensemble(fun, (0, 4), [1.0, 0.0], method, args=[[1e-2], [1e6]], workers=1, **about)
+    assert sol.status.tolist() == [0, -3]
+    assert sol.messages[1].startswith("max_steps = 60 is reached at t = ")
+    single = iv.solve_ivp(oscillator, (0, 4), [1.0, 0.0], method, args=(1e6,), **about)
+    assert sol.t_end[1] == pytest.approx(single.t_end, rel=1e-12)
+
+
+def test_a_memory_of_a_stiff_run_is_bounded():
+    """van der Pol with mu = 1000 and explicit methods: the default bounds what they keep to less than a gigabyte."""
+    from invariode import plan
+
+    per_step = 8 * (1 + 2 + 5)  # t, y, the record of the step
+    assert plan._MOST_POINTS * per_step < 1e9
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Ctrl-C
+
+
+def interrupted_after(seconds):
+    timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+    timer.daemon = True
+    return timer
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_ctrl_c_returns_what_there_is(method, native, native_circle):
+    """The handler of the session is in force again afterwards, and the run can go on."""
+    before = signal.getsignal(signal.SIGINT)
+    interrupted_after(0.2).start()
+    fun = native_circle if native else circle
+    sol = iv.solve_ivp(fun, (0, np.inf), [1.0, 0.0], method, max_step=0.1, keep="end", on_interrupt="return")
+    assert (sol.status, sol.success) == (2, True)
+    assert sol.message == f"Ctrl-C stopped the integration at t = {sol.t_end!r}."
+    assert signal.getsignal(signal.SIGINT) is before
+    assert sol.extend(sol.t_end + 1, on_interrupt="raise").status == 0
+
+
+def test_ctrl_c_raises_unless_it_is_to_return(method):
+    interrupted_after(0.2).start()
+    with pytest.raises(KeyboardInterrupt):
+        iv.solve_ivp(circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, keep="end")
+
+
+def test_a_second_ctrl_c_raises(method):
+    """Where the present step does not come to its end."""
+
+    def stuck(t, y):
+        for _ in range(2):
+            signal.raise_signal(signal.SIGINT)
+        return circle(t, y)
+
+    with pytest.raises(KeyboardInterrupt):
+        iv.solve_ivp(stuck, (0, 1), [1.0, 0.0], method, on_interrupt="return")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_in_another_thread_nothing_changes(method):
+    found = []
+    thread = threading.Thread(target=lambda: found.append(kepler(method, on_interrupt="return").status))
+    thread.start()
+    thread.join()
+    assert found == [0]
+
+
+WRONG = [
+    ({"max_steps": 0}, ValueError, "max_steps must be a positive integer, got 0"),
+    ({"max_steps": 1e6}, TypeError, r"max_steps must be a positive integer, got 1000000\.0"),
+    ({"max_points": 2**63}, ValueError, "max_points must be at most 9223372036854775807: leave it out"),
+    ({"time_limit": 0}, ValueError, "time_limit must be positive, got 0"),
+    ({"on_interrupt": "stop"}, ValueError, "on_interrupt must be one of 'raise', 'return', got 'stop'"),
+]
+
+
+@pytest.mark.parametrize(("options", "error", "message"), WRONG)
+def test_wrong_values_are_refused(options, error, message):
+    with pytest.raises(error, match=message):
+        kepler("ode45", **options)
+
+
+def test_classes_for_scipy_say_what_they_cannot():
+    import invariode.scipy
+
+    for name in ("max_steps", "time_limit", "max_points", "on_interrupt"):
+        with pytest.raises(TypeError, match=f"{name} is an option of solve_ivp, not of ODE45"):
+            invariode.scipy.ODE45(circle, 0, [1.0, 0.0], 1, **{name: 1})
+
+
+def test_an_ensemble_cannot_be_returned_half_done():
+    with pytest.raises(ValueError, match="on_interrupt is not possible for an ensemble"):
+        iv.solve_ensemble(circle, (0, 1), [[1.0, 0.0]], workers=1, on_interrupt="return")
