@@ -1,10 +1,13 @@
 """The documentation: `make docs`. Every cell and every example is executed, and warnings are errors."""
 
 import re
+import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
 import invariode
+
+sys.path.insert(0, str(Path(__file__).parent))  # for our own extension
 
 project = "invariode"
 author = copyright = "The invariode developers"
@@ -18,7 +21,9 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "mathml",
 ]
+html_math_renderer = "mathml"
 exclude_patterns = ["**.ipynb", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
 templates_path = ["_templates"]
 default_role = "py:obj"

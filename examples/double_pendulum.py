@@ -1,7 +1,7 @@
 """A double pendulum
 =================
 
-Chaotic: no solver follows one solution for long. What can be had is a solution of the right energy; at crude
+Chaotic: no solver follows one solution for long. A solution can keep the right energy; at crude
 tolerances a plain run gains or loses some.
 
 Source: T. Shinbrot, C. Grebogi, J. Wisdom, J. A. Yorke, Chaos in a double pendulum, Am. J. Phys. 60 (1992) 491-499.

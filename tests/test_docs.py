@@ -56,6 +56,22 @@ def test_links_to_files_lead_somewhere(page):
         assert (page.parent / target.partition("#")[0]).exists(), target
 
 
+def test_every_formula_can_be_shown_without_a_network(monkeypatch):
+    pytest.importorskip("latex2mathml")
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    formula = importlib.import_module("mathml").formula
+    found = 0
+    for page in (ROOT / "docs").rglob("*.md"):
+        text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for latex in re.findall(r"\$\$(.+?)\$\$|(?<!\$)\$([^$\n]+)\$(?!\$)", text, re.DOTALL):
+            shown = formula("".join(latex))
+            assert "<math" in shown
+            assert not re.search(r"<m[io]>\\", shown), latex  # a command that it does not know
+            found += 1
+    assert found > 100
+
+
 def test_every_public_name_is_documented():
     for name in invariode.__all__:
         assert name == "METHODS" or getattr(invariode, name).__doc__, name

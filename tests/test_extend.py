@@ -297,7 +297,7 @@ WRONG = {
     "the other way": (dict(t_end=-1), ValueError, "in its direction; got -1"),
     "NaN": (dict(t_end=np.nan), ValueError, "t_end must not be NaN"),
     "text": (dict(t_end="late"), TypeError, "t_end must be a real number"),
-    "tolerance": (dict(t_end=3, rtol=1e-3), TypeError, "rtol is that of the run"),
+    "tolerance": (dict(t_end=3, rtol=1e-3), TypeError, "rtol cannot change within a run"),
     "method": (dict(t_end=3, methods="ode45"), TypeError, "unknown option 'methods'"),
     "misspelt": (dict(t_end=3, max_stepp=1), TypeError, "did you mean 'max_step'"),
 }

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from ._arguments import call_name, shown
 from .compiled import is_native
 from .description import Description
 
-__all__ = ["explained"]
+__all__ = ["explain"]
 
 
-@contextmanager
-def explained(problem: Description) -> Iterator[None]:
-    """Adds to an exception of the user's functions what their call has to do with it; the exception stays the same."""
-    try:
-        yield
-    except TypeError as error:
+def explain(error: TypeError | ValueError, problem: Description) -> None:
+    """Adds to an exception what the call of a function has to do with it, where that is known; it stays the same."""
+    if isinstance(error, TypeError):
         if problem.args and (found := [name for name, fun in _functions(problem) if not _takes(fun, problem.args)]):
             several = len(found) > 1
             error.add_note(
@@ -27,11 +23,8 @@ def explained(problem: Description) -> Iterator[None]:
                 f"events, and {' and '.join(found)} {'do' if several else 'does'} not take them: define "
                 f"{'them' if several else 'it'} with (t, y, *args)"
             )
-        raise
-    except ValueError as error:
-        if "returned shape" in str(error) and ", 1)" in str(error):
-            error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
-        raise
+    elif "returned shape" in str(error) and ", 1)" in str(error):
+        error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
 
 
 def _functions(problem: Description) -> Iterator[tuple[str, Any]]:

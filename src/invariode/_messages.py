@@ -52,9 +52,15 @@ def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tup
     if run.state == "invariant_convicted":
         return -2, _convicted(run, names, demanded, pairs)
     if run.state == "start_undefined" and run.singular:
-        return -1, f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'."
+        return -1, (
+            f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'. Try a mass matrix "
+            "that is regular there, or differentiate the constraints until the slopes are determined."
+        )
     if run.state == "start_undefined":
-        return -1, f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite."
+        return -1, (
+            f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite. Correct fun or "
+            "y0."
+        )
     if run.state == "action_out_of_bounds":
         return -1, (
             f"After the action of an event at t = {run.t:.6g} component {run.component} is outside of its bounds by "
@@ -94,9 +100,12 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
-        return f"{what} NaN or infinite also with the smallest step, {where}."
+        return (
+            f"{what} NaN or infinite also with the smallest step, {where}. If the solution should not come "
+            "there, try a smaller rtol and atol; if it should, stop it before by a terminal event."
+        )
     if run.cause == "newton":
-        return f"{_newton_failed(run, pairs)} {where}."
+        return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
     if run.cause == "bounds":
         return (
             f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance also with the "
@@ -111,7 +120,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     if run.cause == "projection":
         return (
             f"The projection onto the invariants fails also with the smallest step, {where}: "
-            "the tolerance is too loose, or the invariants are near singular here."
+            "the tolerance is too loose, or the invariants are near singular here. Try a smaller rtol, or fewer "
+            "invariants."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
     if run.pure_relative:
@@ -119,7 +129,16 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
             f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
             "impossible there. Give an atol > 0."
         )
+    else:
+        text += (
+            " The solution may have a singularity there, or fun a jump: try another rtol, stop before it by a terminal "
+            "event, or let an event with an action take the jump."
+        )
     return text
+
+
+#: What helps where Newton's iteration fails.
+_NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution before by a terminal event."
 
 
 def _newton_failed(run: Run, pairs: bool) -> str:
@@ -139,9 +158,9 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     """The text of the ValueError for a start that satisfies no algebraic equations."""
     if verdict == "index_too_high":
         return (
-            f"the equations with this mass matrix are no differential-algebraic system of index 1 at t = {t0}: its "
-            "algebraic equations do not determine the components that mass leaves free. Differentiate the constraints "
-            "until they do"
+            f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
+            "the algebraic equations do not determine the components that mass leaves free. Differentiate the "
+            "constraints until they do"
         )
     return (
         f"y0 does not satisfy the algebraic equations of the singular mass matrix at t = {t0}, and no consistent "
@@ -158,7 +177,10 @@ def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) ->
             "event rehold."
         )
     if run.finding == "undefined":
-        return f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}."
+        return (
+            f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let "
+            "the action return a point where it is."
+        )
     if run.finding == "wrong_jacobian":
         text = _wrong_jacobian_of(run, names, pairs)
         return text[0].upper() + text[1:]

@@ -193,7 +193,9 @@ def _rows(y0: ArrayLike, args: Any) -> tuple[Array, Any]:
     if states.ndim == 1:
         states = np.broadcast_to(states, (len(extra), len(states)))
     if len(states) != len(extra):
-        raise ValueError(f"y0 has {len(states)} rows and args has {len(extra)}: they must be as many")
+        raise ValueError(
+            f"y0 has {len(states)} rows and args has {len(extra)}: give one row of args for each row of y0"
+        )
     return states, extra
 
 

@@ -15,7 +15,7 @@ __all__ = ["Event", "to_events"]
 class Event:
     """A function of the solution whose zeros are located.
 
-    A plain function with the attributes `terminal` and `direction`, as SciPy takes it, is as good.
+    A plain function with the attributes `terminal` and `direction`, as SciPy takes it, works too.
 
     Parameters
     ----------

@@ -231,7 +231,7 @@ def _tolerance(given: ArrayLike) -> float | list[float]:
 
 
 # ----------------------------------------------------------------------------------------------------------------------
-# Files: an .npz archive of arrays, and in `about` all that is no array, as JSON. Nothing in it is ever executed.
+# Files: an .npz archive of arrays, and in `about` everything else, as JSON. Nothing in it is ever executed.
 
 
 def save(solution: Result, path: str | os.PathLike[str]) -> None:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
-from ._arguments import Array, extra_arguments, function, number, reals, state, tolerances
+from ._arguments import Array, extra_arguments, flag, function, number, quietly, reals, state, tolerances
 from ._messages import wrong_jacobian
 from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
+from .description import Description
 from .invariants import BoundInvariants, InvariantsLike, bind, to_invariants
 from .notebook import html_of_check
+from .run import solve
 
 __all__ = ["CheckReport", "check_invariants"]
 
@@ -45,7 +48,7 @@ class CheckReport:
     stationary : ndarray of bool
         The gradient is 0.
     conserved : ndarray of bool
-        The rate is roundoff: the angle is not above what is detectable, or differs at points nearby.
+        The rate is roundoff, at the point and at others near it: the angle is not above what is detectable.
     on_manifold : ndarray of bool
         The distance is at most 1.
     derivatives : list of str
@@ -96,6 +99,7 @@ def check_invariants(
     *,
     rtol: Numbers = 1e-3,
     atol: Numbers = 1e-6,
+    nearby: bool = True,
 ) -> CheckReport:
     """Are these functions invariants of y' = f(t, y)? What a solve asks at its start, as a report.
 
@@ -108,12 +112,15 @@ def check_invariants(
     t : float
         The time.
     y : array_like of shape (n,)
-        The point; better no equilibrium and no point of symmetry, where much looks conserved.
+        The point.
     args : tuple, optional
         Extra arguments of the functions.
     rtol : float or array_like of shape (n,), default 1e-3
     atol : float or array_like of shape (n,), default 1e-6
         The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured.
+    nearby : bool, default True
+        Whether what is conserved at the point is tested at points near it too, and along a short run: at points of
+        rest and of symmetry much looks conserved.
 
     Returns
     -------
@@ -152,10 +159,81 @@ def check_invariants(
         invariants=[_core.Invariant(*spec) for spec in bound.specs],
         value=bound.value,
     )
-    found = _core.examine(at, point.view(float), problem, _core.Tolerances(least, threshold, scale))
+    weights = _core.Tolerances(least, threshold, scale)
+    found = _core.examine(at, point.view(float), problem, weights)
     if found is None:
-        raise ValueError(f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}")
-    return _report(found, bound, at, np.iscomplexobj(point))
+        raise ValueError(
+            f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}: give a point where all are"
+        )
+    report = _report(found, bound, at, np.iscomplexobj(point))
+    if not (flag("nearby", nearby) and report.conserved.any()):
+        return report
+    others = _points_nearby(Description(fun, (at, np.inf), point, args=extra))
+    return _with_points(report, [_examined(*other, problem, weights) for other in others])
+
+
+#: Points near the one that is checked, and their distance in units of the sizes of the components.
+_NEARBY, _SPREAD = 4, 0.05
+
+#: The short run: so many steps of ode45, of which so many points are checked.
+_STEPS, _ALONG = 20, 4
+
+
+def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
+    """Points of a short run, and others around the start, in every direction; the same ones every time."""
+    t, y = problem.t_span[0], problem.y0
+    run: list[tuple[float, Array]] = []
+
+    def note(at: float, state: Array) -> bool:
+        run.append((at, state.copy()))
+        return len(run) >= _STEPS
+
+    # outside of its domain f may raise anything: what the run has reached by then will do
+    with quietly(), suppress(Exception):
+        solve(problem, "ode45", {"callback": note, "keep": "end", "max_step": np.inf})
+    sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
+    sizes[sizes == 0] = sizes.max(initial=0) or 1.0
+    random = np.random.default_rng(0)
+    around = random.standard_normal((_NEARBY, len(y)))
+    if np.iscomplexobj(y):
+        around = around + 1j * random.standard_normal((_NEARBY, len(y)))
+    along = [run[i] for i in np.unique(np.linspace(0, len(run) - 1, min(_ALONG, len(run))).astype(int))]
+    return [*along, *((t, y + _SPREAD * sizes * direction) for direction in around)]
+
+
+class _Elsewhere(NamedTuple):
+    """What was found at another point."""
+
+    t: float
+    y: Array
+    found: _core.Examination
+
+
+def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
+    """None where something is not defined."""
+    try:
+        found = _core.examine(t, y.view(float), problem, weights)
+    except Exception:  # of a function of the user, where the user did not send it
+        return None
+    return None if found is None else _Elsewhere(t, y, found)
+
+
+def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
+    """The report, with invariants refused that are conserved at its point only."""
+    conserved, findings = report.conserved.copy(), []
+    for i in np.flatnonzero(report.conserved):
+        there = [other for other in others if other is not None and not other.found.conserved[i]]
+        if there:
+            worst = max(there, key=lambda other: float(other.found.angle[i]))
+            conserved[i] = False
+            findings.append(
+                f"{report.names[i]} is not conserved by fun: it looks so at this point, but at t = {worst.t:.6g}, "
+                f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it changes at the rate "
+                f"{worst.found.rate[i]:.3g} ({worst.found.angle[i]:.1e} of its terms)"
+            )
+    if not findings:
+        return report
+    return replace(report, conserved=conserved, findings=[*report.findings, *findings], ok=False)
 
 
 def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:

@@ -37,7 +37,7 @@ from .compiled import CoreFunction, is_native, native_parameters, to_native
 __all__ = ["AccuracyWarning", "ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
 
 
-#: How a Jacobian can be had without a function for it.
+#: How a Jacobian is computed without a function for it.
 _KINDS = ("complex-step", "3-point", "2-point")
 
 #: With when="needed", what is closer to the manifold is left alone, in units of rtol.
@@ -91,7 +91,7 @@ class Invariants:
     Notes
     -----
     The units of g do not matter: distances to the manifold are measured in the weights of the error test. Redundant
-    invariants are dropped with a warning. A function that is no invariant of the equations is refused.
+    invariants are dropped with a warning. A function that the equations do not conserve is refused.
 
     Constraints of mechanics have levels: positions are put on φ(q) = 0 by moving q alone, then velocities on φ̇ = 0 by
     moving v alone, so that errors of v do not move q. The least correction in the metric of the mass matrix is what

@@ -156,7 +156,7 @@ def _array(archive: ZipFile, member: ZipInfo) -> Array:
             shape, by_columns, dtype = read[header.read_magic(stream)](stream)
             size = math.prod(shape) * dtype.itemsize
         except Exception as wrong:  # a header is Python's text: tokenizer, parser and NumPy have an error each
-            raise ValueError(f"{member.filename} is no array: {type(wrong).__name__}: {wrong}") from None
+            raise ValueError(f"{member.filename} is not an array: {type(wrong).__name__}: {wrong}") from None
         contents = stream.read()
     kinds = "U" if member.filename == "about.npy" else "fci"
     if dtype.kind not in kinds or size != len(contents) or min(shape, default=0) < 0:

@@ -67,11 +67,11 @@ def odeint(
     t : array_like of shape (n_t,)
         Times of the output, in rising or falling order; they may repeat.
     args : tuple, optional
-        Extra arguments of `func`, `Dfun` and `invariants`.
+        Extra arguments of `func`, ``Dfun`` and `invariants`.
     Dfun : callable, optional
         The Jacobian of `func`, called as that is. With `ml` or `mu` its bands, ``[i - j + mu, j]`` for entry (i, j).
     col_deriv : bool, default False
-        Whether `Dfun` returns the transpose of that.
+        Whether ``Dfun`` returns the transpose of that.
     full_output : bool, default False
         Whether a dictionary is returned too.
     ml, mu : int, optional
@@ -93,9 +93,9 @@ def odeint(
     hmin, ixpr, mxhnil : optional
         They have no effect, and a warning says so.
     tfirst : bool, default False
-        Whether t is the first argument of `func` and `Dfun`.
+        Whether t is the first argument of `func` and ``Dfun``.
     method : str, optional
-        A name in `METHODS`. Default: 'ode15s' where `Dfun`, `ml` or `mu` is given, else 'ode113'. Stiff problems
+        A name in `METHODS`. Default: 'ode15s' where ``Dfun``, `ml` or `mu` is given, else 'ode113'. Stiff problems
         take many steps with ode113: give ``method="ode15s"``.
     invariants : callable, Invariants, or list of these, optional
         What the solution keeps, ``g(t, y, *args)``: see `solve_ivp`.
@@ -107,14 +107,14 @@ def odeint(
     infodict : dict
         With `full_output`. Arrays of one value for each time but the first: `hu`, the size of the step that reached
         it; `tcur`, where that step ended; `nqu`, its order; `nst`, the steps up to there; `nfe`, the evaluations of f
-        and `nje` those of its Jacobian (without `Dfun` the total, at every time); `mused`, 1 for methods without
+        and `nje` those of its Jacobian (without ``Dfun`` the total, at every time); `mused`, 1 for methods without
         Jacobians and 2 for the others. And the `message`. ODEPACK's `tolsf`, `tsw`, `lenrw`, `leniw` and `imxer` have
         no meaning here.
 
     Raises
     ------
     TypeError, ValueError
-        As `solve_ivp`, also where `func` or `Dfun` returns the wrong shape.
+        As `solve_ivp`, also where `func` or ``Dfun`` returns the wrong shape.
 
     Warns
     -----

@@ -53,7 +53,7 @@ class NoReferenceError(Exception):
 
 @dataclass(frozen=True)
 class Reference:
-    """The final state, how it was had, and how far two methods disagree on it.
+    """The final state, how it was computed, and how far two methods disagree on it.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Reference:
 class Run:
     """One method at one tolerance: error, evaluations of f (the tests of invariants too), of g, and of its Jacobian.
 
-    `problem`: why there is no error, else None. `derivatives`: how the Jacobian was had.
+    `problem`: why there is no error, else None. `derivatives`: how the Jacobian was computed.
     """
 
     error: float
@@ -332,7 +332,7 @@ def judgements(rows: Sequence[Row], floor: float) -> list[Judgement]:
 
 
 def best(rows: Sequence[Row], floor: float) -> Judgement:
-    """Of the cheapest method each: of those that reach the error, or less, with the runs made.
+    """Compares, at each error, the cheapest methods that reach it, plain and projected.
 
     Errors are left out that a method which is cheaper so far might reach with a tighter tolerance than those tried.
     """

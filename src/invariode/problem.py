@@ -41,7 +41,7 @@ class Problem(Description):
     Raises
     ------
     TypeError
-        An argument of a wrong type, as a `fun` that is no function.
+        An argument of a wrong type, such as a `fun` that is not callable.
     ValueError
         y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; `labels` are not n; an input does not
         cover `t_span`. What only a

@@ -86,7 +86,7 @@ class Stats(Record):
     ngdiff : int
         Of `ng`, those that Jacobians cost: complex steps and differences, and the choice between them at the start.
     derivatives : str or None
-        How the Jacobians of the invariants were had: 'given', 'complex step', 'central differences', 'forward
+        How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
         differences', several of these, or None.
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic

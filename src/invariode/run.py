@@ -11,7 +11,7 @@ import numpy as np
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
-from ._calls import explained
+from ._calls import explain
 from ._interruption import stopped_by_interrupt
 from ._messages import MESSAGES, harmful_projection, limited_by_stability
 from ._options import ExtensionOptions, Options
@@ -105,8 +105,11 @@ class RunOrigin:
 
 def solve(problem: Description, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
-    with explained(problem):
+    try:
         return _solved(problem, method, options)
+    except (TypeError, ValueError) as error:
+        explain(error, problem)
+        raise
 
 
 def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
@@ -116,7 +119,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
         if name in given:
             given[name] = kept(given[name])
     source = Source(problem, method, given)
-    if any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
+    if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
         if ended_at_start(plan, found) and sol.success:
             status, message = MESSAGES["terminal_event"]
@@ -282,7 +285,7 @@ def _resumed(old: Solution, origin: RunOrigin, rest: Description) -> Resumed:
 def _times(origin: RunOrigin, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
     """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
     if origin.source.options.get("t_eval") is None:
-        raise ValueError("the run has output at its steps, so has its extension: t_eval is not possible")
+        raise ValueError("the run has output at its steps, and so will its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
     beyond = times[forward * (times - tf) > 0]
     if t_eval is not None:

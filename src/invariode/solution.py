@@ -168,5 +168,6 @@ def _of_the_run(name: str) -> TypeError:
     if name not in TABLE:
         return unknown_option(name, own)
     return TypeError(
-        f"{name} is that of the run: extend takes {', '.join(own)}. For other options solve from the final state"
+        f"{name} cannot change within a run: extend takes {', '.join(own)}. For another {name} solve from the final "
+        "state"
     )

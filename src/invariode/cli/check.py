@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -41,8 +41,9 @@ def check(
     """Report whether the invariants of a problem are invariants of its equations.
 
     At the initial point: the value held, how far the point is off, the rate d/dt of the invariant along the equations,
-    absolute and in units of its terms (roundoff for invariants). With [bold]--along[/], at points along a solution that
-    is computed without projection, with tolerances a thousand times smaller.
+    absolute and in units of its terms (roundoff for invariants). What is conserved there is tested at points near it
+    too, and along a short run. With [bold]--along[/], at points along a solution that is computed without projection,
+    with tolerances a thousand times smaller.
 
     Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -52,7 +53,7 @@ def check(
         problem = load(file)
         _checkable(problem)
         t0, tf = problem.t_span
-        report = _report(problem, t0, problem.y0, rtol, atol)
+        report = _report(problem, t0, problem.y0, rtol, atol, nearby=True)
         _print_report(console, problem, report)
         findings = list(report.findings)
         if along:
@@ -81,8 +82,9 @@ def _checkable(problem: Problem) -> None:
         raise stop("check is for y' = f(t, y), and this problem has a mass matrix; a solve checks it at its start.", 2)
 
 
-def _report(problem: Problem, t: float, y: np.ndarray, rtol: float, atol: float) -> CheckReport:
-    return check_invariants(problem.fun, problem.invariants, float(t), y, problem.args, rtol=rtol, atol=atol)
+def _report(problem: Problem, t: float, y: np.ndarray, rtol: float, atol: float, nearby: bool = False) -> CheckReport:
+    given: dict[str, Any] = {"rtol": rtol, "atol": atol, "nearby": nearby}
+    return check_invariants(problem.fun, problem.invariants, float(t), y, problem.args, **given)
 
 
 def _print_report(console: Console, problem: Problem, report: CheckReport) -> None:

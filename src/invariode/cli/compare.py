@@ -35,7 +35,7 @@ from ..precision import (
 )
 from ..problem import Problem
 from .load import File, load
-from .session import PICTURES, clock, complete_method, count, examples, guarded, method_of, stop, writable
+from .session import INTERRUPTED, PICTURES, clock, complete_method, count, examples, guarded, method_of, stop, writable
 
 __all__ = ["EXAMPLES", "compare"]
 
@@ -77,6 +77,7 @@ def compare(
     progress: Annotated[
         bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
     ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the answer and nothing else.")] = False,
 ) -> None:
     """Is projection worth it here, or is tightening the tolerance cheaper?
 
@@ -101,22 +102,35 @@ def compare(
         shown = Console(stderr=True).is_terminal if progress is None else progress
         with in_passing(), bar(shown, "reference", len(methods) * len(rtols)) as told:
             truth, rows = _all(problem, methods, rtols, atol_ratio, limit, told)
-    _print_runs(console, problem, rows, truth)
-    _print_notes(console, rows, limit)
-    if not any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run):
-        raise stop("No run reached the end.", code=1)
-    _print_answer(console, problem, rows, truth)
+    _print_all(console, problem, rows, truth, limit, quiet)
     if plot is not None:
         _draw(rows, truth, problem, plot)
-        console.print("Wrote", Text(str(plot), style="bold"), soft_wrap=True)
+        if not quiet:
+            console.print("Wrote", Text(str(plot), style="bold"), soft_wrap=True)
 
 
-def _print_answer(console: Console, problem: Problem, rows: list[Row], truth: Reference) -> None:
+def _print_all(
+    console: Console, problem: Problem, rows: list[Row], truth: Reference, limit: float, quiet: bool
+) -> None:
+    """The answer first, then what it follows from."""
+    reached = any(math.isfinite(run.error) for row in rows for run in (row.plain, row.projected) if run)
+    if reached:
+        console.print(Text(_answer(problem, rows, truth), style="bold"))
+    if not quiet:
+        if reached:
+            console.print()
+        _print_runs(console, problem, rows, truth)
+        _print_notes(console, rows, limit)
+        if problem.invariants and reached:
+            _print_ratios(console, judgements(rows, truth.floor))
+    if not reached:
+        raise stop("No run reached the end: raise --limit, or choose other methods or --decades.", code=1)
+
+
+def _answer(problem: Problem, rows: list[Row], truth: Reference) -> str:
     if problem.invariants:
-        _print_ratios(console, judgements(rows, truth.floor))
-        console.print(Text(answer(best(rows, truth.floor)), style="bold"))
-    else:
-        console.print(Text(_without_invariants(problem, rows, truth.floor), style="bold"))
+        return answer(best(rows, truth.floor))
+    return _without_invariants(problem, rows, truth.floor)
 
 
 def _draw(rows: list[Row], truth: Reference, problem: Problem, path: Path) -> None:
@@ -168,10 +182,14 @@ def _all(
     except NoReferenceError as none:
         raise stop(str(none), code=1) from None
     rows = []
-    for row in compare_runs(problem, methods, rtols, ratio, limit, truth):
-        rows.append(row)
-        if told:
-            told(len(rtols) * [m.name for m in methods].index(row.method) + rtols.index(row.rtol) + 1, row.method)
+    try:
+        for row in compare_runs(problem, methods, rtols, ratio, limit, truth):
+            rows.append(row)
+            if told:
+                told(len(rtols) * [m.name for m in methods].index(row.method) + rtols.index(row.rtol) + 1, row.method)
+    except KeyboardInterrupt:
+        done = f"{len(rows)} of {len(methods) * len(rtols)} comparisons"
+        raise stop(f"Interrupted after {done}; nothing was written. Try --method and --decades.", INTERRUPTED) from None
     return truth, rows
 
 

@@ -15,13 +15,16 @@ from rich.text import Text
 
 from .._arguments import Array, tolerances
 from .._progress import in_passing
+from ..compiled import is_native
 from ..invariants import bind
+from ..pictures.canvas import component, listed
 from ..precision import unprojected
 from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
 from .session import (
     ATOL,
+    INTERRUPTED,
     PICTURES,
     RTOL,
     clock,
@@ -65,31 +68,51 @@ Progress = Annotated[
 ]
 
 
+# The options of the command.
+MethodOption = Annotated[
+    str,
+    typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
+]
+ProjectOption = Annotated[
+    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
+]
+TimesOption = Annotated[
+    int | None,
+    typer.Option("--t-eval", metavar="N", min=2, help="Output at N equally spaced times instead of at the steps."),
+]
+DenseOption = Annotated[bool, typer.Option("--dense", help=f"Output between the steps too, {DENSE} points per step.")]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="Where the solution goes: .csv, .parquet, .nc or .npz."),
+]
+PlotOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot",
+        "--save-figure",
+        "-p",
+        metavar="FILE",
+        help="Draw the solution and the drift of its invariants: .png, .svg or .pdf.",
+    ),
+]
+ComponentsOption = Annotated[
+    str | None,
+    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, as in x,y,3."),
+]
+
+
 def solve(
     file: File,
-    method: Annotated[
-        str,
-        typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
-    ] = "ode45",
+    method: MethodOption = "ode45",
     rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
     atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
-    project: Annotated[
-        bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
-    ] = True,
-    t_eval: Annotated[
-        int | None,
-        typer.Option("--t-eval", metavar="N", min=2, help="Output at N equally spaced times instead of at the steps."),
-    ] = None,
-    dense: Annotated[
-        bool, typer.Option("--dense", help=f"Output between the steps too, {DENSE} points per step.")
-    ] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Where the solution goes: .csv, .parquet, .nc or .npz."),
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", "-p", metavar="FILE", help="Draw the solution: .png, .svg or .pdf.")
-    ] = None,
+    project: ProjectOption = True,
+    t_eval: TimesOption = None,
+    dense: DenseOption = False,
+    output: OutputOption = None,
+    plot: PlotOption = None,
+    components: ComponentsOption = None,
+    log: Annotated[bool, typer.Option("--log", help="Draw over a logarithmic axis of time.")] = False,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
     progress: Progress = None,
     max_steps: MaxSteps = None,
@@ -110,16 +133,20 @@ def solve(
         writable(output, OUTPUTS, "--output", "data", force)
     if plot is not None:
         writable(plot, PICTURES, "--plot", "plot", force)
+    elif components is not None or log:
+        raise typer.BadParameter("is for the picture: give --plot FILE too", param_hint="--components, --log")
     with guarded():
         problem = load(file)
-        options = _options(problem, rtol, atol, t_eval, dense, plot is not None)
+        drawn = _drawn(problem, components)
+        options = _options(problem, rtol, atol, t_eval, dense)
         shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
-            sol = run.solve(method, progress=shown, max_steps=max_steps, time_limit=time_limit, **options)
+            limits = {"max_steps": max_steps, "time_limit": time_limit}
+            sol = _solved(run, method, {"progress": shown, **limits, **options})
             seconds = perf_counter() - start
-    _write(sol, problem.name, output, plot)  # first of all: what is printed may get lost
+    _write(sol, output, plot, (problem.name, drawn, log))  # first of all: what is printed may get lost
     if not quiet:
         with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
@@ -133,30 +160,58 @@ def solve(
         raise stop(sol.message, code=1) if quiet else typer.Exit(1)
 
 
-def _options(
-    problem: Problem, rtol: float, atol: float, points: int | None, dense: bool, pictured: bool
-) -> dict[str, Any]:
-    """Those of the solve: output at so many points, or between the steps; a picture needs the dense output."""
+def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[str, list[int] | None, bool]) -> None:
+    if output is not None:
+        write_to(output, lambda: _save(sol, output))
+    if plot is not None:
+        write_to(plot, lambda: _draw(sol, *look, plot))
+
+
+def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
+    """The solution; Ctrl-C ends the command with a line about where the run was."""
+    reached = [problem.t_span[0], 0.0]
+
+    def note(t: float, y: Array) -> None:
+        reached[0] = t
+        reached[1] += 1
+
+    if not is_native(problem.fun):  # native code need not wait for Python at each step
+        options = {"callback": note, **options}
+    try:
+        return problem.solve(method, **options)
+    except KeyboardInterrupt:
+        where = "" if is_native(problem.fun) else f" at t = {reached[0]:.6g}, after {reached[1]:.0f} steps"
+        raise stop(f"Interrupted{where}; nothing was saved.", INTERRUPTED) from None
+
+
+def _drawn(problem: Problem, given: str | None) -> list[int] | None:
+    """Indices of the components to draw, refused before the work is done."""
+    if given is None:
+        return None
+    names = [name.strip() for name in given.split(",")]
+    try:
+        return [component(problem.labels, name if name in problem.labels else int(name)) for name in names]
+    except ValueError:
+        known = listed(problem.labels)
+        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint="--components") from None
+
+
+def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
+    """Those of the solve: output at so many points, or between the steps."""
     return {
         "rtol": rtol,
         "atol": atol,
         "t_eval": None if points is None else _times(problem, points),
         "refine": DENSE if dense else 1,
-        "dense_output": dense or pictured,
+        "dense_output": dense,
     }
-
-
-def _write(sol: Solution, name: str, output: Path | None, plot: Path | None) -> None:
-    if output is not None:
-        write_to(output, lambda: _save(sol, output))
-    if plot is not None:
-        write_to(plot, lambda: _draw(sol, name, plot))
 
 
 def _times(problem: Problem, size: int) -> Array:
     if not np.isfinite(problem.t_span).all():
         raise typer.BadParameter(
-            f"{problem.name} has no end to space them up to: {problem.t_span}", param_hint="--t-eval"
+            f"equally spaced times need a finite interval, and that of {problem.name} is {problem.t_span}",
+            param_hint="--t-eval",
         )
     return np.linspace(*problem.t_span, size)
 
@@ -238,16 +293,11 @@ def _save(sol: Any, path: Path) -> None:
         sol.to_dataframe().to_csv(path)
 
 
-def _draw(sol: Any, name: str, path: Path) -> None:
+def _draw(sol: Any, name: str, drawn: list[int] | None, log: bool, path: Path) -> None:
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
     from ..paper.plots import STYLE
-    from ..pictures.canvas import drawable
+    from ..pictures.whole_run import draw
 
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 3.9), layout="constrained")
-        axes = figure.add_subplot()
-        sol.plot(ax=axes)
-        axes.set_title(drawable(name))
-        figure.savefig(path, dpi=200)
+        draw(sol, name, drawn, log).savefig(path, dpi=150)

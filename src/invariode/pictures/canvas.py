@@ -77,6 +77,8 @@ def new_panels(sol: Result, heights: Sequence[float], **options: Any) -> Array:
 
 def drawable(name: str) -> str:
     """A name as text of a picture: dollar signs that enclose no formula that matplotlib reads stand for themselves."""
+    if "$" not in name:
+        return name
     from matplotlib.mathtext import MathTextParser
 
     try:

@@ -62,7 +62,7 @@ def _label(g: BoundInvariants, relative: bool) -> str:
     kind = "relative residual" if relative else "residual"
     if len(g) == 1:
         return f"{kind} of {drawable(g.names[0])}"
-    return rf"{kind} $|g/\mathrm{{value}} - 1|$" if relative else r"residual $|g - \mathrm{value}|$"
+    return f"{kind} |g − value| / |value|" if relative else "residual |g − value|"
 
 
 def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[BoundInvariants, Array, Array]:

@@ -26,7 +26,7 @@ from .curves import Curve, curve, draw_over_t, line_and_marks, parts
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw", "groups_of_scale"]
+__all__ = ["draw", "draw_groups", "groups_of_scale"]
 
 #: Components whose sizes differ by more than this cannot be seen on one axis.
 _APART = 1e3
@@ -45,6 +45,13 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axe
     whole = curve(sol)
     groups = groups_of_scale(whole.y, those) if ax is None else [those]
     panels: list[Axes] = list(new_panels(sol, [1] * len(groups))) if ax is None else [ax]
+    draw_groups(panels, sol, whole, groups, line)
+    panels[-1].set_xlabel("$t$")
+    return panels[0]
+
+
+def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list[int]], line: dict[str, Any]) -> None:
+    """A group of components on each panel, with legends or labels."""
     names = sol._names.components
     look, given = properties(line)
     for panel, group in zip(panels, groups, strict=True):
@@ -52,8 +59,6 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axe
         if len(group) == 1:
             panel.set_ylabel(drawable(names[group[0]]))
         legend(panel, f"{len(group)} components" if len(group) > MOST else None)
-    panels[-1].set_xlabel("$t$")
-    return panels[0]
 
 
 def groups_of_scale(y: Array, chosen: list[int]) -> list[list[int]]:
