@@ -15,37 +15,27 @@
 
 #include "arrays.hpp"
 #include "interpreter.hpp"
+#include "mechanics.hpp"
 
 namespace invariode::binding {
 
-/// What a Python function is to return.
-struct Returns {
-  enum class Kind { values, truth } kind = Kind::values;
-  npy_intp rows = 1;  // (rows, columns) numbers; vectors have one column
-  npy_intp columns = 1;
-  bool matrix = false;
-  bool complex = false;
-
-  [[nodiscard]] npy_intp size() const { return rows * columns; }
-};
-
 namespace {
 
-/// A Python callable as a core callback. y is handed over in an array that the callee may keep: it is used again only
-/// if nobody else holds it or a view of it. Results are copied at once. The first exception stays set, and the callback
-/// says `stop`.
+/// A Python callable as a core callback. y, or its two parts, is handed over in an array that the callee may keep: it
+/// is used again only if nobody else holds it or a view of it. Results are copied at once. The first exception stays
+/// set, and the callback says `stop`.
 class PythonFunction final : public Callable {
  public:
-  PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, npy_intp n, bool complex,
-                 Returns returns)
+  PythonFunction(nb::handle callable, const nb::tuple& args, std::string name, Takes takes, Returns returns)
       : callable_(nb::borrow(callable)),
         args_(args),
         name_(std::move(name)),
         looks_for_signals_(PyFunction_Check(callable.ptr())),
-        n_(n),
-        complex_(complex),
+        takes_(takes),
         returns_(returns) {}
-  ~PythonFunction() override { Py_XDECREF(reinterpret_cast<PyObject*>(spare_)); }
+  ~PythonFunction() override {
+    for (PyArrayObject* spare : spare_) Py_XDECREF(reinterpret_cast<PyObject*>(spare));
+  }
 
   [[nodiscard]] Callback callback() { return {&PythonFunction::entry, this}; }
   int visit(visitproc visit, void* arg) const override {
@@ -61,9 +51,11 @@ class PythonFunction final : public Callable {
 
   // None of these throws, but each may end its thread (`in_python`).
   bool call(double t, const double* y, double* out);
-  PyObject* call_with_tuple(PyObject* time, PyArrayObject* y) const;
-  PyArrayObject* array_for(const double* y);
-  [[nodiscard]] bool reusable(PyArrayObject* a) const;
+  PyObject* call_with(PyObject* time, PyArrayObject* const* parts);
+  PyObject* call_with_tuple(PyObject* time, PyArrayObject* const* parts) const;
+  [[nodiscard]] PyObject* time_for(double t, const double*& y) const;
+  PyArrayObject* array_for(std::size_t part, const double* y);
+  [[nodiscard]] bool reusable(PyArrayObject* a, npy_intp size) const;
   bool read(PyObject* result, double* out);
   bool read_truth(PyObject* result, double* out) const;
   [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
@@ -76,70 +68,82 @@ class PythonFunction final : public Callable {
   nb::tuple args_;
   std::string name_;
   bool looks_for_signals_;  // a function written in Python does so itself when it is entered
-  npy_intp n_;
-  bool complex_;
+  Takes takes_;
   Returns returns_;
-  PyArrayObject* spare_ = nullptr;  // the array of the last call, if no call is under way
+  PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way
 };
 
-bool PythonFunction::reusable(PyArrayObject* a) const {
+bool PythonFunction::reusable(PyArrayObject* a, npy_intp size) const {
   constexpr int flags =
       NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
-  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == 1 && PyArray_DIM(a, 0) == n_ &&
-         PyArray_FLAGS(a) == flags && PyArray_TYPE(a) == (complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
+  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == 1 && PyArray_DIM(a, 0) == size &&
+         PyArray_FLAGS(a) == flags && PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE);
 }
 
-PyArrayObject* PythonFunction::array_for(const double* y) {
-  PyArrayObject* a = std::exchange(spare_, nullptr);
-  if (!reusable(a)) {
+PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
+  npy_intp size = part == 0 ? takes_.n : takes_.second;
+  PyArrayObject* a = std::exchange(spare_[part], nullptr);
+  if (!reusable(a, size)) {
     Py_XDECREF(reinterpret_cast<PyObject*>(a));
-    a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, &n_, complex_ ? NPY_CDOUBLE : NPY_DOUBLE));
+    a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, &size, takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE));
     if (a == nullptr) return nullptr;
   }
-  std::copy_n(y, n_ * (complex_ ? 2 : 1), static_cast<double*>(PyArray_DATA(a)));
+  std::copy_n(y, size * (takes_.complex ? 2 : 1), static_cast<double*>(PyArray_DATA(a)));
   return a;
+}
+
+/// t, which is the first of the complex numbers where there is a complex one; then they begin after it.
+PyObject* PythonFunction::time_for(double t, const double*& y) const {
+  if (!takes_.complex_time) return PyFloat_FromDouble(t);
+  const double re = y[0], im = y[1];
+  y += 2;
+  return im == 0 ? PyFloat_FromDouble(re) : PyComplex_FromDoubles(re, im);
 }
 
 bool PythonFunction::call(double t, const double* y, double* out) {
   if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
-  PyArrayObject* array = array_for(y);
-  if (array == nullptr) return false;
-  PyObject* time = PyFloat_FromDouble(t);
+  PyObject* time = time_for(t, y);
+  PyArrayObject* parts[2] = {array_for(0, y), nullptr};
+  const bool two = takes_.second > 0;
+  if (two) parts[1] = array_for(1, y + takes_.n * (takes_.complex ? 2 : 1));
   PyObject* result = nullptr;
-  if (time != nullptr) {
-    constexpr std::size_t few = 8;
-    const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
-    if (extra <= few) {
-      PyObject* arguments[few + 3];
-      arguments[1] = time;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
-      arguments[2] = reinterpret_cast<PyObject*>(array);
-      for (std::size_t i = 0; i < extra; ++i)
-        arguments[i + 3] = PyTuple_GET_ITEM(args_.ptr(), static_cast<Py_ssize_t>(i));
-      result =
-          PyObject_Vectorcall(callable_.ptr(), arguments + 1, (2 + extra) | PY_VECTORCALL_ARGUMENTS_OFFSET, nullptr);
-    } else {
-      result = call_with_tuple(time, array);
-    }
-    Py_DECREF(time);
-  }
+  if (time != nullptr && parts[0] != nullptr && (!two || parts[1] != nullptr)) result = call_with(time, parts);
   const bool done = result != nullptr && read(result, out);
   Py_XDECREF(result);
-  if (spare_ == nullptr)  // else a nested call of this function has left its own
-    spare_ = array;
-  else
-    Py_DECREF(reinterpret_cast<PyObject*>(array));
+  Py_XDECREF(time);
+  for (std::size_t k = 0; k < (two ? 2 : 1); ++k) {
+    if (spare_[k] == nullptr)  // else a nested call of this function has left its own
+      spare_[k] = parts[k];
+    else
+      Py_XDECREF(reinterpret_cast<PyObject*>(parts[k]));
+  }
   return done;
 }
 
+PyObject* PythonFunction::call_with(PyObject* time, PyArrayObject* const* parts) {
+  constexpr std::size_t few = 8;
+  const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
+  if (extra > few) return call_with_tuple(time, parts);
+  PyObject* arguments[few + 4];
+  std::size_t count = 1;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
+  arguments[count++] = time;
+  arguments[count++] = reinterpret_cast<PyObject*>(parts[0]);
+  if (parts[1] != nullptr) arguments[count++] = reinterpret_cast<PyObject*>(parts[1]);
+  for (std::size_t i = 0; i < extra; ++i)
+    arguments[count++] = PyTuple_GET_ITEM(args_.ptr(), static_cast<Py_ssize_t>(i));
+  return PyObject_Vectorcall(callable_.ptr(), arguments + 1, (count - 1) | PY_VECTORCALL_ARGUMENTS_OFFSET, nullptr);
+}
+
 /// The call with arguments that are too many for the stack.
-PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* y) const {
-  const Py_ssize_t extra = PyTuple_GET_SIZE(args_.ptr());
-  PyObject* arguments = PyTuple_New(2 + extra);
+PyObject* PythonFunction::call_with_tuple(PyObject* time, PyArrayObject* const* parts) const {
+  const Py_ssize_t extra = PyTuple_GET_SIZE(args_.ptr()), own = parts[1] == nullptr ? 2 : 3;
+  PyObject* arguments = PyTuple_New(own + extra);
   if (arguments == nullptr) return nullptr;
   PyTuple_SET_ITEM(arguments, 0, Py_NewRef(time));
-  PyTuple_SET_ITEM(arguments, 1, Py_NewRef(reinterpret_cast<PyObject*>(y)));
+  for (Py_ssize_t i = 1; i < own; ++i)
+    PyTuple_SET_ITEM(arguments, i, Py_NewRef(reinterpret_cast<PyObject*>(parts[i - 1])));
   for (Py_ssize_t i = 0; i < extra; ++i)
-    PyTuple_SET_ITEM(arguments, 2 + i, Py_NewRef(PyTuple_GET_ITEM(args_.ptr(), i)));
+    PyTuple_SET_ITEM(arguments, own + i, Py_NewRef(PyTuple_GET_ITEM(args_.ptr(), i)));
   PyObject* result = PyObject_Call(callable_.ptr(), arguments, nullptr);
   Py_DECREF(arguments);
   return result;
@@ -237,7 +241,7 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
   if (!numeric || (PyArray_ISCOMPLEX(array) && !returns_.complex)) {
     PyErr_Format(PyExc_TypeError, "%s returned values of type %S, expected %s numbers%s", name_.c_str(),
                  reinterpret_cast<PyObject*>(PyArray_DESCR(array)), returns_.complex ? "complex" : "real",
-                 PyArray_ISCOMPLEX(array) && !complex_ ? " (for a complex problem give a complex y0)" : "");
+                 PyArray_ISCOMPLEX(array) && !takes_.complex ? " (for a complex problem give a complex y0)" : "");
     return false;
   }
   if (PyArray_ISOBJECT(array)) return read_objects(array, out);
@@ -452,6 +456,20 @@ int Functions::visit(visitproc visit, void* arg) const {
 
 Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
                         bool complex_state) {
+  return add(f, args, name, returns,
+             Takes{.n = static_cast<std::ptrdiff_t>(space_.components()), .complex = complex_state});
+}
+
+Callback Functions::of_motion(nb::handle f, const std::string& name, const Takes& takes, const Returns& returns) {
+  return add(f, args_, name, returns, takes);
+}
+
+Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
+                        const Takes& takes) {
+  if (nb::isinstance<MotionPart>(f)) {
+    const auto& [mechanics, part] = nb::cast<const MotionPart&>(f);
+    return motion(mechanics).callback(part);
+  }
   if (nb::isinstance<Native>(f)) {
     auto owner = std::make_unique<NativeFunction>(nb::cast<const Native&>(f), parameters_);
     const Callback callback = owner->callback();
@@ -459,11 +477,19 @@ Callback Functions::add(nb::handle f, const nb::tuple& args, const std::string& 
     return callback;
   }
   native_ = false;
-  auto owner = std::make_unique<PythonFunction>(f, args, name, static_cast<npy_intp>(space_.components()),
-                                                complex_state, returns);
+  auto owner = std::make_unique<PythonFunction>(f, args, name, takes, returns);
   const Callback callback = owner->callback();
   owned_.push_back(std::move(owner));
   return callback;
+}
+
+Motion& Functions::motion(const nb::object& mechanics) {
+  for (OwnedMotion* known : motions_)
+    if (known->is_of(mechanics)) return known->motion();
+  auto owner = std::make_unique<OwnedMotion>(mechanics, *this);
+  motions_.push_back(owner.get());
+  owned_.push_back(std::move(owner));
+  return motions_.back()->motion();
 }
 
 Callback Functions::state_valued(nb::handle f, const std::string& name) {
@@ -483,6 +509,11 @@ Callback Functions::vector(nb::handle f, const std::string& name, std::size_t m)
 
 Callback Functions::complex_vector(nb::handle f, const std::string& name, std::size_t m) {
   return add(f, args_, name, {.rows = static_cast<npy_intp>(m), .complex = true}, true);
+}
+
+Callback Functions::square(nb::handle f, const std::string& name, std::size_t k) {
+  const auto size = static_cast<npy_intp>(k);
+  return add(f, args_, name, {.rows = size, .columns = size, .matrix = true}, space_.complex);
 }
 
 Callback Functions::rows(nb::handle f, const std::string& name, std::size_t m) {
@@ -555,8 +586,7 @@ void define_callables(nb::module_& module) {
             new (self) Native{address, event, std::move(owner), std::move(inputs)};
           },
           nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
-          nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
-      .def_prop_ro("address", [](const Native& self) { return self.address; });
+          nb::arg("inputs") = std::vector<PiecewisePolynomial>{});
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

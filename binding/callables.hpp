@@ -16,6 +16,10 @@
 
 namespace nb = nanobind;
 
+namespace invariode {
+class Motion;
+}
+
 namespace invariode::binding {
 
 /// Describes the state: `size` doubles, which are that many reals or half as many complex numbers.
@@ -46,7 +50,26 @@ class Callable {
   virtual int visit(visitproc visit, void* arg) const = 0;
 };
 
-struct Returns;  // what a Python function is to return
+/// What a Python function is to return: rows × columns numbers; vectors have one column.
+struct Returns {
+  enum class Kind { values, truth } kind = Kind::values;
+  std::ptrdiff_t rows = 1;
+  std::ptrdiff_t columns = 1;
+  bool matrix = false;
+  bool complex = false;
+
+  [[nodiscard]] std::ptrdiff_t size() const { return rows * columns; }
+};
+
+/// What a Python function takes after t: a vector of n numbers, or that and a second one, one behind the other.
+struct Takes {
+  std::ptrdiff_t n;
+  std::ptrdiff_t second = 0;
+  bool complex = false;
+  bool complex_time = false;  ///< t is the first of the complex numbers
+};
+
+class OwnedMotion;
 
 /// Owns the functions of a problem and makes callbacks of them. Names are for messages.
 class Functions {
@@ -63,11 +86,21 @@ class Functions {
   /// f(t, y) -> (m,); the same of a complex y, though the problem is real
   Callback vector(nb::handle f, const std::string& name, std::size_t m);
   Callback complex_vector(nb::handle f, const std::string& name, std::size_t m);
+  /// f(t, y) -> (k, k) real numbers
+  Callback square(nb::handle f, const std::string& name, std::size_t k);
   /// f(t, y) -> (m, n)
   Callback rows(nb::handle f, const std::string& name, std::size_t m);
   /// f(t, y), or f(t), without args, -> what `read_matrix` takes
   MatrixFunction matrix(nb::handle f);
 
+  /// Any other function of t and one vector or two.
+  Callback of_motion(nb::handle f, const std::string& name, const Takes& takes, const Returns& returns);
+
+  /// The motion of a MechanicsSpec: one for all functions of a problem that are parts of it.
+  Motion& motion(const nb::object& mechanics);
+  /// Those motions.
+  [[nodiscard]] std::span<OwnedMotion* const> motions() const { return motions_; }
+  [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return native_; }
   /// What native functions read: it may be written between their calls.
@@ -78,11 +111,14 @@ class Functions {
  private:
   Callback add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
                bool complex_state);
+  Callback add(nb::handle f, const nb::tuple& args, const std::string& name, const Returns& returns,
+               const Takes& takes);
 
   Space space_;
   nb::tuple args_;
   std::vector<double> parameters_;
   std::vector<std::unique_ptr<Callable>> owned_;
+  std::vector<OwnedMotion*> motions_;  // among them
   bool native_ = true;
 };
 

@@ -52,7 +52,8 @@ void add_segments(Dense& dense, const ConstVector& t, const ConstMatrix& y, cons
 Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& end, const ConstOffsets& offset,
                  const ConstVector& data, std::size_t m, const std::string& interpolation, const std::string& extension,
                  double rtol, const std::variant<double, ConstVector>& threshold,
-                 const std::optional<ConstVector>& scale, bool complex) {
+                 const std::optional<ConstVector>& scale, bool complex, const std::optional<ConstVector>& lower,
+                 const std::optional<ConstVector>& upper) {
   const std::size_t n = y.shape(1), segments = end.size();
   const std::optional<Interpolation> mode = find_in(interpolation_names, interpolation);
   const Extension* raw = find_extension(std::string_view(extension));
@@ -62,11 +63,14 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
   require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
   const auto* each = std::get_if<ConstVector>(&threshold);
   require((!each || each->size() == n) && (!scale || scale->size() == n), "weights do not match");
-  Dense dense{DenseOutput(n, m, *mode, raw->evaluate),
-              Weights(rtol, each ? to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
-                      scale ? to_vector(*scale) : std::vector<double>{}),
-              complex};
-  const std::size_t overhead = Interpolant(n, m, *mode, raw->evaluate, nullptr).overhead();
+  require(lower.has_value() == upper.has_value() && (!lower || lower->size() == n), "bounds do not match");
+  Dense dense{
+      DenseOutput(n, m, *mode, raw->evaluate,
+                  lower ? std::optional<Bounds>(std::in_place, to_vector(*lower), to_vector(*upper)) : std::nullopt),
+      Weights(rtol, each ? to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
+              scale ? to_vector(*scale) : std::vector<double>{}),
+      complex};
+  const std::size_t overhead = Interpolant(n, m, *mode, raw->evaluate, nullptr, nullptr).overhead();
   add_segments(dense, t, y, end, offset, data, overhead, *raw);
   return dense;
 }
@@ -98,7 +102,7 @@ Dense Dense::joined(const Dense& next) const {
   const DenseOutput::Parts a = output.parts(), b = next.output.parts();
   require(output.n() == next.output.n() && complex == next.complex && a.m == b.m && a.mode == b.mode && a.raw == b.raw,
           "continuous solutions of different kinds");
-  Dense both{DenseOutput(output.n(), a.m, a.mode, a.raw), weights, complex};
+  Dense both{DenseOutput(output.n(), a.m, a.mode, a.raw, a.bounds), weights, complex};
   both.output.append(output);
   both.output.append(next.output);
   return both;
@@ -120,6 +124,9 @@ nb::dict Dense::parts() const {
   d["threshold"] = copied(weights.threshold());
   d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));
   d["complex"] = complex;
+  const std::optional<Bounds>& bounds = all.bounds;
+  d["lower"] = bounds ? nb::object(nb::cast(copied(bounds->lower()))) : nb::none();
+  d["upper"] = bounds ? nb::object(nb::cast(copied(bounds->upper()))) : nb::none();
   return d;
 }
 
@@ -128,6 +135,7 @@ void define_dense(nb::module_& module) {
       .def_static("from_parts", &from_parts, nb::kw_only(), nb::arg("t"), nb::arg("y"), nb::arg("end"),
                   nb::arg("offset"), nb::arg("data"), nb::arg("m"), nb::arg("interpolation"), nb::arg("extension"),
                   nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("complex"),
+                  nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
                   "What `parts` gave, put together again.")
       .def("parts", &Dense::parts, "What it consists of: arrays, numbers and names.")
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::arg("problem").none(),

@@ -1,16 +1,23 @@
 #include "mechanics.hpp"
 
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <stdexcept>
 #include <tuple>
-#include <vector>
+#include <utility>
 
 #include "arrays.hpp"
 #include "linear/saddle.hpp"
 
 namespace invariode::binding {
 namespace {
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Matrices
 
 Eigen::MatrixXd to_eigen(const ConstMatrix& a) {
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
@@ -25,6 +32,242 @@ Vector to_numpy(const Eigen::VectorXd& a) {
   return to_array<Vector>(std::vector<double>(a.begin(), a.end()), static_cast<std::size_t>(a.size()));
 }
 
+using Columns = std::tuple<ConstIndices, ConstIndices, ConstVector>;  // starts, rows, values
+
+SparseMatrix to_sparse(const nb::object& given, std::size_t rows, std::size_t columns) {
+  const auto [starts, indices, values] = nb::cast<Columns>(given);
+  const auto count = static_cast<int>(indices.size());
+  bool right = starts.size() == columns + 1 && values.size() == indices.size() && starts.data()[0] == 0 &&
+               starts.data()[columns] == count;
+  for (std::size_t j = 0; right && j < columns; ++j) {
+    const int begin = starts.data()[j], end = starts.data()[j + 1];
+    right = begin <= end && end <= count;
+    for (int p = begin; right && p < end; ++p)
+      right = indices.data()[p] >= 0 && indices.data()[p] < static_cast<int>(rows) &&
+              (p == begin || indices.data()[p - 1] < indices.data()[p]);
+  }
+  if (!right) throw std::invalid_argument("a sparse matrix does not consist of compressed columns");
+  return Eigen::Map<const SparseMatrix>(static_cast<Eigen::Index>(rows), static_cast<Eigen::Index>(columns), count,
+                                        starts.data(), indices.data(), values.data());
+}
+
+nb::tuple to_columns(const SparseMatrix& A) {
+  const auto copied = [](const auto* from, Eigen::Index count) { return std::vector(from, from + count); };
+  auto starts = copied(A.outerIndexPtr(), A.outerSize() + 1);
+  auto rows = copied(A.innerIndexPtr(), A.nonZeros());
+  auto values = copied(A.valuePtr(), A.nonZeros());
+  const std::size_t size = values.size();
+  return nb::make_tuple(std::move(starts), std::move(rows), to_array<Vector>(std::move(values), size));
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Functions
+
+/// Calls of functions of t, q and, if there is a second vector, v.
+struct Arguments {
+  std::ptrdiff_t n_q, n_v;
+
+  [[nodiscard]] Takes of(bool with_v, bool complex = false) const {
+    return {.n = n_q, .second = with_v ? n_v : 0, .complex = complex, .complex_time = complex};
+  }
+};
+
+/// `given`: None, or (function, complex form, the same without warnings).
+Differentiable make_differentiable(const nb::object& given, const std::string& name, const Arguments& arguments,
+                                   bool with_v, std::size_t m, Functions& functions) {
+  if (given.is_none()) return {};
+  const auto [function, complex, quiet] = nb::cast<std::tuple<nb::object, nb::object, nb::object>>(given);
+  const auto rows = static_cast<std::ptrdiff_t>(m);
+  Differentiable::Forms forms;
+  forms.function = functions.of_motion(function, name, arguments.of(with_v), {.rows = rows});
+  if (!complex.is_none()) {
+    const Returns returns{.rows = rows, .complex = true};
+    forms.complex = functions.of_motion(complex, name, arguments.of(with_v, true), returns);
+    forms.quiet = functions.of_motion(quiet, name, arguments.of(with_v, true), returns);
+  }
+  return {forms, static_cast<std::size_t>(with_v ? arguments.n_q + arguments.n_v : arguments.n_q), m};
+}
+
+MassTerm make_mass(const MechanicsSpec& spec, const Arguments& arguments, Functions& functions) {
+  MassTerm mass{.writes = spec.mass_writes, .matrix = spec.mass, .function = {}};
+  Returns returns{.rows = static_cast<std::ptrdiff_t>(spec.n_v)};
+  if (mass.writes == MassTerm::Writes::nothing) return mass;
+  if (mass.writes == MassTerm::Writes::rows) returns.columns = returns.rows, returns.matrix = true;
+  if (mass.writes == MassTerm::Writes::entries) returns.rows = spec.mass.nonZeros();
+  mass.function = functions.of_motion(nb::object(spec.functions["mass"]), "mass(t, q)", arguments.of(false), returns);
+  return mass;
+}
+
+JacobianTerm make_jacobian(const MechanicsSpec& spec, const Arguments& arguments, Functions& functions) {
+  const nb::object given(spec.functions["jacobian"]);
+  if (given.is_none()) return {};
+  Returns returns{.rows = static_cast<std::ptrdiff_t>(spec.m_phi),
+                  .columns = static_cast<std::ptrdiff_t>(spec.n_q),
+                  .matrix = true};
+  if (spec.jacobian_entries) returns = {.rows = spec.phi_pattern.nonZeros()};
+  return {functions.of_motion(given, "jacobian(t, q)", arguments.of(false), returns), spec.jacobian_entries};
+}
+
+MotionTerms make_terms(const MechanicsSpec& spec, Functions& functions) {
+  const Arguments arguments{static_cast<std::ptrdiff_t>(spec.n_q), static_cast<std::ptrdiff_t>(spec.n_v)};
+  MotionTerms terms;
+  terms.n_q = spec.n_q;
+  terms.n_v = spec.n_v;
+  terms.mass = make_mass(spec, arguments, functions);
+  terms.force = functions.of_motion(nb::object(spec.functions["force"]), "force(t, q, v)", arguments.of(true),
+                                    {.rows = arguments.n_v});
+  const auto derived = [&](const char* key, const char* name, bool with_v, std::size_t m) {
+    return make_differentiable(nb::object(spec.functions[key]), name, arguments, with_v, m, functions);
+  };
+  terms.constraints = derived("constraints", "constraints(t, q)", false, spec.m_phi);
+  terms.velocity_constraints = derived("velocity_constraints", "velocity_constraints(t, q, v)", true, spec.m_psi);
+  terms.kinematics = derived("kinematics", "kinematics(t, q, v)", true, spec.n_q);
+  terms.jacobian = make_jacobian(spec, arguments, functions);
+  terms.phi_pattern = spec.phi_pattern;
+  terms.psi_pattern = spec.psi_pattern;
+  terms.kinematics_pattern = spec.kinematics_pattern;
+  terms.kept = spec.kept;
+  terms.dependent = spec.dependent;
+  return terms;
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// What Python sees
+
+void require(Status status) {
+  if (status == Status::stop) throw nb::python_error();
+}
+
+/// A function of t, q and, if n_v > 0, v, with its derivatives.
+class BoundDifferentiable {
+ public:
+  BoundDifferentiable(const nb::object& forms, const std::string& name, std::size_t n_q, std::size_t n_v, std::size_t m,
+                      nb::tuple args, std::vector<double> parameters)
+      : functions_({n_q + n_v, false}, std::move(args), std::move(parameters)) {
+    const Arguments arguments{static_cast<std::ptrdiff_t>(n_q), static_cast<std::ptrdiff_t>(n_v)};
+    function_ = make_differentiable(forms, name, arguments, n_v > 0, m, functions_);
+    complex_ = nb::cast<nb::tuple>(forms)[1].is_none()
+                   ? Callback()
+                   : functions_.of_motion(nb::object(nb::cast<nb::tuple>(forms)[1]), name, arguments.of(n_v > 0, true),
+                                          {.rows = static_cast<std::ptrdiff_t>(m), .complex = true});
+  }
+  BoundDifferentiable(const BoundDifferentiable&) = delete;
+  BoundDifferentiable& operator=(const BoundDifferentiable&) = delete;
+
+  [[nodiscard]] Vector value(double t, const ConstVector& x) {
+    return filled([&](double* out) { return function_.value(t, point(x), out); });
+  }
+  /// Of (t, x) as pairs of reals, as such.
+  [[nodiscard]] Vector complex_value(const ConstVector& z) {
+    if (!complex_ || z.size() != 2 * (1 + function_.n())) throw std::invalid_argument("no complex form, or no such z");
+    std::vector<double> out(2 * function_.m());
+    require(complex_(z.data()[0], z.data(), out.data()));
+    return to_array<Vector>(std::move(out), 2 * function_.m());
+  }
+  [[nodiscard]] Vector slope(double t, const ConstVector& x, double dt, const ConstVector& dx) {
+    return filled([&](double* out) { return function_.slope(t, point(x), dt, point(dx), out); });
+  }
+  [[nodiscard]] Vector curvature(double t, const ConstVector& x, double dt, const ConstVector& dx) {
+    return filled([&](double* out) { return function_.curvature(t, point(x), dt, point(dx), out); });
+  }
+  [[nodiscard]] nb::tuple jacobian(double t, const ConstVector& x, const nb::object& pattern) {
+    SparseColumns columns(to_sparse(pattern, function_.m(), function_.n()), 0);
+    std::vector<double> size(function_.n());
+    fill_sizes(point(x), size.size(), size.data());
+    require(function_.jacobian(t, x.data(), size.data(), columns));
+    return to_columns(columns.matrix);
+  }
+
+  int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
+
+ private:
+  [[nodiscard]] const double* point(const ConstVector& x) const {
+    if (x.size() != function_.n()) throw std::invalid_argument("x has not the size that the function takes");
+    return x.data();
+  }
+  template <class Fill>
+  Vector filled(Fill fill) {
+    std::vector<double> out(function_.m());
+    require(fill(out.data()));
+    return to_array<Vector>(std::move(out), function_.m());
+  }
+
+  Functions functions_;
+  Differentiable function_;
+  Callback complex_;
+};
+
+/// A motion by itself, for evaluations one by one.
+class BoundMotion {
+ public:
+  BoundMotion(const nb::object& mechanics, nb::tuple args, std::vector<double> parameters)
+      : functions_({size_of(mechanics), false}, std::move(args), std::move(parameters)),
+        motion_(functions_.motion(mechanics)) {}
+  BoundMotion(const BoundMotion&) = delete;
+  BoundMotion& operator=(const BoundMotion&) = delete;
+
+  [[nodiscard]] const Motion& motion() const { return motion_; }
+
+  [[nodiscard]] Vector evaluate(const std::string& part, double t, const ConstVector& y);
+  [[nodiscard]] nb::tuple rows(double t, const ConstVector& y) {
+    require(motion_.rows(t, state(y)));
+    return nb::make_tuple(to_columns(motion_.A()), to_numpy(motion_.right_hand_side()));
+  }
+  [[nodiscard]] nb::tuple mass(double t, const ConstVector& y) {
+    require(motion_.mass(t, state(y)));
+    return to_columns(motion_.M());
+  }
+  [[nodiscard]] std::tuple<Vector, Vector, bool> accelerations(double t, const ConstVector& y) {
+    ConstrainedSolution found;
+    require(motion_.accelerations(t, state(y), found));
+    return {to_numpy(found.a), to_numpy(found.lambda), found.unique};
+  }
+
+  int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
+
+ private:
+  static std::size_t size_of(const nb::object& mechanics) {
+    const auto& spec = nb::cast<const MechanicsSpec&>(mechanics);
+    return spec.n_q + spec.n_v;
+  }
+  const double* state(const ConstVector& y) const {
+    if (y.size() != motion_.size()) throw std::invalid_argument("y has not the size of (q, v)");
+    return y.data();
+  }
+
+  Functions functions_;
+  Motion& motion_;
+};
+
+constexpr std::pair<const char*, Motion::Part> parts[] = {
+    {"slope", Motion::Part::slope},
+    {"positions", Motion::Part::positions},
+    {"positions_jacobian", Motion::Part::positions_jacobian},
+    {"rates", Motion::Part::rates},
+    {"rates_jacobian", Motion::Part::rates_jacobian},
+    {"velocities", Motion::Part::velocities},
+    {"velocities_jacobian", Motion::Part::velocities_jacobian},
+    {"mass_matrix", Motion::Part::mass_matrix},
+};
+
+Motion::Part part_named(const std::string& name) {
+  for (const auto& [known, part] : parts)
+    if (name == known) return part;
+  throw std::invalid_argument("a motion has no part '" + name + "'");
+}
+
+Vector BoundMotion::evaluate(const std::string& part, double t, const ConstVector& y) {
+  std::size_t size = motion_.size();
+  if (part == "positions" || part == "rates") size = motion_.m_phi();
+  if (part == "velocities") size = motion_.m_psi();
+  if (part == "positions_jacobian" || part == "rates_jacobian") size *= motion_.m_phi();
+  if (part == "velocities_jacobian") size *= motion_.m_psi();
+  if (part == "mass_matrix") size = motion_.n_v() * motion_.n_v();
+  std::vector<double> out(size);
+  require(motion_.callback(part_named(part))(t, state(y), out.data()));
+  return to_array<Vector>(std::move(out), size);
+}
+
 std::tuple<Vector, Vector, int, bool> solve(const ConstMatrix& mass, const ConstMatrix& rows, const ConstVector& force,
                                             const ConstVector& right, double threshold) {
   const ConstrainedSolution found =
@@ -32,9 +275,126 @@ std::tuple<Vector, Vector, int, bool> solve(const ConstMatrix& mass, const Const
   return {to_numpy(found.a), to_numpy(found.lambda), static_cast<int>(found.rank), found.unique};
 }
 
+int traverse_spec(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<MechanicsSpec>(self)->functions.ptr());
+  return 0;
+}
+int traverse_part(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<MotionPart>(self)->mechanics.ptr());
+  return 0;
+}
+int traverse_motion(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  return nb::inst_ready(self) ? nb::inst_ptr<BoundMotion>(self)->visit(visit, arg) : 0;
+}
+int traverse_differentiable(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  return nb::inst_ready(self) ? nb::inst_ptr<BoundDifferentiable>(self)->visit(visit, arg) : 0;
+}
+PyType_Slot differentiable_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_differentiable)},
+                                      {0, nullptr}};
+PyType_Slot spec_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_spec)}, {0, nullptr}};
+PyType_Slot part_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_part)}, {0, nullptr}};
+PyType_Slot motion_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_motion)}, {0, nullptr}};
+
+MassTerm::Writes writes_named(const std::string& name) {
+  if (name == "nothing") return MassTerm::Writes::nothing;
+  if (name == "diagonal") return MassTerm::Writes::diagonal;
+  if (name == "rows") return MassTerm::Writes::rows;
+  if (name == "entries") return MassTerm::Writes::entries;
+  throw std::invalid_argument("a mass matrix is not written as '" + name + "'");
+}
+
+void define_description(nb::module_& module) {
+  nb::class_<MechanicsSpec>(module, "Mechanics", nb::type_slots(spec_slots), "A mechanical system, for the core.")
+      .def(
+          "__init__",
+          [](MechanicsSpec* self, std::size_t n_q, std::size_t n_v, std::size_t m_phi, std::size_t m_psi,
+             nb::dict functions, const std::string& mass_writes, const nb::object& mass, bool jacobian_entries,
+             const nb::object& phi, const nb::object& psi, const nb::object& kinematics, const std::vector<bool>& kept,
+             double dependent) {
+            const std::size_t map = functions["kinematics"].is_none() ? 0 : n_q;
+            new (self) MechanicsSpec{n_q,
+                                     n_v,
+                                     m_phi,
+                                     m_psi,
+                                     std::move(functions),
+                                     writes_named(mass_writes),
+                                     to_sparse(mass, n_v, n_v),
+                                     jacobian_entries,
+                                     to_sparse(phi, m_phi, n_q),
+                                     to_sparse(psi, m_psi, n_q + n_v),
+                                     to_sparse(kinematics, map, n_q + n_v),
+                                     std::vector<char>(kept.begin(), kept.end()),
+                                     dependent};
+          },
+          nb::kw_only(), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m_phi"), nb::arg("m_psi"), nb::arg("functions"),
+          nb::arg("mass_writes"), nb::arg("mass"), nb::arg("jacobian_entries"), nb::arg("phi"), nb::arg("psi"),
+          nb::arg("kinematics"), nb::arg("kept"), nb::arg("dependent"));
+  nb::class_<MotionPart>(module, "MotionPart", nb::type_slots(part_slots),
+                         "A function of (t, y) that a mechanical system has: its slope, one of its laws.")
+      .def(
+          "__init__",
+          [](MotionPart* self, nb::object mechanics, const std::string& part) {
+            static_cast<void>(nb::cast<const MechanicsSpec&>(mechanics));  // it is one
+            new (self) MotionPart{std::move(mechanics), part_named(part)};
+          },
+          nb::arg("mechanics"), nb::arg("part"));
+}
+
 }  // namespace
 
+OwnedMotion::OwnedMotion(nb::object mechanics, Functions& functions)
+    : mechanics_(std::move(mechanics)),
+      motion_(std::make_unique<Motion>(make_terms(nb::cast<const MechanicsSpec&>(mechanics_), functions))) {}
+
+nb::dict to_dict(const MotionWork& work) {
+  nb::dict counts;
+  counts["mass"] = work.mass;
+  counts["force"] = work.force;
+  counts["constraints"] = work.constraints;
+  counts["velocity_constraints"] = work.velocity_constraints;
+  counts["kinematics"] = work.kinematics;
+  counts["jacobian"] = work.jacobian;
+  counts["sparse"] = work.sparse;
+  counts["dense"] = work.dense;
+  return counts;
+}
+
 void define_mechanics(nb::module_& module) {
+  define_description(module);
+  nb::class_<BoundDifferentiable>(module, "Differentiable", nb::type_slots(differentiable_slots),
+                                  "A function of t and x with its arguments, and its derivatives.")
+      .def(nb::init<const nb::object&, const std::string&, std::size_t, std::size_t, std::size_t, nb::tuple,
+                    std::vector<double>>(),
+           nb::arg("forms"), nb::arg("name"), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m"), nb::arg("args"),
+           nb::arg("parameters"))
+      .def("value", &BoundDifferentiable::value, nb::arg("t"), nb::arg("x"), "Of shape (m,).")
+      .def("complex_value", &BoundDifferentiable::complex_value, nb::arg("z"),
+           "Its complex form at (t, x); complex numbers are pairs of reals.")
+      .def("slope", &BoundDifferentiable::slope, nb::arg("t"), nb::arg("x"), nb::arg("dt"), nb::arg("dx"),
+           "d/ds at (t + s dt, x + s dx), s = 0.")
+      .def("curvature", &BoundDifferentiable::curvature, nb::arg("t"), nb::arg("x"), nb::arg("dt"), nb::arg("dx"),
+           "d²/ds² of the same.")
+      .def("jacobian", &BoundDifferentiable::jacobian, nb::arg("t"), nb::arg("x"), nb::arg("pattern"),
+           "∂/∂x, as (starts, rows, values) in the pattern of such a matrix.");
+  nb::class_<BoundMotion>(module, "Motion", nb::type_slots(motion_slots),
+                          "The equations of motion of a mechanical system with its arguments.")
+      .def(nb::init<const nb::object&, nb::tuple, std::vector<double>>(), nb::arg("mechanics"), nb::arg("args"),
+           nb::arg("parameters"))
+      .def("evaluate", &BoundMotion::evaluate, nb::arg("part"), nb::arg("t"), nb::arg("y"),
+           "One of its functions of (t, y); matrices row by row.")
+      .def("rows", &BoundMotion::rows, nb::arg("t"), nb::arg("y"), "A, as (starts, rows, values), and γ of A v' = γ.")
+      .def("mass", &BoundMotion::mass, nb::arg("t"), nb::arg("y"), "M, as (starts, rows, values).")
+      .def("accelerations", &BoundMotion::accelerations, nb::arg("t"), nb::arg("y"),
+           "v', λ, and whether they are unique.")
+      .def_prop_ro(
+          "sparse", [](const BoundMotion& m) { return m.motion().sparse(); }, "Whether sparse factors are tried first.")
+      .def_prop_ro(
+          "work", [](const BoundMotion& m) { return to_dict(m.motion().work()); },
+          "Calls of functions and factorisations so far.");
   module.def("solve_saddle", &solve, nb::arg("mass"), nb::arg("rows"), nb::arg("force"), nb::arg("right"),
              nb::arg("threshold"),
              "a and λ of M a = Q + Aᵀ λ, A a = γ; the rank of A; whether a is unique (else it is NaN).");

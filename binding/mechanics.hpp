@@ -1,11 +1,58 @@
 #pragma once
-// The linear algebra of constrained mechanics, for Python.
+// Mechanical systems as Python describes them, and the core's equations of motion made of them.
 
 #include <nanobind/nanobind.h>
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "callables.hpp"
+#include "mechanics/motion.hpp"
 
 namespace nb = nanobind;
 
 namespace invariode::binding {
+
+/// A mechanical system but for its arguments. `functions` by name: mass, force, jacobian; constraints,
+/// velocity_constraints and kinematics as (function, complex form, the same without warnings). None: there is no such.
+struct MechanicsSpec {
+  std::size_t n_q, n_v, m_phi, m_psi;
+  nb::dict functions;
+  MassTerm::Writes mass_writes;
+  SparseMatrix mass;  ///< a constant, or a pattern
+  bool jacobian_entries;
+  SparseMatrix phi_pattern, psi_pattern, kinematics_pattern;
+  std::vector<char> kept;
+  double dependent;
+};
+
+/// One of the functions of (t, y) that a mechanical system has.
+struct MotionPart {
+  nb::object mechanics;  // a MechanicsSpec
+  Motion::Part part;
+};
+
+/// A motion in the keeping of the functions that it calls.
+class OwnedMotion final : public Callable {
+ public:
+  OwnedMotion(nb::object mechanics, Functions& functions);
+
+  [[nodiscard]] bool is_of(nb::handle mechanics) const { return mechanics_.is(mechanics); }
+  [[nodiscard]] Motion& motion() { return *motion_; }
+  int visit(visitproc visit, void* arg) const override {
+    Py_VISIT(mechanics_.ptr());
+    return 0;
+  }
+
+ private:
+  nb::object mechanics_;
+  std::unique_ptr<Motion> motion_;
+};
+
+/// The calls and factorisations of a motion, by name.
+nb::dict to_dict(const MotionWork& work);
 
 void define_mechanics(nb::module_& module);
 

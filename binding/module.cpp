@@ -167,6 +167,9 @@ void define_methods(nb::module_& module) {
           "scipy_name", [](const Method& m) { return m.scipy_name ? std::optional(m.scipy_name) : std::nullopt; },
           "Of the corresponding method of `scipy.integrate.solve_ivp`, or None.")
       .def_ro("scipy_bdf", &Method::scipy_bdf, "That name implies the option bdf.")
+      .def_prop_ro(
+          "mass", [](const Method& m) { return name_of(m.mass); },
+          "Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.")
       .def_prop_ro("options", [](const Method& m) {
         std::vector<const char*> names;
         for (const char* one : m.options)

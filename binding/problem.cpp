@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "arrays.hpp"
+#include "mechanics.hpp"
 #include "run/names.hpp"
 
 namespace invariode::binding {
@@ -34,6 +35,18 @@ constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::com
                                              {"3-point", Derivative::central},
                                              {"2-point", Derivative::forward}};
 
+Metric make_metric(const InvariantSpec& spec, Functions& functions) {
+  if (spec.metric.is_none()) return {};
+  const bool of_core = nb::isinstance<Native>(spec.metric) || nb::isinstance<MotionPart>(spec.metric);
+  if (!of_core && PyCallable_Check(spec.metric.ptr()) == 0)
+    return {.function = {}, .values = to_vector(nb::cast<ConstVector>(spec.metric))};
+  const std::string name = "the metric of invariant " + spec.name;
+  const std::size_t k = spec.moves.empty() ? functions.state_size() : spec.moves.size();
+  const bool diagonal = spec.metric_size == k;
+  return {.function = diagonal ? functions.vector(spec.metric, name, k) : functions.square(spec.metric, name, k),
+          .values = std::vector<double>(spec.metric_size)};
+}
+
 InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   const std::string name = "invariant " + spec.name;
   InvariantBlock block;
@@ -42,6 +55,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.held = spec.held;
   block.level = spec.level;
   block.moves = spec.moves;
+  block.metric = make_metric(spec, functions);
   if (!nb::isinstance<nb::str>(spec.jac)) {
     block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
     return block;
@@ -93,10 +107,14 @@ Lapack read_lapack(const nb::object& capsules) {
     if (pointer == nullptr) throw nb::python_error();
     routine = reinterpret_cast<std::remove_reference_t<decltype(routine)>>(pointer);
   };
-  take("dgetrf", lapack.dgetrf);
-  take("dgetrs", lapack.dgetrs);
-  take("dgbtrf", lapack.dgbtrf);
-  take("dgbtrs", lapack.dgbtrs);
+  take("dgetrf", lapack.real.factor);
+  take("dgetrs", lapack.real.solve);
+  take("dgbtrf", lapack.real.factor_band);
+  take("dgbtrs", lapack.real.solve_band);
+  take("zgetrf", lapack.complex.factor);
+  take("zgetrs", lapack.complex.solve);
+  take("zgbtrf", lapack.complex.factor_band);
+  take("zgbtrs", lapack.complex.solve_band);
   return lapack;
 }
 
@@ -138,6 +156,7 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   if (spec.linear) problem_.linear = make_linear(*spec.linear, functions_);
   for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
+  if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
   problem_.parameters = functions_.parameters();
 }
 
@@ -150,7 +169,9 @@ int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held
   for (const nb::handle one : held) Py_VISIT(one.ptr());
   return 0;
 }
-int visit(const InvariantSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.jac}); }
+int visit(const InvariantSpec& s, visitproc visit, void* arg) {
+  return visit_all(visit, arg, {s.fun, s.jac, s.metric});
+}
 int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
 int visit(const BreakpointSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.action}); }
 int visit(const LinearSpec& s, visitproc visit, void* arg) {
@@ -182,11 +203,12 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
-             std::vector<std::size_t> moves) {
-            new (self) InvariantSpec{std::move(fun), std::move(jac), m, std::move(name), held, level, std::move(moves)};
+             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size) {
+            new (self) InvariantSpec{std::move(fun),   std::move(jac),    m,          std::move(name), held, level,
+                                     std::move(moves), std::move(metric), metric_size};
           },
           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
-          nb::arg("moves") = std::vector<std::size_t>{});
+          nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0);
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
       .def(
           "__init__",
@@ -233,7 +255,7 @@ void define_description(nb::module_& module) {
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
              std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
-             const OptionalVector& value) {
+             const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -244,12 +266,14 @@ void define_description(nb::module_& module) {
                                    std::move(breakpoints),
                                    std::move(callback),
                                    std::move(invariants),
-                                   value ? to_vector(*value) : std::vector<double>{}};
+                                   value ? to_vector(*value) : std::vector<double>{},
+                                   lower ? to_vector(*lower) : std::vector<double>{},
+                                   upper ? to_vector(*upper) : std::vector<double>{}};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
           nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
-          nb::arg("value") = nb::none());
+          nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none());
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",

@@ -19,7 +19,8 @@
 namespace invariode::binding {
 
 /// An invariant: g, its Jacobian or the name of what takes its place, number and name of its values, whether they are
-/// held, not demanded; its level, and the reals of y that its correction may move (none: all).
+/// held, not demanded; its level, and the reals of y that its correction may move (none: all), and
+/// the metric in which it is the least.
 struct InvariantSpec {
   nb::object fun, jac;
   std::size_t m;
@@ -27,6 +28,8 @@ struct InvariantSpec {
   bool held;
   int level = 0;
   std::vector<std::size_t> moves;
+  nb::object metric;            // None, or G(t, y), or a constant
+  std::size_t metric_size = 0;  // how many values it has
 };
 
 struct EventSpec {
@@ -67,6 +70,7 @@ struct ProblemSpec {
   nb::object callback;
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;
+  std::vector<double> lower, upper;  // bounds of y; empty: none
 };
 
 /// rtol, thr of all components or of each, and the scales of a vector rtol, if it was one.
@@ -91,6 +95,8 @@ class BoundProblem {
   [[nodiscard]] const Problem& problem() const { return problem_; }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return functions_.native(); }
+  /// The motions that its functions are parts of.
+  [[nodiscard]] std::span<OwnedMotion* const> motions() const { return functions_.motions(); }
   int visit(visitproc visit, void* arg) const { return functions_.visit(visit, arg); }
 
  private:

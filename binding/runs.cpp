@@ -21,6 +21,7 @@
 #include "arrays.hpp"
 #include "dense.hpp"
 #include "interpreter.hpp"
+#include "mechanics.hpp"
 #include "methods/registry.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
@@ -352,6 +353,7 @@ void define_summary_of_run(RunClass& run) {
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "breakpoints_passed", [](const RunResult& r) { return r.breakpoints_passed; });
+  property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
 }
 
@@ -368,6 +370,7 @@ void define_ensemble(nb::module_& module) {
                  to_array<Table>(std::move(r.value), r.size, r.m), to_array<Table>(std::move(r.before), r.size, r.m),
                  to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
            })
+      .def("take_clipped", [](Result& r) { return to_array<Vector>(std::move(r.clipped), r.size); })
       .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
       .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
       .def("take_events",
@@ -396,6 +399,13 @@ void define_solver(nb::module_& module) {
       .def_prop_ro(
           "native", [](const BoundSolver& self) { return self.bound.native(); },
           "Whether no function needs the interpreter.")
+      .def_prop_ro(
+          "motion_work",
+          [](const BoundSolver& self) -> nb::object {
+            const auto motions = self.bound.motions();
+            return motions.empty() ? nb::none() : nb::object(to_dict(motions[0]->motion().work()));
+          },
+          "What a mechanical system has cost so far: calls of its functions and factorisations.")
       .def(
           "resume",
           [](BoundSolver& self, const std::vector<std::int64_t>& seen, const std::vector<bool>& asleep) {
@@ -429,6 +439,8 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
+      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
+      .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

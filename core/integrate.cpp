@@ -13,6 +13,7 @@ constexpr double stretch = 1.1;   // a step that comes this close to tf lands on
 constexpr double largest_correction =
     100;                                 // in units of rtol; right invariants stay below (docs/algorithms.md, 'Guard')
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
+constexpr int start_iterations = 5;      // of the projection of the start within bounds: Newton's is at roundoff then
 constexpr int patience = 3;              // corrections refused in a step before the invariant is looked at
 
 }  // namespace
@@ -22,6 +23,8 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
     : step_(std::move(step)),
       weights_(weights),
       invariants_(manifold.steps),
+      bounds_(manifold.bounds),
+      off_bounds_only_(manifold.off_bounds_only),
       settings_(std::move(settings)),
       callback_(callback),
       n_(weights.size()),
@@ -34,17 +37,19 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
     if (settings_.check) harm_.emplace(n_);
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
-    y1_.resize(n_);
+    if (bounds_) active_set_.emplace(*projector_, *bounds_);
   }
+  if (invariants_ || bounds_) y1_.resize(n_);
   if (manifold.between) output_projector_.emplace(*manifold.between, weights, 1);
   interpolant_.emplace(*step_, settings_.interpolation, output_projector_ ? &*output_projector_ : nullptr,
-                       projector_ ? &*projector_ : nullptr);
+                       projector_ ? &*projector_ : nullptr, bounds_);
   if (!events_.empty()) event_y_.resize(n_);
   if (settings_.output_at_times || settings_.refine > 1 || !events_.empty() || !breaks_.points.empty())
     inside_y_.resize(n_);
   occurrences.resize(events_.count());
   if (settings_.dense)
-    dense.emplace(n_, manifold.between ? manifold.between->m() : 0, settings_.interpolation, step_->interpolate());
+    dense.emplace(n_, manifold.between ? manifold.between->m() : 0, settings_.interpolation, step_->interpolate(),
+                  bounds_ ? std::optional(*bounds_) : std::nullopt);
 }
 
 bool Integration::end(State state) {
@@ -90,10 +95,39 @@ State Integration::start(const double* y0) {
 
 /// The invariants at y0, which may be projected.
 bool Integration::inspect_start() {
-  if (!guard_ || settings_.resumed) return true;
+  if (settings_.resumed) return true;
   double* y0 = interpolant_->start_y();
+  if (!start_within_bounds()) return end(State::start_out_of_bounds);
+  if (!guard_) return true;
   if (!refuse(guard_->start_value(settings_.t0, y0))) return false;
+  if (bounds_ && !bounds_->contain(y0) && !project_start_within_bounds()) return false;
   return !settings_.check || refuse(guard_->start_jacobian(settings_.t0, y0));
+}
+
+/// Moves the start onto the bounds that it is outside of by less than the tolerance.
+bool Integration::start_within_bounds() {
+  if (!bounds_) return true;
+  double* y = interpolant_->start_y();
+  const Bounds::Excess outside = bounds_->excess(y, weights_);
+  if (outside.size > weights_.rtol()) {
+    report_.component = outside.component;
+    return false;
+  }
+  bounds_->clip(y);
+  return true;
+}
+
+/// The projection of the start, which has led out of the bounds, again within them.
+bool Integration::project_start_within_bounds() {
+  const double t = settings_.t0;
+  double* y = interpolant_->start_y();
+  for (int i = 0; i < start_iterations; ++i) {
+    std::copy(y, y + n_, y1_.begin());
+    const Outcome outcome = active_set_->project(t, y1_.data(), y).outcome;
+    if (outcome == Outcome::stop) return end(State::interrupted);
+    if (outcome != Outcome::ok) return end(State::start_contradicts);
+  }
+  return refuse(guard_->start_value(t, y)) && (bounds_->contain(y) || end(State::start_contradicts));
 }
 
 /// Builds the method's memory at (t, y), at the start and after a jump.
@@ -182,9 +216,14 @@ Integration::Verdict Integration::attempt() {
   if (!(proposal.error <= weights_.rtol())) return reject(Cause::error);
 
   const double* y1 = proposal.y;
-  if (projector_) {
+  if (bounds_)
+    if (const Verdict verdict = stay_within_bounds(y1); verdict != Verdict::accepted) return verdict;
+  projected_ = {};
+  projected_.skipped = true;
+  if (projector_ && (attempt_.off_bounds || !off_bounds_only_)) {
     if (const Verdict verdict = project(proposal.y); verdict != Verdict::accepted) return verdict;
-    if (harm_) harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
+    if (harm_ && !at_bounds())
+      harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
     y1 = y1_.data();
   }
   switch (step_->accept(y1)) {
@@ -195,10 +234,29 @@ Integration::Verdict Integration::attempt() {
   return Verdict::accepted;
 }
 
+/// A candidate that is outside of the bounds by more than the tolerance fails the attempt, any other is moved onto
+/// them.
+Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
+  const Bounds::Excess outside = bounds_->excess(y1, weights_);
+  attempt_.off_bounds = outside.component >= 0;
+  step_->moved_onto_bounds(attempt_.off_bounds);
+  attempt_.clipped = 0;
+  if (!attempt_.off_bounds) return Verdict::accepted;
+  if (outside.size > weights_.rtol()) {
+    attempt_.outside = outside.component;
+    return reject(Cause::bounds);
+  }
+  std::copy(y1, y1 + n_, y1_.begin());
+  attempt_.clipped = bounds_->clip(y1_.data());
+  y1 = y1_.data();
+  return Verdict::accepted;
+}
+
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
-  projected_ = projector_->project(attempt_.t1, interpolant_->start_y(), y1_.data());
+  projected_ = active_set_ ? active_set_->project(attempt_.t1, interpolant_->start_y(), y1_.data())
+                           : projector_->project(attempt_.t1, interpolant_->start_y(), y1_.data());
   ++(projected_.skipped ? counts_.skipped : counts_.projections);
   if (projected_.outcome == Outcome::stop) return ended(State::interrupted);
   const bool defined = projected_.outcome == Outcome::ok;
@@ -251,6 +309,7 @@ void Integration::explain_failure(Cause cause) {
   if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
   if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
+  if (cause == Cause::bounds) report_.component = attempt_.outside;
   if (cause != Cause::error) return;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && interpolant_->start_y()[i] == 0) {
@@ -275,11 +334,13 @@ State Integration::finish_step() {
 }
 
 void Integration::note_drift() {
-  for (std::size_t i = 0; i < drift.residual.size(); ++i) {
+  for (std::size_t i = 0; i < projected_.residual.size(); ++i) {
     drift.residual[i] = std::max(drift.residual[i], std::abs(projected_.residual[i]));
     drift.distance[i] = std::max(drift.distance[i], projected_.distance[i] / weights_.rtol());
   }
   drift.correction = std::max(drift.correction, attempt_.correction / weights_.rtol());
+  clipped += attempt_.clipped;
+  counts_.clipped += attempt_.off_bounds ? 1 : 0;
 }
 
 bool Integration::judge_invariants() {
@@ -287,7 +348,7 @@ bool Integration::judge_invariants() {
   const double h = attempt_.h, t1 = attempt_.t1;
   const std::int64_t step = counts_.steps + 1;
   return refuse(guard_->rate(projector_->linearization(), t1, step_->slope(), h, step)) &&
-         refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step));
+         (at_bounds() || refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step)));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
@@ -422,6 +483,7 @@ bool Integration::take(Callback& action) {
 bool Integration::go_on_from_jump(bool rehold) {
   const double t = reached_.t;
   double* y = interpolant_->start_y();
+  if (!start_within_bounds()) return end(State::action_out_of_bounds);
   if (invariants_) {
     if (rehold && invariants_->hold(t, y) == Status::stop) return end(State::interrupted);
     if (!refuse(guard_->start_value(t, y))) return false;
@@ -539,7 +601,8 @@ std::optional<DenseOutput> Integration::last_step() {
     return {};
   }
   const std::size_t m = output_projector_ ? output_projector_->invariants().m() : 0;
-  DenseOutput one(n_, m, settings_.interpolation, step_->interpolate());
+  DenseOutput one(n_, m, settings_.interpolation, step_->interpolate(),
+                  bounds_ ? std::optional(*bounds_) : std::nullopt);
   one.start(interpolant_->start_t(), interpolant_->start_y());
   one.add(segment, reached_.t, reached_.y);
   return one;

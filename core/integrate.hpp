@@ -10,6 +10,8 @@
 #include <vector>
 
 #include "linear/mass.hpp"
+#include "manifold/active_set.hpp"
+#include "manifold/bounds.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
 #include "manifold/projection.hpp"
@@ -36,11 +38,13 @@ struct Breakpoint {
 class Integration {
  public:
   /// What the solution is kept on: `steps` by projection after each step, `between` in the output between them; `slope`
-  /// is y' as a function, with which invariants are tested. Null: no invariants.
+  /// is y' as a function, with which invariants are tested. Null: no invariants. And within bounds, or null.
   struct Manifold {
     Invariants* steps = nullptr;
     Invariants* between = nullptr;
     Slope* slope = nullptr;
+    const Bounds* bounds = nullptr;
+    bool off_bounds_only = false;  // steps are projected only after they were moved onto bounds
   };
 
   /// Where the run starts anew, `piece` being told; `consistent` moves y at t onto the algebraic equations, where there
@@ -84,6 +88,7 @@ class Integration {
   Buffer<AcceptedStep> steps;
   std::optional<DenseOutput> dense;
   Drift drift;
+  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
   std::vector<Jump> jumps;
 
  private:
@@ -99,6 +104,9 @@ class Integration {
     bool landing = false;  // t1 is the target
     double error = 0;
     double correction = 0;       // max_i |y*_i − y₁_i| / w_i
+    double clipped = 0;          // what moving the candidate onto bounds added to the sum of its components
+    bool off_bounds = false;     // whether it was outside
+    int outside = -1;            // the component for which the attempt was rejected
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
     int refusals = 0;            // how many were
   };
@@ -108,18 +116,23 @@ class Integration {
   bool refuse(const Finding& finding);
   bool nothing_to_integrate();
   bool inspect_start();
+  bool start_within_bounds();
+  bool project_start_within_bounds();
   bool start_memory(double t, const double* y);
   bool start_rate(double t, const double* y);
   bool watch_events(Outcome outcome);
 
   void begin_step();
   Verdict attempt();
+  Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict ended(State state);
   void explain_failure(Cause cause);
   [[nodiscard]] double roundoff_of_correction() const;
+  /// The correction belongs to the bounds as well: it tells nothing of the invariants.
+  [[nodiscard]] bool at_bounds() const { return active_set_ && active_set_->active(); }
 
   State finish_step();
   void note_drift();
@@ -151,12 +164,15 @@ class Integration {
   std::unique_ptr<Step> step_;
   const Weights& weights_;
   Invariants* invariants_;
+  const Bounds* bounds_;
+  bool off_bounds_only_;
   Settings settings_;
   Callback callback_;
   std::size_t n_;
   double forward_;
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
+  std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
   std::optional<Guard> guard_;
   std::optional<HarmDetector> harm_;
   Events events_;

@@ -25,7 +25,10 @@ enum class State {
   start_undefined,       ///< f is not finite at the start
   step_failed,           ///< an attempt failed at hmin
   invariant_refused,     ///< at the start; see the finding
-  invariant_convicted    ///< during the run
+  invariant_convicted,   ///< during the run
+  start_out_of_bounds,   ///< y0 is outside of the bounds by more than the tolerance
+  start_contradicts,     ///< there is no point near y0 within the bounds on which the invariants have their values
+  action_out_of_bounds   ///< an action returned a point outside of the bounds by more than the tolerance
 };
 
 /// What may end a run early (settings.hpp).
@@ -48,6 +51,7 @@ struct Report {
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
+  std::int64_t clipped = 0;  ///< steps that ended outside of the bounds, by less than the tolerance
 };
 
 /// What projection met in the accepted steps: of each invariant the largest residual before it, and as a distance in

@@ -25,7 +25,8 @@ struct LinearWork {
 };
 
 /// Why an attempt was rejected.
-enum class Cause { error, newton, projection, not_finite };
+/// `bounds`: the candidate is outside of them.
+enum class Cause { error, newton, projection, not_finite, bounds };
 
 /// Evaluates the raw continuous extension that `Step::extension` wrote to `data`, at θ ∈ [0, 1], into out (n,). A plain
 /// function of the data alone, so that a step can be interpolated long after the method has moved on.
@@ -100,6 +101,9 @@ class Step {
   /// |h| proposed for the next attempt.
   [[nodiscard]] double h() const { return h_; }
   void set_h(double h) { h_ = h; }
+  /// The candidate about to be accepted was moved onto bounds: what the next step takes from f at its end is evaluated
+  /// at y₁, not at the candidate.
+  void moved_onto_bounds(bool moved) { moved_onto_bounds_ = moved; }
 
  protected:
   /// The first |h|: 1 / reciprocal, as far as the span allows.
@@ -115,6 +119,7 @@ class Step {
   double t_ = 0;
   std::vector<double> y_;
   double h_ = 0;
+  bool moved_onto_bounds_ = false;
 };
 
 }  // namespace invariode

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
 os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem
+from problems import PROBLEMS, TestProblem, implicit
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, so would the tests
 
@@ -23,10 +24,22 @@ def method(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(params=[name for name, method in iv.METHODS.items() if method.fixed_order])
+@pytest.fixture(params=[name for name, method in iv.METHODS.items() if method.stages is not None])
 def pair(request: pytest.FixtureRequest) -> str:
-    """The methods of fixed order: Runge-Kutta pairs."""
+    """The explicit Runge-Kutta pairs."""
     return str(request.param)
+
+
+@pytest.fixture(params=[name for name in iv.METHODS if implicit(name)])
+def code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
+    """The functions of the methods for stiff problems."""
+    return getattr(iv, request.param)
+
+
+@pytest.fixture(params=[name for name, about in iv.METHODS.items() if about.mass == "any"])
+def algebraic_code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
+    """Those of the methods that take M(t), and singular M."""
+    return getattr(iv, request.param)
 
 
 @pytest.fixture(params=list(PROBLEMS))

@@ -48,7 +48,18 @@ def blow_up(t: float, y: np.ndarray) -> np.ndarray:
 
 def long_steps(method: str) -> bool:
     """True for the pairs of order 8 and more, whose steps at the default tolerances are too long for some laws."""
-    return iv.METHODS[method].fixed_order and iv.METHODS[method].order >= 8
+    return iv.METHODS[method].stages is not None and iv.METHODS[method].order >= 8
+
+
+def implicit(method: str) -> bool:
+    """True for the methods that take a Jacobian."""
+    return "jac" in iv.METHODS[method].options
+
+
+def slack(method: str) -> int:
+    """How much larger errors may be than with formulas of order 3 and more: with those of order 2, whose steps are so
+    long that their error of O(h^3) is just below rtol, they are O(rtol^(2/3))."""
+    return 100 if iv.METHODS[method].order == 2 else 1
 
 
 def cost_of_pair(sol: iv.Solution, method: str) -> int:

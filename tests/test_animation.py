@@ -187,6 +187,27 @@ def test_what_cannot_be_shown_is_refused(options, message):
         turning().animate(**options)
 
 
+def test_a_mechanical_system_shows_its_own_points():
+    """points(t, q) gets the positions only, and the arguments of the system."""
+
+    def rod(t, q, length):
+        return q @ q - length**2
+
+    def pivot_and_bob(t, q, length):
+        assert length == 2
+        return [[0, 0], q]
+
+    pendulum = iv.MechanicalSystem([1, 1], lambda t, q, v, length: [0, -1], rod, points=pivot_and_bob, args=(2.0,))
+    sol = pendulum.problem((0, 5), [2, 0], [0, 0]).solve(dense_output=True)
+    film = pendulum.animate(sol, links=[(0, 1)], trace=[1], fps=5)
+    film._draw_was_started = True
+    np.testing.assert_array_equal(film.points[-1], [[0, 0], sol.y[:2, -1]])
+    with pytest.raises(ValueError, match="the system has no points: make it with points="):
+        iv.MechanicalSystem([1, 1], lambda t, q, v: [0, -1]).animate(sol)
+    with pytest.raises(TypeError, match="points"):
+        iv.MechanicalSystem([1, 1], lambda t, q, v: [0, -1], points=[[0, 0]])
+
+
 def test_nothing_moves_in_one_point():
     with pytest.raises(ValueError, match="nothing moves"):
         turning(keep="end", dense_output=False).animate(hand)

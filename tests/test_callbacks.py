@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from problems import PROBLEMS
+from problems import PROBLEMS, slack
 
 
 def decay(t, y):
@@ -248,7 +248,7 @@ def test_extra_arguments_reach_every_function(method):
         return y[0] - np.exp(-a)
 
     sol = iv.solve_ivp(fun, (0, 2), [1, 1], method, args=(0.5, 1.5), invariants=g, events=event, rtol=1e-8, atol=1e-10)
-    assert sol.t_events[0][0] == pytest.approx(1, rel=1e-7)
+    assert sol.t_events[0][0] == pytest.approx(1, rel=1e-7 * slack(method))
     assert np.abs(sol.residual).max() < 1e-9
     many = iv.solve_ivp(lambda t, y, *a: [sum(a)], (0, 1), [0], args=range(20))
     assert many.y[0, -1] == pytest.approx(190)

@@ -93,6 +93,22 @@ def test_hires():
     )
 
 
+def counts(sol: iv.Solution) -> tuple[int, ...]:
+    return sol.stats.steps, sol.stats.failed, sol.nlu, sol.stats.nsolve, sol.nfev
+
+
+def test_ode23s_on_hires():
+    """MATLAB prints 303 steps, none failed, 303 factorisations, 909 solves; and 3336 f, one of which is another one at
+    the start."""
+    sol = iv.ode23s(HIRES.fun, HIRES.t_span, HIRES.y0, rtol=1e-6, atol=1e-6)
+    assert counts(sol) == (303, 0, 303, 909, 3336 - 1)
+
+
+def test_ode23s_on_a_very_stiff_linear_equation():
+    """There 63, none, 63, 189, and 191 f with that one."""
+    assert counts(iv.ode23s(lambda t, y: -1e9 * y, (0, 0.5), [1.0], jac=[[-1e9]])) == (63, 0, 63, 189, 191 - 1)
+
+
 def test_linear_system_points():
     sol = iv.ode45(lambda t, x: [x[1], -3 * x[0] + 2 * x[1]], (0, 10), [1, -1])
     assert len(sol.t) == rows("linear 2x2")[0]["points"]

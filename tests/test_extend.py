@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from problems import PROBLEMS, blow_up
+from problems import PROBLEMS, blow_up, slack
 
 TIGHT = {"rtol": 1e-8, "atol": 1e-10}
 KEPLER = PROBLEMS["Kepler"]
@@ -49,7 +49,7 @@ def test_two_parts_are_one_run(method, end):
 def test_three_parts_are_two(method):
     first = solve(method, (0, 3))
     sol = first.extend(4).extend(7)
-    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(7), atol=1e-5)
+    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(7), atol=1e-5 * slack(method))
     again = copy.deepcopy(first).extend(4)
     np.testing.assert_array_equal(again.y, first.extend(4).y)
 
@@ -232,7 +232,7 @@ def test_the_options_of_the_run_hold(method, options):
     assert len(sol.t) == 1 + (0 if options.get("save") == "end" else sol.stats.steps * options.get("refine", 1))
     assert (sol.steps is None) == ("save" in options)
     assert "max_step" not in options or np.diff(sol.t).max() <= 0.11 + 1e-15  # the last may be stretched by a tenth
-    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(4), atol=1e-6)
+    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(4), atol=1e-6 * slack(method))
 
 
 def test_the_longest_step_is_that_of_the_whole_interval(method):
@@ -276,7 +276,7 @@ def test_from_nothing(method):
     sol = iv.solve_ivp(KEPLER.fun, (0, 0), KEPLER.y0, method, dense_output=True, **TIGHT)
     for end in (1, -1):
         longer = sol.extend(end)
-        np.testing.assert_allclose(longer.y[:, -1], KEPLER.solution(end), atol=1e-6)
+        np.testing.assert_allclose(longer.y[:, -1], KEPLER.solution(end), atol=1e-6 * slack(method))
         np.testing.assert_array_equal(longer.sol(longer.t), longer.y)
 
 

@@ -22,6 +22,7 @@ def references():
     }
 
 
+@pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
 @pytest.mark.parametrize("name", GALLERY)
 def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, references):
     p = GALLERY[name]

@@ -83,6 +83,94 @@ def test_complex_problems_move_complex_components():
     assert np.abs(np.abs(sol.y) - 1).max() < 1e-13
 
 
+MASSES = np.array([1.0, 1.0, 50.0, 50.0])  # of a dumbbell: two ends, in the plane
+
+
+def tumble(t, y):
+    """Two masses, 1 and 50, on a rod of length 1, without other forces."""
+    rod, speed = y[2:4] - y[:2], y[6:] - y[4:6]
+    pull = (speed @ speed) / (rod @ rod) / (1 / MASSES[0] + 1 / MASSES[2])
+    return np.concatenate([y[4:], pull * rod / MASSES[:2], -pull * rod / MASSES[2:]])
+
+
+def length(t, y):
+    return (y[2] - y[0]) ** 2 + (y[3] - y[1]) ** 2 - 1
+
+
+def stretching(t, y):
+    return (y[2] - y[0]) * (y[6] - y[4]) + (y[3] - y[1]) * (y[7] - y[5])
+
+
+def dumbbell(metric):
+    return [
+        iv.Invariants(length, value=0, names="length", moves=range(4), metric=metric),
+        iv.Invariants(stretching, value=0, names="stretching", level=1, moves=range(4, 8), metric=metric),
+    ]
+
+
+TUMBLING = np.array([0, 0, 1, 0, 0, -2.0, 0, 1.0])
+
+
+def test_corrections_in_the_metric_of_the_mass_change_no_momentum(method):
+    """They are what forces along the rod do. Plain methods keep linear functions of y, joint projection does not."""
+    momentum = []
+    for metric in (MASSES, None):
+        sol = iv.solve_ivp(tumble, (0, 5), TUMBLING, method, rtol=1e-4, atol=1e-4, invariants=dumbbell(metric))
+        assert sol.success
+        assert np.abs(sol.residual).max() < 1e-13
+        total = (MASSES[:, None] * sol.y[4:]).reshape(2, 2, -1).sum(axis=0)
+        momentum.append(np.abs(total - total[:, :1]).max())
+    newton = method == "ode15s"  # iterates to a part of the tolerance
+    assert momentum[0] < (1e-2 if newton else 1e-10)
+    assert momentum[1] > 1e-6
+
+
+def test_a_metric_may_be_a_diagonal_a_matrix_or_a_function():
+    code = native_metrics()
+    metrics = [MASSES, np.diag(MASSES), lambda t, y: MASSES, lambda t, y: np.diag(MASSES), *code]
+    rough = TUMBLING + 0.05 * np.arange(8) % 0.3
+    points = [iv.impose(dumbbell(metric), 0.0, rough).y for metric in metrics]
+    for point in points[1:]:
+        np.testing.assert_allclose(point, points[0], atol=1e-14)
+    assert np.abs(points[0] - iv.impose(dumbbell(None), 0.0, rough).y).max() > 1e-3
+
+
+def native_metrics():
+    """The metric as machine code, where there is a compiler."""
+    numba = pytest.importorskip("numba")
+    double, pointer = numba.types.double, numba.types.CPointer(numba.types.double)
+
+    @numba.cfunc(numba.void(double, pointer, pointer, pointer))
+    def matrix(t, y, out, p):
+        for i in range(16):
+            out[i] = 0.0
+        for i in range(4):
+            out[5 * i] = 1.0 if i < 2 else 50.0
+
+    return [matrix]
+
+
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [
+        (np.ones(3), r"metric of invariant length must have shape \(4,\) or \(4, 4\)"),
+        (np.ones((2, 3)), r"must have shape \(k,\) or \(k, k\)"),
+        ([1.0, np.nan, 1, 1], "must be finite"),
+        (lambda t, y: np.ones(8), r"returned another shape than \(4,\) or \(4, 4\)"),
+    ],
+)
+def test_metrics_of_another_size_are_refused(metric, message):
+    with pytest.raises(ValueError, match=message):
+        iv.solve_ivp(tumble, (0, 1), TUMBLING, invariants=dumbbell(metric))
+
+
+def test_a_level_has_one_metric():
+    held = dumbbell(MASSES)
+    held.append(iv.Invariants(lambda t, y: y[4], names="other", level=1, moves=range(4, 8), metric=np.ones(4)))
+    with pytest.raises(ValueError, match="level 1 and have different metrics"):
+        iv.solve_ivp(tumble, (0, 1), TUMBLING, invariants=held)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 import invariode as iv
 from invariode._derivatives import Derivatives
 from invariode.mechanics import MechanicalSystem
 from invariode.problems import pendulum
+from problems import slack
 
 CORRECTIONS = ("levels", "joint", "none")
 
@@ -60,7 +63,7 @@ def test_the_index_3_pendulum_and_its_multiplier(method, correction):
         )
         off = np.append(sol.y[:, -1] - INDEX_3, system.multipliers(sol)[0, -1] + TENSION)  # ours has the other sign
         errors.append(np.abs(off).max() / rtol)
-    assert max(errors) < 30  # of the global error over the interval, in units of the tolerance
+    assert max(errors) < 30 * slack(method)  # of the global error over the interval, in units of the tolerance
 
 
 def particle(t, q, v):
@@ -216,12 +219,12 @@ def test_derivatives_are_as_good_as_their_kind(function, kind, first, second, si
     rng = np.random.default_rng(1)
     for _ in range(20):
         t, q, dq = rng.normal(), rng.normal(size=3), size * rng.normal(size=3)
-        at = Derivatives(function, t, q, (), "linkage")
+        at = Derivatives(function, t, (q,), (), "linkage")
         assert at.kind == kind
         jacobian = exact_jacobian(t, q)
-        np.testing.assert_allclose(at.jacobian(t, q, ()), jacobian, atol=first * 10)
+        np.testing.assert_allclose(at.jacobian(t, q), jacobian, atol=first * 10)
         rate = jacobian @ dq + size * np.array([np.cos(q[0] + t) * q[1], 0])
-        np.testing.assert_allclose(at.slope(t, q, size, dq, ()), rate, atol=first * 20 * np.abs(dq).max())
+        np.testing.assert_allclose(at.slope(t, q, size, dq), rate, atol=first * 20 * np.abs(dq).max())
         angle, bend = q[0] + t, dq[0] + size
         r = np.hypot(q[1], q[2])
         cross = q[1] * dq[2] - q[2] * dq[1]
@@ -230,14 +233,13 @@ def test_derivatives_are_as_good_as_their_kind(function, kind, first, second, si
             cross**2 / r**3 + np.cos(q[0]) * dq[0] ** 2,
         ]
         terms = np.abs(exact).max() + (np.abs(dq).max() + size) ** 2
-        off = np.abs(at.curvature(t, q, size, dq, ()) - exact).max()
+        off = np.abs(at.curvature(t, q, size, dq) - exact).max()
         assert off < second * terms / min(1.0, r) ** 3
 
 
 def test_a_rest_has_no_curvature():
-    assert (
-        not Derivatives(linkage, 0.0, np.ones(3), (), "linkage").curvature(0.0, np.ones(3), 0.0, np.zeros(3), ()).any()
-    )
+    at = Derivatives(linkage, 0.0, (np.ones(3),), (), "linkage")
+    assert not at.curvature(0.0, np.ones(3), 0.0, np.zeros(3)).any()
 
 
 @pytest.mark.parametrize(
@@ -448,3 +450,230 @@ def test_arguments_reach_every_function_and_can_be_changed():
     assert np.abs(np.hypot(sol.y[0], sol.y[1]) - 2).max() < 1e-14
     shorter = problem.replace(args=(1.0,), y0=[1, 0, 0, 0]).solve(rtol=1e-6)
     assert np.abs(np.hypot(shorter.y[0], shorter.y[1]) - 1).max() < 1e-14
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Compiled functions
+
+
+def compiled_pendulum(**given):
+    """Of length p[0], as a body with an angle and a rod, so that M, Q and φ have several components."""
+    pytest.importorskip("numba")
+    functions = {
+        "mass": iv.compile(lambda t, q, p: (1.0, 1.0)),
+        "force": iv.compile(lambda t, q, v, p: (0.0, -1.0)),
+        "constraints": iv.compile(lambda t, q, p: q[0] ** 2 + q[1] ** 2 - p[0] ** 2),
+        "energy": iv.compile(lambda t, q, v, p: (v[0] ** 2 + v[1] ** 2) / 2 + q[1]),
+        "args": (2.0,),
+    } | given
+    return MechanicalSystem(**functions)
+
+
+def pythons_pendulum():
+    return MechanicalSystem(
+        lambda t, q, length: [1, 1],
+        lambda t, q, v, length: [0, -1],
+        lambda t, q, length: q[0] ** 2 + q[1] ** 2 - length**2,
+        energy=lambda t, q, v, length: (v[0] ** 2 + v[1] ** 2) / 2 + q[1],
+        args=(2.0,),
+    )
+
+
+OPTIONS = {"method": "ode45", "rtol": 1e-7, "atol": 1e-9}
+
+
+@pytest.mark.parametrize(
+    "part",
+    ["all", "force", "constraints", "mass", "energy"],
+)
+def test_compiled_functions_and_mixed_ones_give_the_same_motion(part):
+    expected = pythons_pendulum().problem((0, 3), [2, 0], [0, 0]).solve(**OPTIONS)
+    in_python = {
+        name: getattr(pythons_pendulum(), name)
+        for name in ("mass", "force", "constraints", "energy")
+        if part not in ("all", name)
+    }
+    sol = compiled_pendulum(**in_python).problem((0, 3), [2, 0], [0, 0]).solve(**OPTIONS)
+    np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], rtol=1e-9, atol=1e-10)
+
+
+def test_with_compiled_functions_alone_no_python_is_called(monkeypatch):
+    system = compiled_pendulum()
+    problem = system.problem((0, 3), [2, 0], [0, 0])
+    first = problem.solve(**OPTIONS)
+
+    def called(*args):
+        raise AssertionError("a compiled function was called from Python")
+
+    for name in ("force", "constraints", "mass", "energy"):
+        monkeypatch.setattr(getattr(system, name), "fun", called)
+    np.testing.assert_array_equal(problem.solve(**OPTIONS).y, first.y)
+    together = iv.solve_ensemble(
+        problem.fun,
+        (0, 3),
+        np.tile(problem.y0, (4, 1)),
+        args=np.full((4, 1), 2.0),
+        invariants=problem.invariants,
+        workers=2,
+        **OPTIONS,
+    )
+    assert together.success.all()
+    np.testing.assert_array_equal(together.y_end, np.tile(first.y[:, -1], (4, 1)))
+
+
+def test_an_ensemble_changes_the_arguments_of_compiled_mechanics():
+    problem = compiled_pendulum().problem((0, 3), [2, 0], [0, 0])
+    lengths = np.array([[0.5], [1.0], [2.0]])
+    starts = np.array([[length, 0, 0, 0] for length in lengths[:, 0]])
+    found = iv.solve_ensemble(
+        problem.fun, (0, 3), starts, args=lengths, invariants=problem.invariants, workers=2, **OPTIONS
+    )
+    assert found.success.all()
+    np.testing.assert_allclose(np.hypot(found.y_end[:, 0], found.y_end[:, 1]), lengths[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(found.y_end[0, 1] / 0.5, problem_of_length(1.0, 3 / np.sqrt(0.5)), rtol=1e-5)
+
+
+def problem_of_length(length, tf):
+    """The height at tf of a pendulum of unit gravity, in units of its length."""
+    problem = pythons_pendulum().problem((0, 3), [2, 0], [0, 0])
+    return problem.replace(args=(length,), y0=[length, 0, 0, 0], t_span=(0, tf)).solve(**OPTIONS).y[1, -1] / length
+
+
+def test_functions_with_math_have_complex_steps_too():
+    numba = pytest.importorskip("numba")
+    assert numba
+    system = MechanicalSystem(
+        [1, 1], gravity, iv.compile(lambda t, q: math.sqrt(q[0] ** 2 + q[1] ** 2) - math.cos(0.0))
+    )
+    sol = system.problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    expected = swing().problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-8)
+
+
+def test_compiled_constraints_without_a_complex_form_have_differences():
+    pytest.importorskip("numba")
+    sol = swing(iv.compile(lambda t, q: math.hypot(q[0], q[1]) - 1)).problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    expected = swing().problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-6)
+
+
+def test_machine_code_tells_the_number_of_its_constraints_by_their_names():
+    numba = pytest.importorskip("numba")
+    pointer = numba.types.CPointer(numba.types.double)
+
+    @numba.cfunc(numba.void(numba.types.double, pointer, pointer, pointer))
+    def circle_code(t, q, out, p):
+        out[0] = (q[0] ** 2 + q[1] ** 2 - 1) / 2
+
+    with pytest.raises(ValueError, match="names="):
+        swing(circle_code).problem((0, 3), [1, 0], [0, 0])
+    problem = swing(iv.Invariants(circle_code, value=0, names=["rod"])).problem((0, 3), [1, 0], [0, 0])
+    assert [one.names for one in problem.invariants] == [["rod"], ["rate of rod"]]
+    expected = swing().problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    np.testing.assert_allclose(problem.solve(**OPTIONS).y[:, -1], expected.y[:, -1], atol=1e-7)
+
+
+def test_a_rotating_body_of_compiled_functions():
+    pytest.importorskip("numba")
+
+    def spin(t, q, v):
+        w, x, y, z = q[0], q[1], q[2], q[3]
+        a, b, c = v[0], v[1], v[2]
+        return (
+            (-x * a - y * b - z * c) / 2,
+            (w * a + y * c - z * b) / 2,
+            (w * b + z * a - x * c) / 2,
+            (w * c + x * b - y * a) / 2,
+        )
+
+    def euler(t, q, v):
+        return v[1] * v[2] * (2.0 - 3.0), v[2] * v[0] * (3.0 - 1.0), v[0] * v[1] * (1.0 - 2.0)
+
+    def level(t, q):
+        return 2 * (q[1] * q[3] - q[0] * q[2])
+
+    def solved(euler, level, spin):
+        system = MechanicalSystem(INERTIA, euler, level, kinematics=spin)
+        return system.problem((0, 5), [1, 0, 0, 0], [1, 0, 0.5]).solve("dop853", rtol=1e-9, atol=1e-11)
+
+    ours, expected = solved(*map(iv.compile, (euler, level, spin))), solved(euler, level, spin)
+    np.testing.assert_allclose(ours.y[:, -1], expected.y[:, -1], atol=1e-9)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Large systems
+
+
+def links(t, q):
+    """Lengths of the links of a chain that hangs at the origin, squared, less 1."""
+    x, y = q[0::2], q[1::2]
+    dx, dy = x.copy(), y.copy()
+    dx[1:] -= x[:-1]
+    dy[1:] -= y[:-1]
+    return dx * dx + dy * dy - 1
+
+
+def tangled(count):
+    """Positions and velocities of a chain of links at random angles."""
+    rng = np.random.default_rng(3)
+    angle, rate = rng.normal(size=(2, count))
+    q = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]), axis=0).ravel()
+    v = np.cumsum(np.column_stack([-rate * np.sin(angle), rate * np.cos(angle)]), axis=0).ravel()
+    return q, v
+
+
+MASSES = {
+    "diagonal": lambda n: np.ones(n),
+    "sparse": lambda n: scipy.sparse.diags_array([np.full(n, 2.0), *np.full((2, n - 1), 0.5)], offsets=[0, 1, -1]),
+    "function": lambda n: lambda t, q: np.diag(2 + np.sin(q)),
+    "sparse function": lambda n: lambda t, q: scipy.sparse.diags_array(2 + np.sin(q)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mass", MASSES)
+def test_a_chain_has_the_accelerations_of_dense_equations_of_motion(mass):
+    count = 20
+    q, v = tangled(count)
+    n = len(q)
+    weight = np.tile([0.0, -1.0], count)
+    problem = MechanicalSystem(MASSES[mass](n), lambda t, q, v: weight, links).problem((0, 1), q, v)
+    M = MASSES[mass](n)
+    M = M(0, q) if callable(M) else M
+    M = M.toarray() if hasattr(M, "toarray") else np.diag(M) if np.ndim(M) == 1 else M
+    rows = np.array([links(0, q + 1e-30j * unit).imag / 1e-30 for unit in np.eye(n)]).T
+    bend = 2 * (np.diff(v.reshape(-1, 2), axis=0, prepend=0) ** 2).sum(axis=1)
+    whole = np.block([[M, -rows.T], [rows, np.zeros((count, count))]])
+    expected = np.linalg.solve(whole, np.concatenate([weight, -bend]))[:n]
+    np.testing.assert_allclose(problem.fun(0, problem.y0)[n:], expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_a_given_jacobian_of_a_chain_may_be_sparse(sparse):
+    q, v = tangled(20)
+
+    def jacobian(t, q):
+        rows = np.array([links(t, q + 1e-30j * unit).imag / 1e-30 for unit in np.eye(len(q))]).T
+        return scipy.sparse.csr_array(rows) if sparse else rows
+
+    weight = np.tile([0.0, -1.0], 20)
+    given, own = (
+        MechanicalSystem(np.ones(40), lambda t, q, v: weight, links, jacobian=one).problem((0, 0.5), q, v)
+        for one in (jacobian, None)
+    )
+    np.testing.assert_allclose(given.fun(0, given.y0), own.fun(0, own.y0), rtol=1e-10, atol=1e-10)
+    assert given.solve(rtol=1e-5).success
+
+
+def test_a_mass_with_entries_that_were_not_there_at_the_start_is_whole():
+    """M couples two masses from x > 0.5 on: a comparison hides that from whoever looks at the start."""
+    q, v = tangled(20)
+
+    def mass(t, q):
+        M = np.eye(len(q))
+        if t > 0.5:
+            M[0, 5] = M[5, 0] = 0.5
+        return M
+
+    problem = MechanicalSystem(mass, lambda t, q, v: np.ones(len(q)), links).problem((0, 1), q, v)
+    constant = MechanicalSystem(mass(1.0, q), lambda t, q, v: np.ones(len(q)), links).problem((0, 1), q, v)
+    np.testing.assert_allclose(problem.fun(1.0, problem.y0), constant.fun(1.0, constant.y0), rtol=1e-10, atol=1e-10)

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem, cost_of_pair, long_steps
+from problems import PROBLEMS, TestProblem, cost_of_pair, implicit, long_steps
 
 ORBIT = PROBLEMS["Kepler"]
 #: One invariant in four dimensions: where the invariants pin down most of the state, projection gains an order.
@@ -51,6 +52,65 @@ def reference() -> iv.DenseSolution:
     return sol.sol
 
 
+# Implicit formulas are solved as exactly as the error is wanted, so their order does not show in steps that any error
+# test lets pass; but it does where f is linear, so that Newton's iteration ends at roundoff: y = p(t) + what turns.
+TURN = np.array([[0, 2, 0.5, 0], [-2, 0, 0, 1], [-0.5, 0, 0, 0.7], [0, -1, -0.7, 0]])
+
+
+def driver(t):
+    return np.array([np.sin(t), np.cos(2 * t), 0.5 * np.sin(3 * t), 1.0])
+
+
+def turning(t, y):
+    return TURN @ (y - driver(t)) + np.array([np.cos(t), -2 * np.sin(2 * t), 1.5 * np.cos(3 * t), 0])
+
+
+def turned(t):
+    return driver(t) + expm(t * TURN) @ (np.array([1.0, 2, 0, -1]) - driver(0))
+
+
+DRIVEN = TestProblem(
+    "driven",
+    turning,
+    (0, 10),
+    [1.0, 2, 0, -1],
+    lambda t, y: (y - driver(t)) @ (y - driver(t)),
+    lambda t, y: 2 * (y - driver(t)),
+    solution=turned,
+)
+ONE_STEP = [name for name, about in iv.METHODS.items() if implicit(name) and about.fixed_order]
+
+
+@pytest.mark.parametrize("project", [False, True])
+@pytest.mark.parametrize("method", ONE_STEP)
+def test_order_of_implicit_formulas(method, project):
+    invariants = DRIVEN.invariants() if project else None
+
+    def error(n):
+        sol = fixed_steps(DRIVEN, method, n, 4.0, jac=TURN, invariants=invariants)
+        assert sol.stats.projections == (sol.stats.steps if project else 0)
+        return max(np.abs(y - turned(t)).max() for t, y in zip(sol.t, sol.y.T, strict=True))
+
+    order, uncertainty = convergence(error, 20, 400, FLOOR)
+    assert abs(order - iv.METHODS[method].order) <= HIGHER_ORDER + uncertainty
+
+
+@pytest.mark.parametrize("interpolation", ["projected", "corrected", "raw"])
+@pytest.mark.parametrize("method", ONE_STEP)
+def test_order_of_implicit_formulas_between_steps(method, interpolation):
+    """As below for the explicit pairs."""
+
+    def error(n):
+        sol = fixed_steps(
+            DRIVEN, method, n, 2.0, jac=TURN, invariants=DRIVEN.invariants(), dense_output=True,
+            interpolation=interpolation,
+        )  # fmt: skip
+        return max(np.abs(sol.sol(s) - turned(s)).max() for s in np.linspace(0, sol.steps.h[0], 12)[1:-1])
+
+    order, uncertainty = convergence(error, 6, 150, FLOOR_OF_A_STEP)
+    assert order >= iv.METHODS[method].extension_order + 1 - 0.4 - uncertainty
+
+
 @pytest.mark.parametrize("fsal", ["reuse", "evaluate"])
 @pytest.mark.parametrize("project", [False, True])
 @pytest.mark.filterwarnings("ignore:option 'fsal' has no effect")
@@ -91,12 +151,16 @@ def evaluations(sol: iv.Solution, method: str) -> int:
         return 1 + 2 * s.steps + s.failed
     if method == "ode15s":  # one for each Newton iteration; f_t at the start
         return 2 + s.nsolve
+    if method == "ode23s":  # two and f_t; what projection has moved is evaluated again
+        return 1 + 3 * s.steps + 2 * s.failed + int((sol.correction > 0).sum())
+    if method == "radau":  # 3 for each iteration, which is two solves, beside one for each error; f at the end
+        return 2 + s.steps + 3 * (s.nsolve - s.steps - s.failed) // 2
     return cost_of_pair(sol, method)
 
 
 def test_projection_costs_no_extra_f(method):
     """Paper, section 4: a projected step costs as many f as one that is not."""
-    options = {"jac": kepler_rhs_jacobian} if method == "ode15s" else {}
+    options = {"jac": kepler_rhs_jacobian} if implicit(method) else {}
     for project in (False, True):
         sol = ORBIT.solve(method, project, **options)
         assert sol.nfev == evaluations(sol, method)
@@ -126,7 +190,7 @@ def test_error_follows_the_tolerance(method, project):
     """The largest error over the interval falls by at least 1.5 per half decade of rtol, from 1e-2 down to 1e-10, or
     to 1e-8 where the order is so low that the steps are very many."""
     rtols = np.logspace(-2, -10, 17) if iv.METHODS[method].order > 3 else np.logspace(-2, -8, 13)
-    options = {"jac": kepler_rhs_jacobian} if method == "ode15s" else {}
+    options = {"jac": kepler_rhs_jacobian} if implicit(method) else {}
     errors = []
     for rtol in rtols:
         sol = ORBIT.solve(method, project, rtol=rtol, atol=1e-3 * rtol, refine=2, **options)
@@ -167,4 +231,5 @@ def test_projection_is_more_than_cosmetic(method):
     def error(y):
         return np.abs(y - ORBIT.y0).max()
 
-    assert error(projected.y[:, -1]) < 0.1 * error(afterwards.y)
+    much = 0.1 if iv.METHODS[method].order > 2 else 0.2
+    assert error(projected.y[:, -1]) < much * error(afterwards.y)

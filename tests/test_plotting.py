@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from itertools import pairwise
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -127,6 +128,9 @@ def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method)
     DRAWINGS[drawing](sol, ax)
     curves = [line for line in ax.lines if len(line.get_xdata()) > 2]  # the others mark ends and bounds
     for line, (x, y) in zip(curves, SHOWN[drawing](sol), strict=True):
+        if drawing in ("plot", "phase"):  # smooth between the outputs
+            assert set(zip(x, y, strict=True)) <= set(zip(*line.get_data(), strict=True))
+            continue
         np.testing.assert_array_equal(line.get_xdata(), x)
         visible = y > below(sol) if drawing == "drift" else slice(None)
         np.testing.assert_array_equal(line.get_ydata()[visible], y[visible])
@@ -202,23 +206,161 @@ def test_complex_components_are_real_parts_solid_and_imaginary_parts_dashed():
     real, imaginary = shown(ax)
     assert (real.get_linestyle(), imaginary.get_linestyle()) == ("-", "--")
     assert real.get_color() == imaginary.get_color()
-    np.testing.assert_array_equal(real.get_ydata(), sol.y[0].real)
-    np.testing.assert_array_equal(imaginary.get_ydata(), sol.y[0].imag)
+    np.testing.assert_allclose(real.get_ydata(), np.cos(real.get_xdata()), atol=2e-3)
+    np.testing.assert_allclose(imaginary.get_ydata(), np.sin(imaginary.get_xdata()), atol=2e-3)
     ax = sol.plot_phase("y0", ax=axes())
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("Re y0", "Im y0")
-    np.testing.assert_array_equal(shown(ax)[0].get_ydata(), sol.y[0].imag)
+    assert set(sol.y[0].imag) <= set(shown(ax)[0].get_ydata())
     with pytest.raises(ValueError, match=r"the solution is complex: plot_phase\(0\) draws one component"):
         sol.plot_phase(0, 0)
 
 
-def test_a_dozen_components_at_the_most_which_the_legend_says():
+def test_more_than_a_dozen_components_have_a_sequence_of_colours():
     sol = iv.solve_ivp(lambda t, y: -y, (0, 1), np.ones(30))
     ax = sol.plot(ax=axes())
-    assert len(shown(ax)) == 12
-    assert ax.get_legend().get_title().get_text() == "12 of 30 components"
-    assert len({(line.get_color(), line.get_linestyle()) for line in shown(ax)}) == 12
+    assert len({line.get_color() for line in shown(ax)}) == 30
+    assert ax.get_legend().get_title().get_text() == "30 components"
+    assert legend(ax)[0] == "y0"
+    assert legend(ax)[-1] == "y29"
+    assert len(legend(ax)) == 10
     assert legend(sol.plot(ax=axes(), components=[3, "y20", -1])) == ["y3", "y20", "y29"]
-    assert len(shown(sol.plot(ax=axes(), components=range(30)))) == 30
+
+
+class TestCurvesBetweenSteps:
+    """What is drawn is the solution, not the chords of its steps."""
+
+    def test_they_stay_on_the_circle_where_chords_leave_it(self, method):
+        sol = turning(invariants=None).solve(method, rtol=1e-5, atol=1e-8)
+        x, y = shown(sol.plot_phase(0, 1, ax=axes()))[0].get_data()
+        chords = np.hypot(*(sol.y[:, 1:] + sol.y[:, :-1]) / 2)
+        assert len(x) > 4 * len(sol.t)
+        assert np.abs(np.hypot(x, y) - 1).max() < max(3e-3, np.abs(chords - 1).max() / 10)
+
+    def test_slopes_of_native_functions_too(self):
+        pytest.importorskip("numba")
+        sol = iv.solve_ivp(iv.compile(lambda t, y, p: (-p[0] * y[1], p[0] * y[0])), (0, 9), [1, 0], args=(1.5,))
+        t, x = shown(sol.plot(ax=axes()))[0].get_data()
+        assert len(t) > 4 * len(sol.t)
+        np.testing.assert_allclose(x, np.cos(1.5 * t), atol=0.02)
+
+    def test_output_at_times_is_joined_by_lines(self):
+        sol = turning().solve(t_eval=np.linspace(0, 20, 9))
+        np.testing.assert_array_equal(shown(sol.plot(ax=axes()))[0].get_xdata(), sol.t)
+
+    def test_so_is_what_has_no_functions_or_other_units(self, tmp_path):
+        sol = turning().solve()
+        sol.save(tmp_path / "run.npz")
+        scaled = turning().solve()
+        scaled["y"] = scaled.y * 1000
+        for other in (iv.load(tmp_path / "run.npz"), scaled):
+            np.testing.assert_array_equal(shown(other.plot(ax=axes()))[0].get_xdata(), sol.t)
+
+    def test_outputs_are_marked_on_request(self):
+        sol = turning().solve()
+        for ax in (sol.plot(ax=axes(), components=0, marker="o"), sol.plot_phase(0, 1, ax=axes(), marker="o")):
+            (marks,) = [line for line in ax.lines if line.get_marker() == "o" and len(line.get_xdata()) > 1]
+            assert len(marks.get_xdata()) == len(sol.t)
+            assert marks.get_linestyle() == "None"
+
+
+def test_components_of_other_scales_have_panels_of_their_own():
+    sol = iv.Problem(lambda t, y: [y[1], -y[0], 0], (0, 9), [1, 0, 1e-5], labels=["a", "b", "c"]).solve()
+    ax = sol.plot()
+    assert [legend(ax), ax.figure.axes[1].get_ylabel()] == [["a", "b"], "c"]
+    assert [bool(panel.get_xlabel()) for panel in ax.figure.axes] == [False, True]
+    assert legend(sol.plot(ax=axes())) == ["a", "b", "c"]  # given axes are one
+    sizes = [1e9, 1e5, 1, 1e-5, 1e-10, 0]
+    five = iv.solve_ivp(lambda t, y: 0 * y, (0, 1), sizes).plot()
+    assert len(five.figure.axes) == 4
+
+
+def test_stiff_components_do_not_overshoot():
+    rates = [[-0.04, 1e4, 3e7]]
+
+    def robertson(t, y):
+        a, b, c = rates[0]
+        slow, fast = a * y[0] + b * y[1] * y[2], c * y[1] ** 2
+        return [slow, -slow - fast, fast]
+
+    sol = iv.solve_ivp(robertson, (0, 1e6), [1.0, 0, 0], "ode15s", rtol=1e-5, atol=1e-9)
+    trace = shown(sol.plot(ax=axes()))[1].get_ydata()
+    assert trace.min() >= sol.y[1].min()
+    assert trace.max() <= sol.y[1].max()
+    assert len(trace) > 4 * len(sol.t)
+
+
+def test_long_runs_are_ranges_between_their_extremes():
+    t = np.linspace(0, 1000, 200_001)
+    sol = iv.solve_ivp(lambda t, y: [10.0 * np.cos(10 * t)], (0, 1000), [0.0], t_eval=t, rtol=1e-6)
+    ax = sol.plot(ax=axes())
+    (area,) = ax.collections
+    assert max(len(line.get_xdata()) for line in ax.lines) <= 2000
+    low, high = area.get_paths()[0].vertices[:, 1].min(), area.get_paths()[0].vertices[:, 1].max()
+    assert (low, high) == (sol.y.min(), sol.y.max())
+    slow = iv.solve_ivp(lambda t, y: [np.cos(t / 100)], (0, 1000), [0.0], t_eval=t, rtol=1e-6).plot(ax=axes())
+    assert not slow.collections
+    assert len(shown(slow)[0].get_xdata()) <= 4000
+
+
+def test_phase_plots_in_space():
+    sol = iv.Problem(lambda t, y: [y[1], -y[0], 1], (0, 9), [1, 0, 0], labels=["a", "b", "c"]).solve()
+    ax = sol.plot_phase("a", "b", "c")
+    assert (ax.name, ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == ("3d", "a", "b", "c")
+    x, y, z = ax.lines[0].get_data_3d()
+    np.testing.assert_allclose(np.hypot(x, y), 1, atol=0.02)
+    np.testing.assert_allclose(x, np.cos(z), atol=0.02)
+    assert legend(ax) == ["start", "end"]
+    with pytest.raises(ValueError, match='3 components are drawn on axes with projection="3d": give such, or none'):
+        sol.plot_phase(0, 1, 2, ax=axes())
+    with pytest.raises(ValueError, match="2 components are drawn on axes of the plane"):
+        sol.plot_phase(0, 1, ax=Figure().add_subplot(projection="3d"))
+
+
+def test_a_field_of_directions_is_that_of_f(tmp_path):
+    sol = turning().solve()
+    ax = sol.plot_phase(0, 1, field=True)
+    ax.figure.canvas.draw()
+    (arrows,) = ax.collections
+    x, y = arrows.XY.T
+    np.testing.assert_allclose(arrows.U * x + arrows.V * y, 0, atol=0.25)  # tangents of circles, but for the aspect
+    assert (arrows.V[x > 0.5] > 0).all()
+    with pytest.raises(ValueError, match="field=True needs a problem of two real components, and this has 3"):
+        iv.solve_ivp(lambda t, y: -y, (0, 1), [1, 2, 3]).plot_phase(0, 1, field=True)
+    sol.save(tmp_path / "run.npz")
+    with pytest.raises(ValueError, match="field=True needs the function of the problem"):
+        iv.load(tmp_path / "run.npz").plot_phase(0, 1, field=True)
+
+
+def test_drift_in_units_of_the_value():
+    big = iv.Invariants(lambda t, y: 1e6 * (y[0] ** 2 + y[1] ** 2), names="E")
+    sol = turning(invariants=big).solve("ode23")
+    absolute, relative = sol.plot_drift(ax=axes()), sol.plot_drift(ax=axes(), relative=True)
+    np.testing.assert_allclose(relative.lines[0].get_ydata(), absolute.lines[0].get_ydata() / 1e6, rtol=1e-12)
+    np.testing.assert_allclose(relative.lines[1].get_ydata(), absolute.lines[1].get_ydata() / 1e6, rtol=1e-12)
+    assert relative.get_ylabel() == "relative residual of E"
+    held = turning(invariants=iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 - 1, value=0, names="zero")).solve()
+    with pytest.raises(ValueError, match="zero is held at 0, which has no relative drift: leave out relative=True"):
+        held.plot_drift(relative=True)
+
+
+def test_a_run_that_kept_its_end_only_says_what_a_picture_needs():
+    sol = turning().solve(save="end")
+    for draw in (sol.plot, lambda: sol.plot_phase(0, 1)):
+        with pytest.raises(ValueError, match=r'kept its final state only: for a picture solve with keep="all"'):
+            draw()
+    assert not plt.get_fignums()
+
+
+@pytest.mark.parametrize("end", [1e-7, 1.0, 123456.0, 1e9])
+def test_numbers_at_the_axes_do_not_run_together(end):
+    sol = iv.solve_ivp(lambda t, y: [1.0, -1.0], (0, end), [0.0, 0.0])
+    for ax in (sol.plot(), sol.plot_phase(0, 1)):
+        ax.figure.canvas.draw()
+        low, high = ax.get_xlim()
+        inside = [text for text in ax.get_xticklabels() if low <= text.get_position()[0] <= high]
+        boxes = [text.get_window_extent() for text in inside if text.get_text()]
+        assert len(boxes) > 2
+        assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
 
 
 @pytest.mark.parametrize("wrong", ["west", 2, -3, 0.5, None])
@@ -259,6 +401,46 @@ def test_drift_is_the_residual_and_the_largest_before_projection():
     assert np.nanmin(drawn) >= np.finfo(float).eps / 2  # of the value 1
 
 
+def chain_of(links):
+    """Masses on rods of length 1: constraints are level 0, their rates level 1, the energy is level 2."""
+
+    def rods(t, q):
+        return (np.diff(np.vstack([[0, 0], q.reshape(-1, 2)]), axis=0) ** 2).sum(axis=1) - 1
+
+    def energy(t, q, v):
+        return v @ v / 2 + q[1::2].sum()
+
+    masses = iv.MechanicalSystem(np.ones(2 * links), lambda t, q, v: np.tile([0, -1], links), rods, energy=energy)
+    straight = np.array([(i + 1, 0) for i in range(links)]).ravel()
+    return masses.problem((0, 0.5), straight, np.zeros(2 * links)).solve()
+
+
+def test_drift_tells_levels_apart():
+    ax = chain_of(2).plot_drift(ax=axes())
+    curves = {line.get_label(): line for line in ax.lines if line.get_linestyle() != ":"}
+    assert [(name, line.get_linestyle()) for name, line in curves.items()] == [
+        ("constraint 1", "-"),
+        ("constraint 2", "-"),
+        ("rate of constraint 1", "--"),
+        ("rate of constraint 2", "--"),
+        ("energy", "-."),
+    ]
+    colours = [line.get_color() for line in curves.values()]
+    assert colours[:2] == colours[2:4]  # a constraint and its rate
+    assert colours[0] != colours[1]
+
+
+def test_drift_of_many_is_the_largest_of_each_level():
+    sol = chain_of(7)
+    ax = sol.plot_drift(ax=axes())
+    curves = [line for line in ax.lines if line.get_linestyle() != ":"]
+    assert [line.get_label() for line in curves] == ["level 0: largest of 7", "level 1: largest of 7", "energy"]
+    largest, drawn = np.abs(sol.residual[7:14]).max(axis=0), curves[1].get_ydata()
+    visible = largest > np.nanmin(drawn)
+    np.testing.assert_array_equal(drawn[visible], largest[visible])
+    assert ax.get_legend().get_title().get_text() == ""
+
+
 def test_drift_of_a_run_without_invariants_needs_to_be_told_which():
     sol = turning(invariants=None).solve("ode23")
     with pytest.raises(ValueError, match=r"the run had no invariants.*plot_drift\(invariants=g\)"):
@@ -294,8 +476,6 @@ def test_the_ends_of_a_phase_curve_are_those_of_the_run():
     marks = {line.get_label(): line.get_xydata()[0] for line in sol.plot_phase(0, 1).lines}
     np.testing.assert_allclose(marks["start"], [1, 0])
     np.testing.assert_allclose(marks["end"], [np.cos(3), -np.sin(3)], atol=1e-5)
-    end = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 3), [1.0, 0], keep="end").plot_phase(0, 1)
-    assert "start" not in [line.get_label() for line in end.lines]
 
 
 def test_labels_must_differ():
@@ -442,3 +622,35 @@ def test_names_that_are_no_formulas_are_drawn_as_they_are(name, tmp_path):
 def test_formulas_stay_formulas():
     sol = iv.Problem(lambda t, y: [y[1], -y[0]], (0, 5), [1.0, 0.0], labels=[r"$\theta$", "v"]).solve()
     assert sol.plot(components=0).get_ylabel() == r"$\theta$"
+
+
+class TestWorkAndPrecision:
+    def test_errors_fall_with_the_work_and_projected_runs_are_dashed(self):
+        panels = iv.plot_work_precision(turning((0, 5)), ["ode45", "dop853"], rtols=[1e-3, 1e-6, 1e-9])
+        assert [ax.get_xlabel() for ax in panels] == ["evaluations of $f$", "time in seconds"]
+        assert len(panels[0].lines) == 4
+        for line in panels[0].lines:
+            work, errors = line.get_data()
+            assert (np.diff(work) >= 0).all()
+            assert errors[-1] < errors[0]
+        assert [text.get_text() for text in panels[0].figure.legends[0].get_texts()] == [
+            "ode45", "dop853", "plain", "projected"]  # fmt: skip
+
+    def test_a_reference_of_ones_own(self):
+        problem = turning((0, 5), invariants=None)
+        exact = [np.cos(5), np.sin(5)]
+        sol = problem.solve("dop853", rtol=1e-12, atol=1e-13)
+        for reference in (exact, sol):
+            panels = iv.plot_work_precision(problem, ["ode45"], reference, rtols=[1e-4], axes=Figure().subplots(1, 2))
+            (error,) = panels[0].lines[0].get_ydata()
+            end = problem.solve("ode45", rtol=1e-4, atol=1e-7).y[:, -1]
+            expected = np.abs(end - exact).max() / (1.0 if reference is sol else np.abs(np.asarray(exact)).max())
+            assert error == pytest.approx(expected, rel=1.0)
+
+    def test_what_cannot_be_drawn_says_why(self):
+        with pytest.raises(ValueError, match="reference must be a Solution or a state of shape"):
+            iv.plot_work_precision(turning(), ["ode45"], [1.0])
+        with pytest.raises(ValueError, match="ode45 cannot use a mass matrix: choose from ode15s"):
+            iv.plot_work_precision(turning(mass=np.eye(2), invariants=None), ["ode45"])
+        with pytest.raises(ValueError, match="draws on two axes, got 1"):
+            iv.plot_work_precision(turning((0, 1)), ["ode45"], rtols=[1e-3], axes=axes())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem, kepler, kepler_invariants, kepler_jacobian, long_steps
+from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
 
 
 def test_residual_at_steps_is_far_below_the_plain_run(method, problem):
@@ -79,7 +79,7 @@ def test_components_near_zero_under_pure_relative_control(method, small):
         lambda t, y: [y[1], -y[0]], (0, 1), [1, small], method, rtol=1e-6, atol=0, invariants=lambda t, y: y @ y
     )
     assert sol.success, sol.message
-    np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-5)
+    np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-5 * slack(method))
 
 
 def test_redundant_invariant_is_dropped_with_one_warning(method):
@@ -104,7 +104,7 @@ def test_redundant_invariant_is_dropped_with_one_warning(method):
 
 def test_circular_orbit_where_invariants_are_redundant_everywhere(method):
     with pytest.warns(UserWarning, match="redundant"):
-        sol = iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, invariants=kepler_invariants)
+        sol = iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, rtol=1e-6, invariants=kepler_invariants)
     assert sol.success
     assert np.abs(sol.residual).max() < 1e-5
 
@@ -132,7 +132,7 @@ def test_one_invariant_as_number_as_vector_or_in_a_list(method):
 
 def test_linear_invariant_is_kept_without_projection_already(method):
     matrix = np.array([[-1.0, 0, 0], [1, -2, 0], [0, 2, 0]])  # its columns sum to 0
-    options = {"jac": matrix} if method == "ode15s" else {}
+    options = {"jac": matrix} if implicit(method) else {}
     sol = iv.solve_ivp(lambda t, y: matrix @ y, (0, 5), [1, 0, 0], method, **options)
     assert np.abs(sol.y.sum(axis=0) - 1).max() < 50 * np.finfo(float).eps
 

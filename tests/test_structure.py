@@ -153,6 +153,8 @@ class TestReplace:
             "uband": 0,
             "mass": None,
             "inputs": [iv.Input([0], [1.0])],
+            "nonnegative": [0],
+            "bounds": (None, 10.0),
             "name": "new",
             "labels": ["c", "d"],
         }
@@ -170,6 +172,7 @@ class TestReplace:
             "fun": problem.fun,
             "t_span": problem.t_span,
             "y0": problem.y0.tolist(),
+            **problem._bounds_as_given,
             "args": problem.args,
             "inputs": problem.inputs,
             "invariants": [one.fun for one in problem.invariants],

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "linear/groups.hpp"
+
 namespace invariode {
 namespace {
 
@@ -30,8 +32,7 @@ Jacobian::Jacobian(Kind kind, Matrix matrix, MatrixFunction function, const Weig
   group_columns();
 }
 
-/// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th. Sparse:
-/// the first group that fits.
+/// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th.
 void Jacobian::group_columns() {
   const auto& [kind, n, lower, upper] = matrix_.structure;
   if (kind != Structure::Kind::sparse) {
@@ -40,21 +41,7 @@ void Jacobian::group_columns() {
     for (std::size_t j = 0; j < n; ++j) groups_[j % count].push_back(j);
     return;
   }
-  std::vector<std::vector<std::size_t>> groups_of_row(n);
-  std::vector<std::size_t> taken_for;  // of each group: the last column that could not join it, plus 1
-  for (std::size_t j = 0; j < n; ++j) {
-    const auto first = matrix_.rows.begin() + matrix_.starts[j], last = matrix_.rows.begin() + matrix_.starts[j + 1];
-    for (auto i = first; i != last; ++i)
-      for (const std::size_t g : groups_of_row[static_cast<std::size_t>(*i)]) taken_for[g] = j + 1;
-    std::size_t group = 0;
-    while (group < groups_.size() && taken_for[group] == j + 1) ++group;
-    if (group == groups_.size()) {
-      groups_.emplace_back();
-      taken_for.push_back(0);
-    }
-    groups_[group].push_back(j);
-    for (auto i = first; i != last; ++i) groups_of_row[static_cast<std::size_t>(*i)].push_back(group);
-  }
+  groups_ = invariode::group_columns(n, n, matrix_.starts.data(), matrix_.rows.data());
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {

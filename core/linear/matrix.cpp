@@ -5,6 +5,7 @@
 #include <Eigen/SparseLU>
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <new>
 #include <string>
 
@@ -18,12 +19,18 @@ constexpr double least_diagonal = 0.1;       // of the largest entry in its colu
 
 Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
+bool finite(const std::vector<double>& v) { return all_finite(v.data(), v.size()); }
+bool finite(const std::vector<std::complex<double>>& v) {
+  return all_finite(reinterpret_cast<const double*>(v.data()), 2 * v.size());  // pairs, as the standard says
+}
+
 /// LU by Eigen, whose small matrices cost no call.
-class DenseByEigen final : public Factorization {
+template <class Scalar>
+class DenseByEigen final : public Factors<Scalar> {
  public:
   explicit DenseByEigen(std::size_t n) : A_(index(n), index(n)), lu_(index(n)), x_(index(n)) {}
 
-  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+  bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     if (mass)
       mass->for_each([this](std::size_t i, std::size_t j, double m) { A_(index(i), index(j)) = m; });
     else
@@ -33,56 +40,61 @@ class DenseByEigen final : public Factorization {
     return lu_.matrixLU().allFinite() && (lu_.matrixLU().diagonal().array() != 0).all();
   }
 
-  void solve(double* b) override {
-    Eigen::Map<Eigen::VectorXd> x(b, x_.size());
+  void solve(Scalar* b) override {
+    Eigen::Map<Vector> x(b, x_.size());
     x_.noalias() = lu_.permutationP() * x;
-    lu_.matrixLU().triangularView<Eigen::UnitLower>().solveInPlace(x_);
-    lu_.matrixLU().triangularView<Eigen::Upper>().solveInPlace(x_);
+    lu_.matrixLU().template triangularView<Eigen::UnitLower>().solveInPlace(x_);
+    lu_.matrixLU().template triangularView<Eigen::Upper>().solveInPlace(x_);
     x = x_;
   }
 
  private:
-  Eigen::MatrixXd A_;
-  Eigen::PartialPivLU<Eigen::MatrixXd> lu_;
-  Eigen::VectorXd x_;
+  using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;
+  using Square = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
+
+  Square A_;
+  Eigen::PartialPivLU<Square> lu_;
+  Vector x_;
 };
 
-class DenseByLapack final : public Factorization {
+template <class Scalar>
+class DenseByLapack final : public Factors<Scalar> {
  public:
-  DenseByLapack(std::size_t n, const Lapack& lapack)
+  DenseByLapack(std::size_t n, const LapackOf<Scalar>& lapack)
       : lapack_(lapack), n_(static_cast<int>(n)), lu_(n * n), pivots_(n) {}
 
-  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+  bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     const auto n = static_cast<std::size_t>(n_);
-    const auto at = [&](std::size_t i, std::size_t j) -> double& { return lu_[j * n + i]; };
+    const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * n + i]; };
     std::fill(lu_.begin(), lu_.end(), 0);
     if (mass)
       mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
     else
       for (std::size_t i = 0; i < n; ++i) at(i, i) = 1;
     jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
-    if (!all_finite(lu_.data(), lu_.size())) return false;
+    if (!finite(lu_)) return false;
     int info = 0;
-    lapack_.dgetrf(&n_, &n_, lu_.data(), &n_, pivots_.data(), &info);
+    lapack_.factor(&n_, &n_, lu_.data(), &n_, pivots_.data(), &info);
     return info == 0;
   }
 
-  void solve(double* b) override {
+  void solve(Scalar* b) override {
     char as_it_is = 'N';
     int one = 1, info = 0;
-    lapack_.dgetrs(&as_it_is, &n_, &one, lu_.data(), &n_, pivots_.data(), b, &n_, &info);
+    lapack_.solve(&as_it_is, &n_, &one, lu_.data(), &n_, pivots_.data(), b, &n_, &info);
   }
 
  private:
-  Lapack lapack_;
+  LapackOf<Scalar> lapack_;
   int n_;
-  std::vector<double> lu_;
+  std::vector<Scalar> lu_;
   std::vector<int> pivots_;
 };
 
-class BandedByLapack final : public Factorization {
+template <class Scalar>
+class BandedByLapack final : public Factors<Scalar> {
  public:
-  BandedByLapack(const Structure& s, const Lapack& lapack)
+  BandedByLapack(const Structure& s, const LapackOf<Scalar>& lapack)
       : lapack_(lapack),
         n_(static_cast<int>(s.n)),
         lower_(static_cast<int>(s.lower)),
@@ -91,46 +103,47 @@ class BandedByLapack final : public Factorization {
         lu_(static_cast<std::size_t>(rows_) * s.n),
         pivots_(s.n) {}
 
-  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+  bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     const auto rows = static_cast<std::size_t>(rows_), top = rows - static_cast<std::size_t>(lower_) - 1;
-    const auto at = [&](std::size_t i, std::size_t j) -> double& { return lu_[j * rows + top + i - j]; };
+    const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * rows + top + i - j]; };
     std::fill(lu_.begin(), lu_.end(), 0);
     if (mass)
       mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
     else
       for (std::size_t j = 0; j < pivots_.size(); ++j) at(j, j) = 1;
     jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
-    if (!all_finite(lu_.data(), lu_.size())) return false;
+    if (!finite(lu_)) return false;
     int info = 0;
-    lapack_.dgbtrf(&n_, &n_, &lower_, &upper_, lu_.data(), &rows_, pivots_.data(), &info);
+    lapack_.factor_band(&n_, &n_, &lower_, &upper_, lu_.data(), &rows_, pivots_.data(), &info);
     return info == 0;
   }
 
-  void solve(double* b) override {
+  void solve(Scalar* b) override {
     char as_it_is = 'N';
     int one = 1, info = 0;
-    lapack_.dgbtrs(&as_it_is, &n_, &lower_, &upper_, &one, lu_.data(), &rows_, pivots_.data(), b, &n_, &info);
+    lapack_.solve_band(&as_it_is, &n_, &lower_, &upper_, &one, lu_.data(), &rows_, pivots_.data(), b, &n_, &info);
   }
 
  private:
-  Lapack lapack_;
+  LapackOf<Scalar> lapack_;
   int n_, lower_, upper_;
   int rows_;  // of the band with room for the fill-in
-  std::vector<double> lu_;
+  std::vector<Scalar> lu_;
   std::vector<int> pivots_;
 };
 
 /// LU by Eigen on the union of the patterns of M and J, analysed again only when that changes. Rows and columns are put
 /// into the minimum degree order of A + Aᵀ (these matrices have a full diagonal and are nearly symmetric in pattern:
 /// half the fill-in of a column ordering), and pivots are taken from the diagonal where they are not small.
-class SparseByEigen final : public Factorization {
+template <class Scalar>
+class SparseByEigen final : public Factors<Scalar> {
  public:
   explicit SparseByEigen(std::size_t n) : A_(index(n), index(n)), x_(index(n)) {
     lu_.isSymmetric(true);
     lu_.setPivotThreshold(least_diagonal);
   }
 
-  bool factor(const Matrix* mass, double c, const Matrix& jacobian) override {
+  bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     if (!analysed_ || with_mass_ != (mass != nullptr) || !jacobian.same_pattern(jacobian_) ||
         (mass && !mass->same_pattern(mass_)))
       analyse(mass, jacobian);
@@ -142,14 +155,14 @@ class SparseByEigen final : public Factorization {
       for (; p < of_mass_.size(); ++p) A_.valuePtr()[of_mass_[p]] += 1;
     p = 0;
     jacobian.for_each([&](std::size_t, std::size_t, double v) { A_.valuePtr()[of_jacobian_[p++]] -= c * v; });
-    if (!all_finite(A_.valuePtr(), static_cast<std::size_t>(A_.nonZeros()))) return false;
+    if (!A_.coeffs().allFinite()) return false;
     lu_.factorize(A_);
     // Eigen reports a singular matrix and a lack of memory by the same code, or the latter by none.
     if (lu_.lastErrorMessage().find("MEMORY") != std::string::npos) throw std::bad_alloc();
     return lu_.info() == Eigen::Success;
   }
 
-  void solve(double* b) override {
+  void solve(Scalar* b) override {
     for (std::size_t i = 0; i < place_.size(); ++i) x_[place_[i]] = b[i];
     x_ = lu_.solve(x_);
     for (std::size_t i = 0; i < place_.size(); ++i) b[i] = x_[place_[i]];
@@ -158,9 +171,9 @@ class SparseByEigen final : public Factorization {
  private:
   void analyse(const Matrix* mass, const Matrix& jacobian) {
     const std::size_t n = jacobian.n();
-    std::vector<Eigen::Triplet<double>> entries;
+    std::vector<Eigen::Triplet<Scalar>> entries;
     const auto add = [&](std::size_t i, std::size_t j, double) {
-      entries.emplace_back(static_cast<int>(i), static_cast<int>(j), 0.0);
+      entries.emplace_back(static_cast<int>(i), static_cast<int>(j), Scalar(0));
     };
     const auto visit_mass = [&](auto&& visit) {
       if (mass)
@@ -177,8 +190,8 @@ class SparseByEigen final : public Factorization {
     place_.resize(n);
     for (std::size_t k = 0; k < n; ++k)
       place_[static_cast<std::size_t>(order.indices()[index(k)])] = static_cast<int>(k);
-    for (Eigen::Triplet<double>& e : entries)
-      e = {place_[static_cast<std::size_t>(e.row())], place_[static_cast<std::size_t>(e.col())], 0.0};
+    for (Eigen::Triplet<Scalar>& e : entries)
+      e = {place_[static_cast<std::size_t>(e.row())], place_[static_cast<std::size_t>(e.col())], Scalar(0)};
     A_.setFromTriplets(entries.begin(), entries.end());
     A_.makeCompressed();
     const auto find = [this](std::size_t i, std::size_t j) {
@@ -197,9 +210,9 @@ class SparseByEigen final : public Factorization {
     analysed_ = true;
   }
 
-  Eigen::SparseMatrix<double> A_;
-  Eigen::SparseLU<Eigen::SparseMatrix<double>, Eigen::NaturalOrdering<int>> lu_;
-  Eigen::VectorXd x_;
+  Eigen::SparseMatrix<Scalar> A_;
+  Eigen::SparseLU<Eigen::SparseMatrix<Scalar>, Eigen::NaturalOrdering<int>> lu_;
+  Eigen::Matrix<Scalar, Eigen::Dynamic, 1> x_;
   std::vector<int> place_;                             // of each row and column in A
   std::vector<std::ptrdiff_t> of_jacobian_, of_mass_;  // where their entries go among those of A
   Matrix jacobian_, mass_;                             // the patterns that were analysed
@@ -219,13 +232,20 @@ void Matrix::multiply(const double* x, double* y) const {
   for_each([&](std::size_t i, std::size_t j, double a) { y[i] += a * x[j]; });
 }
 
-std::unique_ptr<Factorization> make_factorization(const Structure& structure, const Lapack* lapack) {
+template <class Scalar>
+std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const Lapack* lapack) {
+  const LapackOf<Scalar>* routines = lapack ? &lapack->of(Scalar()) : nullptr;
   if (structure.kind == Structure::Kind::dense) {
-    if (lapack && structure.n >= dense_by_lapack) return std::make_unique<DenseByLapack>(structure.n, *lapack);
-    return std::make_unique<DenseByEigen>(structure.n);
+    if (routines && structure.n >= dense_by_lapack)
+      return std::make_unique<DenseByLapack<Scalar>>(structure.n, *routines);
+    return std::make_unique<DenseByEigen<Scalar>>(structure.n);
   }
-  if (structure.kind == Structure::Kind::banded && lapack) return std::make_unique<BandedByLapack>(structure, *lapack);
-  return std::make_unique<SparseByEigen>(structure.n);
+  if (structure.kind == Structure::Kind::banded && routines)
+    return std::make_unique<BandedByLapack<Scalar>>(structure, *routines);
+  return std::make_unique<SparseByEigen<Scalar>>(structure.n);
 }
+
+template std::unique_ptr<Factors<double>> make_factors(const Structure&, const Lapack*);
+template std::unique_ptr<Factors<std::complex<double>>> make_factors(const Structure&, const Lapack*);
 
 }  // namespace invariode

@@ -1,6 +1,7 @@
 #pragma once
 // Square matrices as implicit methods meet them: Jacobian, mass matrix, and the LU factors of M − c J.
 
+#include <complex>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -78,34 +79,53 @@ class MatrixFunction {
   void* context_ = nullptr;
 };
 
-/// LAPACK's routines for LU factors, which the binding takes from the copy that SciPy ships.
-struct Lapack {
-  using Factor = void(int* m, int* n, double* a, int* lda, int* pivots, int* info);
-  using Solve = void(char* trans, int* n, int* nrhs, double* a, int* lda, int* pivots, double* b, int* ldb, int* info);
-  using FactorBand = void(int* m, int* n, int* kl, int* ku, double* ab, int* ldab, int* pivots, int* info);
-  using SolveBand = void(char* trans, int* n, int* kl, int* ku, int* nrhs, double* ab, int* ldab, int* pivots,
-                         double* b, int* ldb, int* info);
-  Factor* dgetrf = nullptr;
-  Solve* dgetrs = nullptr;
-  FactorBand* dgbtrf = nullptr;
-  SolveBand* dgbtrs = nullptr;
+/// LAPACK's routines for LU factors of real or complex matrices.
+template <class Scalar>
+struct LapackOf {
+  using Factor = void(int* m, int* n, Scalar* a, int* lda, int* pivots, int* info);
+  using Solve = void(char* trans, int* n, int* nrhs, Scalar* a, int* lda, int* pivots, Scalar* b, int* ldb, int* info);
+  using FactorBand = void(int* m, int* n, int* kl, int* ku, Scalar* ab, int* ldab, int* pivots, int* info);
+  using SolveBand = void(char* trans, int* n, int* kl, int* ku, int* nrhs, Scalar* ab, int* ldab, int* pivots,
+                         Scalar* b, int* ldb, int* info);
+  Factor* factor = nullptr;           ///< dgetrf, zgetrf
+  Solve* solve = nullptr;             ///< dgetrs, zgetrs
+  FactorBand* factor_band = nullptr;  ///< dgbtrf, zgbtrf
+  SolveBand* solve_band = nullptr;    ///< dgbtrs, zgbtrs
 };
 
-/// LU factors of A = M − c J, and solutions of A x = b with them.
-class Factorization {
+/// Both, which the binding takes from the copy that SciPy ships.
+struct Lapack {
+  LapackOf<double> real;
+  LapackOf<std::complex<double>> complex;
+
+  [[nodiscard]] const LapackOf<double>& of(double) const { return real; }
+  [[nodiscard]] const LapackOf<std::complex<double>>& of(std::complex<double>) const { return complex; }
+};
+
+/// LU factors of A = M − c J, where c is real or complex, and solutions of A x = b with them.
+template <class Scalar>
+class Factors {
  public:
-  Factorization() = default;
-  Factorization(const Factorization&) = delete;
-  Factorization& operator=(const Factorization&) = delete;
-  virtual ~Factorization() = default;
+  Factors() = default;
+  Factors(const Factors&) = delete;
+  Factors& operator=(const Factors&) = delete;
+  virtual ~Factors() = default;
 
   /// `mass` null: the identity. False: A is singular, or not finite.
-  [[nodiscard]] virtual bool factor(const Matrix* mass, double c, const Matrix& jacobian) = 0;
-  virtual void solve(double* b) = 0;
+  [[nodiscard]] virtual bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) = 0;
+  virtual void solve(Scalar* b) = 0;
 };
+
+using Factorization = Factors<double>;
+using ComplexFactorization = Factors<std::complex<double>>;
 
 /// For matrices of that structure. `lapack` may be null: dense ones are then left to Eigen, and banded ones are treated
 /// as sparse.
-std::unique_ptr<Factorization> make_factorization(const Structure& structure, const Lapack* lapack);
+template <class Scalar>
+std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const Lapack* lapack);
+
+inline std::unique_ptr<Factorization> make_factorization(const Structure& structure, const Lapack* lapack) {
+  return make_factors<double>(structure, lapack);
+}
 
 }  // namespace invariode

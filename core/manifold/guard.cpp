@@ -10,10 +10,11 @@ namespace {
 
 // Thresholds from the campaigns of tests/fuzz (docs/algorithms.md, 'Guard').
 constexpr double suspicious_angle = 1e-11;    // ρ: 40 times what right invariants had, with derivatives that are exact
+constexpr double persistent_angle = 1e-12;    // ρ of g along the flow, which has to persist at points nearby
 constexpr double errors_of_derivatives = 50;  // ρ with others, in units of their relative error
 constexpr double large_angle = 1e-6;          // ρ that is looked at whether or not small ones were acquitted lately
 constexpr double suspicious_drift = 0.01;     // D, in units of rtol
-constexpr double harmful_drift = 1;           // the same over the whole interval, if the rate stays what it is
+constexpr double harmful_drift = 0.1;         // over the whole interval at this rate: errors of orbits grow with t
 constexpr double roundoff_in_t = 10 * eps;    // of t, as of all that g computes
 constexpr double suspicious_correction = 10;  // in units of rtol
 
@@ -30,8 +31,10 @@ constexpr double same_rate = 2;
 constexpr double same_rate_of_slopes = 10;  // where y' itself is not good to roundoff
 // What is left of a residual where its point is near enough to the manifold to compare rates before and after.
 constexpr double sufficient_gain = 1e-2;
-// Extrapolation of the derivative along the flow (Ridders, Adv. Eng. Software 4 (1982) 75): h, h/2, h/4, …
-constexpr int extrapolations = 6;
+// Extrapolation of the derivative along the flow (Ridders, Adv. Eng. Software 4 (1982) 75): 32 h, 16 h, …, h/32. Steps
+// of tight tolerances are much shorter than what g needs.
+constexpr double longest_flow = 32;
+constexpr int fewest_extrapolations = 6, extrapolations = 11;
 constexpr int shorter_flows = 8;  // where g is not defined so far away h is a tenth, so many times
 const double cbrt_eps = std::cbrt(eps);
 
@@ -341,13 +344,16 @@ Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const d
   return std::isfinite(quotient) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// Richardson's extrapolation of central differences, stopped where roundoff makes it worse. Over a short h roundoff
-/// may agree with itself: the error is never less than what it makes of the longest difference.
+/// Richardson's extrapolation of central differences. They begin long, for less roundoff: with up to 32 h, but no
+/// longer than the time in which a component changes by a tenth of its size. An entry of the table is never better than
+/// the roundoff of its shortest difference.
 Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h) {
   double row[extrapolations] = {};
   FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
-  double s = std::abs(h), longest = 0;
-  for (int k = 0, shorter = 0; k < extrapolations; s /= 2) {
+  const double roundoff = invariants_.roundoff(i, y, J);
+  double s = std::clamp(scale_of_time(t, y, f), std::abs(h), longest_flow * std::abs(h));
+  for (int k = 0, shorter = 0; k < extrapolations && (k < fewest_extrapolations || s > std::abs(h) / longest_flow);
+       s /= 2) {
     double next = 0;
     const Outcome outcome = flow_difference(i, t, y, f, s, next);
     if (outcome == Outcome::stop) return {.outcome = outcome};
@@ -356,19 +362,17 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
       s /= 5;
       continue;
     }
-    longest = std::max(longest, s);
     double factor = 1;
     for (int l = 0; l <= k; ++l) {
       const double previous = std::exchange(row[l], next);
       if (l == k) break;
       factor *= 4;
       next = (factor * row[l] - previous) / (factor - 1);
-      const double error = std::max(std::abs(next - row[l]), std::abs(next - previous));
+      const double error = std::max({std::abs(next - row[l]), std::abs(next - previous), roundoff / s});
       if (error < best.error) best.rate = next, best.error = error;
     }
     ++k;
   }
-  best.error = std::max(best.error, invariants_.roundoff(i, y, J) / longest);
   return best;
 }
 
@@ -464,7 +468,7 @@ Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
     if (flow.outcome == Outcome::stop) return stopped();
     if (flow.outcome != Outcome::ok || !(std::abs(flow.rate) > uncertainty * flow.error)) continue;
     const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
-    if (angle > std::max(suspicious_angle, worst.distance) && drifts(at, i, flow.rate, h))
+    if (angle > std::max(persistent_angle, worst.distance) && drifts(at, i, flow.rate, h))
       worst = {.kind = Finding::Kind::not_conserved,
                .invariant = static_cast<int>(i),
                .t = t,

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "manifold/metric.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -25,6 +26,7 @@ struct InvariantBlock {
   bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
   int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
   std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
+  Metric metric;                   ///< in which its correction is the least; none: that of the error test
 };
 
 /// All invariants of a run: r(t, y) = g(t, y) − value, J = ∂g/∂y, g_t.

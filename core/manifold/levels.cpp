@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 namespace invariode {
@@ -24,8 +25,9 @@ std::vector<char> mask_of(const InvariantBlock& block, std::size_t n) {
 }  // namespace
 
 bool Levels::needed(const Invariants& invariants) {
-  return std::any_of(invariants.blocks().begin(), invariants.blocks().end(),
-                     [](const InvariantBlock& block) { return block.level != 0 || !block.moves.empty(); });
+  return std::any_of(invariants.blocks().begin(), invariants.blocks().end(), [](const InvariantBlock& block) {
+    return block.level != 0 || !block.moves.empty() || block.metric;
+  });
 }
 
 Levels::Levels(const Invariants& invariants)
@@ -49,12 +51,25 @@ Levels::Levels(const Invariants& invariants)
 
 Levels::Level& Levels::level_of(const InvariantBlock& block) {
   std::vector<char> mask = mask_of(block, n_);
+  std::vector<std::size_t> components = block.moves;
+  if (components.empty()) {
+    components.resize(n_);
+    std::iota(components.begin(), components.end(), std::size_t{0});
+  }
   for (Level& known : levels_) {
     if (known.number != block.level) continue;
     if (known.moves != mask) throw std::invalid_argument("invariants of one level may move different components");
     return known;
   }
-  return levels_.emplace_back(Level{block.level, std::move(mask), {}});
+  Level& level = levels_.emplace_back(Level{block.level, std::move(mask), {}, {}});
+  if (block.metric) level.metric.emplace(block.metric, std::move(components));
+  return level;
+}
+
+Status Levels::update(double t, const double* y) {
+  for (Level& level : levels_)
+    if (level.metric && level.metric->update(t, y) == Status::stop) return Status::stop;
+  return Status::ok;
 }
 
 std::size_t Levels::solve(const double* J, const double* r, const double* w, double threshold, double* delta) {
@@ -78,13 +93,14 @@ std::size_t Levels::solve(const double* J, const double* r, const double* w, dou
     orthonormalize(waiting_, threshold);
     for (std::size_t k = before; k < basis_.size(); ++k) left_out_[basis_[k]] = 0;
     rank += basis_.size() - before;
-    correct(basis_, before, J, r, w, delta);
+    correct(levels_[l], before, J, r, w, delta);
   }
   return rank;
 }
 
-/// The rows of J W cut to the components that the level may move, scaled to norm 1; norm 0: nothing is left of the row.
-void Levels::take_rows(const double* J, const double* w, const Level& level) {
+/// The rows of J W, or those in the level's metric, cut to the components that it may move, scaled to norm 1; norm 0:
+/// nothing is left of the row.
+void Levels::take_rows(const double* J, const double* w, Level& level) {
   R_.setZero();
   for (std::size_t i = 0; i < m_; ++i) {
     double* row = &scaled_(0, index(i));
@@ -96,8 +112,14 @@ void Levels::take_rows(const double* J, const double* w, const Level& level) {
     }
     norm_[i] = scaled_.col(index(i)).stableNorm();
     if (norm_[i] <= least_share * all) norm_[i] = 0;
+    if (norm_[i] > 0 && level.by_metric()) apply_metric(J, i, level);
     if (norm_[i] > 0) scaled_.col(index(i)) /= norm_[i];
   }
+}
+
+void Levels::apply_metric(const double* J, std::size_t row, Level& level) {
+  level.metric->divide(J + row * n_, &scaled_(0, index(row)));
+  norm_[row] = scaled_.col(index(row)).stableNorm();
 }
 
 /// Adds to the basis what the rows do not have in common with it, by the modified Gram-Schmidt process with pivoting,
@@ -129,18 +151,20 @@ void Levels::remove_component(std::size_t row, std::size_t basis_row) {
 }
 
 /// δ += δ_l, in the part of the basis from `first` on: what is before belongs to earlier levels.
-void Levels::correct(const std::vector<std::size_t>& pivots, std::size_t first, const double* J, const double* r,
-                     const double* w, double* delta) {
+void Levels::correct(Level& level, std::size_t first, const double* J, const double* r, const double* w,
+                     double* delta) {
+  const bool by_metric = level.by_metric();
   std::fill(delta_l_.begin(), delta_l_.end(), 0);
-  for (std::size_t k = first; k < pivots.size(); ++k) {
-    const std::size_t i = pivots[k];
+  for (std::size_t k = first; k < basis_.size(); ++k) {
+    const std::size_t i = basis_[k];
     double rest = r[i];  // r_i − J_i δ of the levels before
     for (std::size_t j = 0; j < n_; ++j) rest -= J[i * n_ + j] * delta[j];
     double sum = rest / norm_[i];
-    for (std::size_t l = first; l < k; ++l) sum -= R_(index(pivots[l]), index(i)) * z_[l];
+    for (std::size_t l = first; l < k; ++l) sum -= R_(index(basis_[l]), index(i)) * z_[l];
     z_[k] = sum / R_(index(i), index(i));
-    for (std::size_t j = 0; j < n_; ++j) delta_l_[j] += w[j] * scaled_(index(j), index(i)) * z_[k];
+    for (std::size_t j = 0; j < n_; ++j) delta_l_[j] += (by_metric ? 1 : w[j]) * scaled_(index(j), index(i)) * z_[k];
   }
+  if (by_metric) level.metric->divide_transposed(delta_l_.data());
   for (std::size_t j = 0; j < n_; ++j) delta[j] += delta_l_[j];
 }
 

@@ -4,26 +4,31 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include "manifold/invariants.hpp"
+#include "manifold/metric.hpp"
 
 namespace invariode {
 
-/// The Newton correction δ = Σ δ_l of invariants in levels l = 0, 1, 2, …: δ_l is the one of least norm ‖W⁻¹δ_l‖ with
+/// The Newton correction δ = Σ δ_l of invariants in levels l = 0, 1, 2, …: δ_l is the one of least norm with
 ///
 ///   J_l (δ_0 + … + δ_l) = r_l,   J_k δ_l = 0 for every level k < l,
 ///
-/// and zero in the components that level l may not move. One linearization serves all levels: iterated, the correction
-/// converges as Newton's does.
+/// and zero in the components that level l may not move. The norm is that of the level's metric, else ‖W⁻¹δ_l‖. One
+/// linearization serves all levels: iterated, the correction converges as Newton's does.
 class Levels {
  public:
-  /// Throws std::invalid_argument where invariants of one level may move different components.
+  /// Throws std::invalid_argument where invariants of one level may move different components, or a metric does not
+  /// fit.
   explicit Levels(const Invariants& invariants);
 
   /// Whether the invariants have levels at all; without them the correction is that of the paper, of all together.
   [[nodiscard]] static bool needed(const Invariants& invariants);
 
+  /// Takes the metrics at (t, y).
+  Status update(double t, const double* y);
   /// Writes δ. J (m, n) and r (m) are the linearization, w (n) the weights. Rows that depend on others of their level
   /// and those before to within `threshold` are left out. Returns the rank.
   std::size_t solve(const double* J, const double* r, const double* w, double threshold, double* delta);
@@ -35,19 +40,22 @@ class Levels {
     int number;
     std::vector<char> moves;  // of each component
     std::vector<std::size_t> rows;
+    std::optional<MetricFactor> metric;
+
+    [[nodiscard]] bool by_metric() const { return metric && metric->regular(); }
   };
 
   Level& level_of(const InvariantBlock& block);
-  void take_rows(const double* J, const double* w, const Level& level);
+  void take_rows(const double* J, const double* w, Level& level);
+  void apply_metric(const double* J, std::size_t row, Level& level);
   void orthonormalize(std::vector<std::size_t>& rows, double threshold);
   void remove_component(std::size_t row, std::size_t basis_row);
-  void correct(const std::vector<std::size_t>& pivots, std::size_t first, const double* J, const double* r,
-               const double* w, double* delta);
+  void correct(Level& level, std::size_t first, const double* J, const double* r, const double* w, double* delta);
 
   std::size_t n_, m_;
   std::vector<Level> levels_;
-  Eigen::MatrixXd scaled_;            // (n, m): rows of J W as columns, cut to what moves, of norm 1; becomes a basis
-  Eigen::MatrixXd R_;                 // (m, m): column i has the components of row i in the basis
+  Eigen::MatrixXd scaled_;  // (n, m): rows of J W, or J L⁻ᵀ, as columns, cut to what moves, of norm 1; becomes a basis
+  Eigen::MatrixXd R_;       // (m, m): column i has the components of row i in the basis
   std::vector<double> norm_;          // of the rows before they were scaled
   std::vector<std::size_t> basis_;    // rows in whose place there is a basis vector, in their order
   std::vector<std::size_t> waiting_;  // rows to be orthonormalized

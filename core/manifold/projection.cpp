@@ -18,7 +18,7 @@ constexpr double large_residual = 0.1;     // of the terms of an invariant
 // Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
 // it runs away from a pole.
 constexpr double slowest_newton = 0.45;
-constexpr double often = 0.2;         // share of the corrections in which redundant invariants depend on others,
+constexpr double often = 0.2;         // share of corrections and of time in which redundant ones depend on others,
 constexpr double now_and_then = 0.1;  // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
 constexpr int impose_patience = 2;         // iterations without a smaller residual: roundoff is reached
@@ -236,6 +236,7 @@ Outcome Projector::linearize_known(double t, const double* y) {
   const std::size_t n = w_.size(), m = r_.size();
   std::copy(y, y + n, point_.begin());
   if (invariants_.jacobian(t, y, J_.data()) == Status::stop) return Outcome::stop;
+  if (levels_ && levels_->update(t, y) == Status::stop) return Outcome::stop;
   if (!defined(r_.data())) return Outcome::not_finite;
   for (std::size_t i = 0; i < m; ++i)
     if (!all_finite(&J_[i * n], n)) {
@@ -247,6 +248,9 @@ Outcome Projector::linearize_known(double t, const double* y) {
   for (std::size_t i = 0; i < m; ++i) {
     double* row = &scaled_(0, index(i));
     for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];
+    if (any_fixed())
+      for (std::size_t j = 0; j < n; ++j)
+        if (fixed(j)) row[j] = 0;
     norm_[i] = norm2(row, n);
     if (norm_[i] > 0)
       for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
@@ -256,14 +260,27 @@ Outcome Projector::linearize_known(double t, const double* y) {
 
 /// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.
 std::size_t Projector::solve(double t) {
-  const std::size_t n = w_.size();
-  ++corrections_;
   std::fill(left_out_.begin(), left_out_.end(), 0);
-  if (levels_) return solve_in_levels(t);
-  if (r_.size() > 1) return solve_several(t);
+  const std::size_t rank = levels_ ? solve_in_levels(t) : r_.size() > 1 ? solve_several(t) : solve_one(t);
+  count_correction(t, rank);
+  return rank;
+}
+
+/// For the verdict which invariants are redundant.
+void Projector::count_correction(double t, std::size_t rank) {
+  const double since = corrections_ == 0 ? 0 : std::abs(t - corrected_at_);
+  corrected_at_ = t;
+  ++corrections_;
+  covered_ += since;
+  if (rank == r_.size()) return;
+  ++deficient_;
+  covered_deficient_ += since;
+}
+
+std::size_t Projector::solve_one(double t) {
+  const std::size_t n = w_.size();
   if (norm_[0] == 0) {
     leave_out(0, t);
-    ++deficient_;
     std::fill(delta_.begin(), delta_.end(), 0);
     return 0;
   }
@@ -276,17 +293,39 @@ std::size_t Projector::solve(double t) {
 /// With (J W)ᵀ Π = Q R and rank k the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁.
 std::size_t Projector::solve_several(double t) {
   const std::size_t rank = factor(t);
-  if (rank < r_.size()) ++deficient_;
   substitute(rank);
   return rank;
 }
 
 std::size_t Projector::solve_in_levels(double t) {
-  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w_.data(), pivot_threshold(), delta_.data());
+  const double* w = w_.data();
+  if (any_fixed()) {
+    free_w_ = w_;
+    for (std::size_t j = 0; j < w_.size(); ++j)
+      if (fixed(j)) free_w_[j] = 0;
+    w = free_w_.data();
+  }
+  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
     if (levels_->left_out()[i] != 0) leave_out(i, t);
-  if (rank < r_.size()) ++deficient_;
   return rank;
+}
+
+void Projector::fix(std::size_t j) {
+  if (fixed_.empty()) fixed_.resize(w_.size());
+  fixed_count_ += fixed_[j] == 0 ? 1 : 0;
+  fixed_[j] = 1;
+}
+
+void Projector::release(std::size_t j) {
+  if (!fixed(j)) return;
+  fixed_[j] = 0;
+  --fixed_count_;
+}
+
+void Projector::release_all() {
+  std::fill(fixed_.begin(), fixed_.end(), 0);
+  fixed_count_ = 0;
 }
 
 /// Whether the latest correction was so small that what it leaves is roundoff.
@@ -357,7 +396,8 @@ void Projector::leave_out(std::size_t i, double t) {
 std::vector<char> Projector::dropped() const {
   std::vector<char> result(dropped_.size());
   const auto all = static_cast<double>(corrections_);
-  if (deficient_ == 0 || static_cast<double>(deficient_) < often * all) return result;
+  if (deficient_ == 0 || static_cast<double>(deficient_) < often * all || covered_deficient_ < often * covered_)
+    return result;
   for (std::size_t i = 0; i < result.size(); ++i) result[i] = static_cast<double>(dropped_[i]) >= now_and_then * all;
   return result;
 }

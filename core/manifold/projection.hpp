@@ -80,10 +80,17 @@ class Projector {
   [[nodiscard]] Invariants& invariants() const { return invariants_; }
   /// The invariant that was not finite, or whose gradient was not, where a projection failed for that; -1: none was.
   [[nodiscard]] int undefined() const { return undefined_; }
+  /// Corrections leave component j where it is, until it is released.
+  void fix(std::size_t j);
+  void release(std::size_t j);
+  void release_all();
+  [[nodiscard]] bool fixed(std::size_t j) const { return !fixed_.empty() && fixed_[j] != 0; }
+  [[nodiscard]] bool any_fixed() const { return fixed_count_ > 0; }
   /// Forgets what is known of the gradients: the solution jumps.
   void forget() { linearized_ = false; }
-  /// Which invariants are redundant: those left out in a tenth of the corrections so far, if in a fifth some were.
-  /// (One that depends on the others in a few steps only, as where components are small beside thr, does no harm.)
+  /// Which invariants are redundant: those left out in a tenth of the corrections so far, if in a fifth of them, and of
+  /// the time that they cover, some were. (One that depends on the others in a few steps only, as in the short ones of
+  /// a start where components are small beside thr, does no harm.)
   [[nodiscard]] std::vector<char> dropped() const;
   /// The t at which some were first left out.
   [[nodiscard]] double dropped_at() const { return dropped_at_; }
@@ -102,6 +109,8 @@ class Projector {
   [[nodiscard]] bool far_off(const double* y) const;
   [[nodiscard]] bool crossed_zero(const double* y) const;
   std::size_t solve(double t);
+  void count_correction(double t, std::size_t rank);
+  std::size_t solve_one(double t);
   std::size_t solve_several(double t);
   std::size_t solve_in_levels(double t);
   [[nodiscard]] bool settled() const;
@@ -126,8 +135,13 @@ class Projector {
   std::vector<char> left_out_;         // in the latest correction
   std::vector<std::int64_t> dropped_;  // in how many corrections
   std::int64_t corrections_ = 0, deficient_ = 0;
+  double corrected_at_ = 0;                     // t of the latest correction
+  double covered_ = 0, covered_deficient_ = 0;  // times between corrections, and those to where some were left out
   double dropped_at_ = 0;
   int undefined_ = -1;
+  std::vector<char> fixed_;  // components that corrections leave alone; empty: there never was one
+  std::size_t fixed_count_ = 0;
+  std::vector<double> free_w_;    // w, 0 where fixed
   std::optional<Levels> levels_;  // where the invariants have any
 };
 

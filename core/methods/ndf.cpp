@@ -5,8 +5,6 @@
 #include <cmath>
 #include <limits>
 
-#include "linear/time_derivative.hpp"
-
 namespace invariode {
 namespace {
 
@@ -60,9 +58,8 @@ void newton_backward(const double* data, std::size_t size, std::size_t n, double
 Ndf::Ndf(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Options& options)
     : Step(f, weights),
       options_(options),
-      mass_(linear.mass),
-      lapack_(linear.lapack),
       newton_(f, weights, linear),
+      initial_(f, linear),
       differences_(static_cast<std::size_t>(options.max_order + 2) * weights.size()) {
   for (std::vector<double>* v : {&weight_, &predictor_, &psi_, &d_, &candidate_, &slope_, &scratch_})
     v->resize(weights.size());
@@ -102,7 +99,9 @@ Outcome Ndf::start(double t, const double* y, const Span& span) {
   const double forward = span.tf >= t ? 1 : -1;
   const double root = std::sqrt(weights_.rtol());
   const double first = first_h(starting_safety * norm(slope_.data()) / root, t, span);
-  if (const Outcome outcome = second_derivative(t, y, forward * first); outcome != Outcome::ok) return outcome;
+  if (initial_.second(newton_, t, y, forward * first, candidate_.data(), slope_.data(), predictor_.data(),
+                      scratch_.data()) == Status::stop)
+    return Outcome::stop;
   const double second = norm(scratch_.data());
   h_ = memory_h_ = first_h(starting_safety * std::sqrt(0.5 * second / weights_.rtol()), t, span);
   for (std::size_t i = 0; i < n(); ++i) D(1)[i] = forward * memory_h_ * slope_[i];
@@ -117,31 +116,8 @@ Outcome Ndf::start_from(double t, const double* y, double h, const double* diffe
 
 /// f into `candidate_`, y' with M y' = f into `slope_`; J, and the weights of the start.
 Outcome Ndf::first_slope(double t, const double* y) {
-  if (const Outcome outcome = newton_.evaluate(t, y, candidate_.data()); outcome != Outcome::ok) return outcome;
-  if (newton_.take_jacobian(t, y, candidate_.data()) == Status::stop) return Outcome::stop;
   weights_.fill(y, weight_.data());
-  slope_ = candidate_;
-  if (!mass_) return Outcome::ok;
-  if (mass_->evaluate(t) == Status::stop) return Outcome::stop;
-  if (!initial_.factor(*mass_, newton_.jacobian(), weight_.data(), lapack_)) {
-    newton_.note_singular();
-    return Outcome::not_finite;
-  }
-  initial_.slope(*mass_, nullptr, slope_.data());
-  return Outcome::ok;
-}
-
-/// M y'' = f_t + J y' into `scratch_`, with f in `candidate_`. What f_t adds to y' where M is singular enters too.
-Outcome Ndf::second_derivative(double t, const double* y, double h) {
-  if (time_derivative(f_, t, y, candidate_.data(), h, n(), predictor_.data()) == Status::stop) return Outcome::stop;
-  if (mass_ && mass_->singular()) {
-    slope_ = candidate_;
-    initial_.slope(*mass_, predictor_.data(), slope_.data());
-  }
-  newton_.jacobian().multiply(slope_.data(), scratch_.data());
-  for (std::size_t i = 0; i < n(); ++i) scratch_[i] += predictor_[i];
-  if (mass_) initial_.slope(*mass_, nullptr, scratch_.data());
-  return Outcome::ok;
+  return initial_.first(newton_, t, y, weight_.data(), candidate_.data(), slope_.data());
 }
 
 /// D_1 … D_k of the present k, from one |h| to another: D ← D R(ρ) U, U = R(1).

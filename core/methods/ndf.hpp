@@ -53,7 +53,6 @@ class Ndf final : public Step {
   double* D(int j) { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
   [[nodiscard]] const double* D(int j) const { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
   Outcome first_slope(double t, const double* y);
-  Outcome second_derivative(double t, const double* y, double h);
   void rescale_memory(double h);
   void predict();
   void choose_order_and_step();
@@ -69,10 +68,8 @@ class Ndf final : public Step {
   int memory_order_ = 1;  // k to which D_1 … D_k belong
   double memory_h_ = 0;   // |h| at which they are taken
   int steps_at_h_ = 0;    // in a row with this h and k
-  Mass* mass_;
-  const Lapack* lapack_;
   Newton newton_;
-  MassSolver initial_;               // of y' and y'' at the start
+  InitialSlopes initial_;
   std::vector<double> differences_;  // D_j = ∇^j y, one after the other
   std::vector<double> weight_, predictor_, psi_, d_, candidate_, slope_, scratch_;
   double signed_h_ = 0;

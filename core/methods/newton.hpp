@@ -15,8 +15,16 @@ namespace invariode {
 /// step to step while the iteration matrix stays.
 class Convergence {
  public:
-  static constexpr int most_iterations = 4;
+  /// How many iterations there may be, and what error they may leave, in units of rtol: the last one, and the first,
+  /// where the rate is an old one.
+  struct Rules {
+    int most_iterations;
+    double goal;
+    double first_goal;
+  };
   enum class [[nodiscard]] Verdict { go_on, converged, diverged };
+
+  explicit Convergence(const Rules& rules) : rules_(rules) {}
 
   /// Forgets the rate: the iteration matrix is another one.
   void forget() { rate_known_ = false; }
@@ -24,8 +32,12 @@ class Convergence {
   void begin(double rtol, double roundoff);
   /// After an update of that size.
   Verdict judge(double size);
+  /// Iterations since `begin`, and the rate of convergence, if two of them have told it.
+  [[nodiscard]] int iterations() const { return iteration_; }
+  [[nodiscard]] double rate() const { return rate_; }
 
  private:
+  Rules rules_;
   double rtol_ = 0, roundoff_ = 0;
   int iteration_ = 0;
   double previous_ = 0;
@@ -33,24 +45,24 @@ class Convergence {
   bool rate_known_ = false;
 };
 
-/// The equations of an implicit formula, c f(t₁, p + d) = M (ψ + d) for d, with the iteration matrix M − c J. It owns
-/// J, knows how old it is, and factorises when c or J has changed.
-class Newton {
+/// f and its Jacobian J as implicit formulas use them: J serves several steps, and is taken anew where it is too old or
+/// was not good enough. Knows M, and for which c the factors of M − c J were made.
+class AgingJacobian {
  public:
-  enum class [[nodiscard]] Result { converged, failed, stop };
-
-  Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+  AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear);
 
   /// Memory as it is before any step.
-  void restart();
+  void forget();
   /// J at (t, y), where f is `slope`.
   Status take_jacobian(double t, const double* y, const double* slope);
-  /// What `renew` has asked for: takes J at (t, y) anew, with an evaluation of f where J comes from differences.
-  Status repair(double t, const double* y);
-  /// M at t₁ and the factors of M − c J. `not_finite`: it is singular.
-  Outcome prepare(double c, double t1);
-  /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
-  Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
+  /// What `renew` has asked for: takes J at (t, y) anew, where f is `slope`. Null: f is evaluated if J comes from
+  /// differences.
+  Status repair(double t, const double* y, const double* slope = nullptr);
+  /// M at t₁ and, by `factor()`, the factors for c, unless they are at hand. `not_finite`: M − c J is singular.
+  template <class Factor>
+  Outcome prepare(double c, double t1, Factor&& factor);
+
+  void forget_factors() { factored_ = 0; }
 
   /// J is no longer that of the point reached.
   void step_accepted();
@@ -61,13 +73,20 @@ class Newton {
   /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
   void renew_if_noise(double c);
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
+  /// It is to be taken anew before the next attempt.
+  [[nodiscard]] bool renewal_due() const { return renew_; }
   [[nodiscard]] int jacobian_age() const { return age_; }  ///< steps since it was taken
   /// Whether c ‖J‖ is large in the norm of the error test. (With a mass matrix, which would have to be inverted to
   /// tell: yes.)
   [[nodiscard]] bool stiff(double c, const double* w);
 
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }
+  /// M, as it was last evaluated; null: the identity.
+  [[nodiscard]] Mass* mass() const { return mass_; }
+  [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
   [[nodiscard]] LinearWork work() const;
+  void count_factorization() { ++work_.factorizations; }
+  void count_solve() { ++work_.solves; }
 
   /// f(t, y), which must be finite; a component that is not is remembered until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
@@ -76,15 +95,14 @@ class Newton {
   void note_singular() { work_.singular = true; }
 
  private:
-  void residual(double c, const double* psi, const double* d);
+  bool needs_factors(double c);
+  Outcome factored(double c, bool regular);
 
   Callback& f_;
   const Weights& weights_;
   Jacobian jacobian_;
   Mass* mass_;
-  std::unique_ptr<Factorization> lu_;
-  Convergence convergence_;
-  std::vector<double> f_value_, residual_, sum_;
+  std::vector<double> undefined_f_, scratch_;
   LinearWork work_;
   double factored_ = 0;   // c of the factors; 0: there are none
   double first_c_ = 0;    // |c| of the first factors with this J
@@ -93,6 +111,54 @@ class Newton {
   bool renew_ = false;
   bool undefined_ = false;  // f, at the last evaluation
   int age_ = 0;
+};
+
+template <class Factor>
+Outcome AgingJacobian::prepare(double c, double t1, Factor&& factor) {
+  if (mass_ && mass_->evaluate(t1) == Status::stop) return Outcome::stop;
+  return needs_factors(c) ? factored(c, factor()) : Outcome::ok;
+}
+
+/// y' and y'' at the start, of M y' = f(t, y).
+class InitialSlopes {
+ public:
+  InitialSlopes(Callback& f, const LinearAlgebra& linear) : f_(f), lapack_(linear.lapack) {}
+
+  /// J, and f and y' at (t, y), all (n,), in the weights w.
+  Outcome first(AgingJacobian& jacobian, double t, const double* y, const double* w, double* f, double* slope);
+  /// y'' from f; f_t by a difference in the direction of the step h. What f_t adds to y' where M is singular enters y'
+  /// too.
+  Status second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f, double* slope,
+                double* ft, double* second);
+
+ private:
+  Callback& f_;
+  const Lapack* lapack_;
+  MassSolver solver_;
+};
+
+/// The equations of an implicit formula, c f(t₁, p + d) = M (ψ + d) for d, with the iteration matrix M − c J, which is
+/// factorised when c or J has changed.
+class Newton : public AgingJacobian {
+ public:
+  enum class [[nodiscard]] Result { converged, failed, stop };
+
+  Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+
+  /// Memory as it is before any step.
+  void restart();
+  /// M at t₁ and the factors of M − c J. `not_finite`: it is singular.
+  Outcome prepare(double c, double t1);
+  /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
+  Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
+
+ private:
+  void residual(double c, const double* psi, const double* d);
+
+  const Weights& weights_;
+  std::unique_ptr<Factorization> lu_;
+  Convergence convergence_;
+  std::vector<double> f_value_, residual_, sum_;
 };
 
 }  // namespace invariode

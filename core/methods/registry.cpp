@@ -5,6 +5,8 @@
 
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
+#include "methods/radau.hpp"
+#include "methods/rosenbrock.hpp"
 
 namespace invariode {
 namespace {
@@ -35,6 +37,12 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
                              .bdf = told.bdf,
                              .renew_on_error = told.projected};
   return std::make_unique<Ndf>(f, weights, linear, options);
+}
+
+template <class Implicit>
+std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
+                                    const LinearAlgebra& linear) {
+  return std::make_unique<Implicit>(f, weights, linear);
 }
 
 /// The row of the pair T, number I of the pairs.
@@ -79,10 +87,34 @@ constexpr Method others[] = {
      .min_order = 1,
      .order = Ndf::highest_order,
      .extension_order = Ndf::highest_order,
-     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass"},
+     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate"},
      .mass = MassMatrices::any,
      .extension = &backward_differences,
      .make = make_ndf},
+    {.name = "ode23s",
+     .summary = "modified Rosenbrock formulas (2,3), for stiff problems at crude tolerances",
+     .family = "Rosenbrock, for stiff problems and M y' = f",
+     .source = "L. F. Shampine, M. W. Reichelt, The MATLAB ODE Suite, SIAM J. Sci. Comput. 18 (1997) 1-22, section 3",
+     .min_order = Rosenbrock::formula_order,
+     .order = Rosenbrock::formula_order,
+     .extension_order = Rosenbrock::formula_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::constant_regular,
+     .extension = &runge_kutta_polynomial,
+     .make = make_implicit<Rosenbrock>},
+    {.name = "radau",
+     .summary = "Radau IIA formula of order 5, for stiff problems at tight tolerances and M y' = f",
+     .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
+     .source = "E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer, Berlin, 1996, "
+               "section IV.8",
+     .scipy_name = "Radau",
+     .min_order = Radau::formula_order,
+     .order = Radau::formula_order,
+     .extension_order = Radau::extension_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::any,
+     .extension = &runge_kutta_polynomial,
+     .make = make_implicit<Radau>},
 };
 
 template <const auto&... T>

@@ -36,10 +36,7 @@ class Pair final : public Step {
     start_ = take();
     stage_ = take();
     candidate_ = take();
-    if (fsal_ == Fsal::evaluate) {
-      again_.resize(n());
-      reevaluated_ = again_.data();
-    }
+    if (fsal_ == Fsal::evaluate) provide_reevaluated();
   }
 
   Outcome start(double t, const double* y, const Span& span) override {
@@ -94,7 +91,8 @@ class Pair final : public Step {
       const Outcome outcome = evaluate(t1_, y1, last);
       if (outcome == Outcome::stop) return outcome;
       if (outcome != Outcome::ok || !all_finite(k_[last], n())) return Outcome::not_finite;
-    } else if (projected_ && fsal_ == Fsal::evaluate) {
+    } else if (evaluates_again()) {
+      if (reevaluated_ == nullptr) provide_reevaluated();
       if (f_(t1_, y1, reevaluated_) == Status::stop) return Outcome::stop;
       reevaluation_failed_ = !all_finite(reevaluated_, n());
       if (reevaluation_failed_) return Outcome::not_finite;
@@ -146,9 +144,17 @@ class Pair final : public Step {
  private:
   static constexpr double exponent = 1.0 / T.order;
 
+  void provide_reevaluated() {
+    again_.resize(n());
+    reevaluated_ = again_.data();
+  }
+
+  /// Whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, y*).
+  [[nodiscard]] bool evaluates_again() const { return projected_ && (fsal_ == Fsal::evaluate || moved_onto_bounds_); }
+
   /// The last stage of the accepted step is the first of the next one (FSAL).
   void advance_memory() {
-    if (T.last_in_error() && projected_ && fsal_ == Fsal::evaluate)
+    if (T.last_in_error() && evaluates_again())
       std::swap(k_[0], reevaluated_);
     else
       std::swap(k_[0], k_[last]);
@@ -223,7 +229,7 @@ class Pair final : public Step {
   double* start_ = nullptr;        // y at the start of the accepted step
   double* stage_ = nullptr;        // argument of the stage in work
   double* candidate_ = nullptr;    // y*
-  double* reevaluated_ = nullptr;  // f(t₁, y₁), with Fsal::evaluate
+  double* reevaluated_ = nullptr;  // f(t₁, y₁), where it is asked for
   std::size_t evaluated_ = 0;      // stages of the last attempt that were evaluated
   double t1_ = 0;
   double error_ = 0;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "manifold/active_set.hpp"
+
 namespace invariode {
 namespace {
 
@@ -13,10 +15,13 @@ void Interpolant::corrected(const Segment& segment, double t, double* y) const {
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
   const std::size_t raw_size = segment.size - overhead();
   raw_(segment.data, raw_size, n_, theta, y);
-  if (mode_ == Interpolation::raw) return;
+  if (mode_ != Interpolation::raw) correct_ends(segment.data + raw_size, theta, y);
+  if (bounds_ != nullptr) bounds_->clip(y);
+}
+
+void Interpolant::correct_ends(const double* e0, double theta, double* y) const {
   const double s = std::clamp(theta, 0.0, 1.0);
   const double at0 = (1 - s) * (1 - s) * (1 + 2 * s), at1 = s * s * (3 - 2 * s);
-  const double* e0 = segment.data + raw_size;
   const double* e1 = e0 + n_;
   for (std::size_t i = 0; i < n_; ++i) y[i] += e0[i] * at0 + e1[i] * at1;
 }
@@ -30,7 +35,10 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   const double* g1 = g0 + m_;
   const std::vector<double>& held = projector_->invariants().value();
   for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * g0[i] + theta * g1[i] - held[i];
-  switch (projector_->onto(t, w, target_.data(), y, interpolation_iterations)) {
+  const Outcome outcome = bounds_ != nullptr
+                              ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, interpolation_iterations)
+                              : projector_->onto(t, w, target_.data(), y, interpolation_iterations);
+  switch (outcome) {
     case Outcome::stop: return Status::stop;
     case Outcome::not_finite: corrected(segment, t, y); break;  // g is not defined here
     case Outcome::ok: break;
@@ -38,11 +46,12 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   return Status::ok;
 }
 
-StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps)
+StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps,
+                                 const Bounds* bounds)
     : step_(step),
       invariants_(between ? &between->invariants() : nullptr),
       projector_(steps),
-      interpolant_(step.n(), invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between),
+      interpolant_(step.n(), invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between, bounds),
       start_y_(step.n()),
       g_end_(interpolant_.m_) {}
 

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "manifold/bounds.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
 #include "step.hpp"
@@ -26,15 +27,17 @@ struct Segment {
 };
 
 /// Evaluates segments. Without invariants `projector` is null; without their functions too, and values are corrected
-/// only.
+/// only. Without bounds `bounds` is null; values are within them in every mode.
 class Interpolant {
  public:
-  Interpolant(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector)
+  Interpolant(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector,
+              const Bounds* bounds)
       : n_(n),
         m_(mode == Interpolation::projected ? m : 0),
         mode_(mode),
         raw_(raw),
         projector_(projector),
+        bounds_(bounds),
         target_(m_) {}
 
   [[nodiscard]] bool projects() const { return m_ > 0; }
@@ -49,10 +52,13 @@ class Interpolant {
   void corrected(const Segment& segment, double t, double* y) const;
 
  private:
+  void correct_ends(const double* e0, double theta, double* y) const;
+
   std::size_t n_, m_;
   Interpolation mode_;
   Interpolate raw_;
   Projector* projector_;
+  const Bounds* bounds_;
   std::vector<double> target_;
 
   friend class StepInterpolant;
@@ -64,7 +70,8 @@ class StepInterpolant {
  public:
   /// `between`: projects the points between steps; `steps`: has projected the step, and knows its weights. Null without
   /// invariants.
-  StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps);
+  StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps,
+                  const Bounds* bounds = nullptr);
 
   /// The step that is to come starts at (t, y).
   void start_at(double t, const double* y);

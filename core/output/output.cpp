@@ -36,7 +36,7 @@ void DenseOutput::append(const DenseOutput& next) {
 
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
   if (n_ == 0) return Status::ok;
-  Interpolant interpolant(n_, m_, mode_, raw_, projector);
+  Interpolant interpolant(n_, m_, mode_, raw_, projector, bounds_ ? &*bounds_ : nullptr);
   const Buffer<double>& knots = knots_.t;
   const double forward = knots.back() >= knots.front() ? 1 : -1;
   for (std::size_t p = 0; p < count; ++p, out += n_) {

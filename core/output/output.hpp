@@ -2,6 +2,8 @@
 // What a run keeps: points, the record of its steps, the continuous solution.
 
 #include <cstddef>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "buffer.hpp"
@@ -33,8 +35,8 @@ struct AcceptedStep {
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
 class DenseOutput {
  public:
-  DenseOutput(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw)
-      : n_(n), m_(m), mode_(mode), raw_(raw) {}
+  DenseOutput(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, std::optional<Bounds> bounds)
+      : n_(n), m_(m), mode_(mode), raw_(raw), bounds_(std::move(bounds)) {}
 
   /// Starts at (t, y), or goes on there after a jump.
   void start(double t, const double* y);
@@ -56,12 +58,13 @@ class DenseOutput {
     std::size_t m;
     Interpolation mode;
     Interpolate raw;
+    const std::optional<Bounds>& bounds;
     const Trajectory& knots;
     const std::vector<double>& end;          ///< segment s is from knot s to knot s + 1, empty at a jump; its t1
     const std::vector<std::size_t>& offset;  ///< where its data starts
     const Buffer<double>& data;
   };
-  [[nodiscard]] Parts parts() const { return {m_, mode_, raw_, knots_, end_, offset_, data_}; }
+  [[nodiscard]] Parts parts() const { return {m_, mode_, raw_, bounds_, knots_, end_, offset_, data_}; }
 
   /// y at `count` times into out (count, n): the stored value at a knot, else the segment's; before the first and after
   /// the last knot their segments are extrapolated. Where the mode projects, `projector` does it; without one the
@@ -72,6 +75,7 @@ class DenseOutput {
   std::size_t n_, m_;
   Interpolation mode_;
   Interpolate raw_;
+  std::optional<Bounds> bounds_;
   Trajectory knots_;
   std::vector<double> end_;          // t1 of each segment
   std::vector<std::size_t> offset_;  // of its data

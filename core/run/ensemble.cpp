@@ -89,6 +89,7 @@ EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
       before(size * m),
       after(size * m),
       correction(size),
+      clipped(size),
       count(size * counts),
       state(size),
       occurrences(solver.problem().events.size()) {}
@@ -107,6 +108,7 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   RunResult one = run.take_result();
   one.ng += uncounted;
   t[i] = one.t_end;
+  clipped[i] = one.clipped;
   std::copy(one.end(), one.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);

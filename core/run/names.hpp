@@ -38,12 +38,16 @@ inline constexpr Named<State> state_names[] = {{"created", State::created},
                                                {"start_undefined", State::start_undefined},
                                                {"step_failed", State::step_failed},
                                                {"invariant_refused", State::invariant_refused},
-                                               {"invariant_convicted", State::invariant_convicted}};
+                                               {"invariant_convicted", State::invariant_convicted},
+                                               {"start_out_of_bounds", State::start_out_of_bounds},
+                                               {"start_contradicts", State::start_contradicts},
+                                               {"action_out_of_bounds", State::action_out_of_bounds}};
 
 inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},
                                                {"newton", Cause::newton},
                                                {"projection", Cause::projection},
-                                               {"not_finite", Cause::not_finite}};
+                                               {"not_finite", Cause::not_finite},
+                                               {"bounds", Cause::bounds}};
 
 inline constexpr Named<Limit> limit_names[] = {
     {"steps", Limit::steps}, {"time", Limit::time}, {"points", Limit::points}, {"memory", Limit::memory}};
@@ -73,6 +77,9 @@ inline constexpr Named<Jacobian::Kind> jacobian_names[] = {{"constant", Jacobian
                                                            {"differences", Jacobian::Kind::differences}};
 
 inline constexpr Named<Fsal> fsal_names[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
+
+inline constexpr Named<MassMatrices> mass_names[] = {
+    {"none", MassMatrices::none}, {"regular", MassMatrices::constant_regular}, {"any", MassMatrices::any}};
 
 inline constexpr Named<Interpolation> interpolation_names[] = {
     {"projected", Interpolation::projected}, {"corrected", Interpolation::corrected}, {"raw", Interpolation::raw}};
@@ -109,6 +116,7 @@ constexpr const char* name_of(Finding::Kind kind) { return name_in(finding_names
 constexpr const char* name_of(Consistency verdict) { return name_in(consistency_names, verdict); }
 constexpr const char* name_of(Derivative derivative) { return name_in(derivative_names, derivative); }
 constexpr const char* name_of(Fsal fsal) { return name_in(fsal_names, fsal); }
+constexpr const char* name_of(MassMatrices kind) { return name_in(mass_names, kind); }
 constexpr const char* name_of(Interpolation mode) { return name_in(interpolation_names, mode); }
 
 }  // namespace invariode

@@ -17,6 +17,11 @@ void require_settings(const Settings& settings) {
   require(settings.output_at_times || settings.times.empty(), "times are given and not asked for");
 }
 
+bool takes_mass(const Method& method, const Problem& problem) {
+  if (method.mass != MassMatrices::constant_regular || !problem.linear || !problem.linear->mass) return true;
+  return problem.linear->mass->constant() && !problem.linear->mass->singular();
+}
+
 }  // namespace
 
 void require_sizes(const Problem& problem, const Weights& weights) {
@@ -28,6 +33,8 @@ void require_sizes(const Problem& problem, const Weights& weights) {
   for (const InvariantBlock& block : problem.invariants) m += block.m;
   require(m == problem.value.size(), std::to_string(m) + " invariants and " + std::to_string(problem.value.size()) +
                                          " values: give one value for each invariant");
+  require(!problem.bounds || problem.bounds->n() == problem.n, "bounds are not of the size of the problem");
+  require(!problem.bounds || !problem.complex, "a complex state has no bounds");
   if (!problem.linear) return;
   const LinearTerms& linear = *problem.linear;
   require(linear.jacobian.n() == problem.n, "the Jacobian is not of the size of the problem");
@@ -49,7 +56,9 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require(static_cast<bool>(problem_.f), "the problem has no f");
   require(!method_.implicit() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
-  options_.projected = !problem_.invariants.empty();
+  require(takes_mass(method_, problem_),
+          std::string(method_.name) + " takes a constant and regular mass matrix only; use ode15s or radau");
+  options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }
 

@@ -12,6 +12,7 @@
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix.hpp"
+#include "manifold/bounds.hpp"
 #include "manifold/invariants.hpp"
 #include "methods/registry.hpp"
 #include "output/events.hpp"
@@ -39,6 +40,7 @@ struct Problem {
   std::vector<InvariantBlock> invariants;
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;
+  std::optional<Bounds> bounds;
   /// Where the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;
 };

@@ -15,10 +15,12 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           linear.solves,
           counts.projections,
           counts.skipped,
+          counts.clipped,
           ng,
           ngjac,
           ngdiff,
-          static_cast<std::int64_t>(dropped.size())};
+          static_cast<std::int64_t>(dropped.size()),
+          harm.component + 1};
 }
 
 /// In this order: each refers to what the ones before have made.
@@ -26,6 +28,7 @@ Run::Run(const Solver& solver) : solver_(solver) {
   see_pieces();
   f_ = problem().f;
   copy_linear_terms();
+  keep_within_bounds();
   derive_slope();
   bind_invariants();
   start_loop();
@@ -62,9 +65,20 @@ LinearAlgebra Run::linear_algebra() {
   return {.jacobian = &*jacobian_, .mass = mass_ ? &*mass_ : nullptr, .lapack = lapack ? &*lapack : nullptr};
 }
 
+/// With a mass matrix f is not y', and stays as it is.
+void Run::keep_within_bounds() {
+  const Problem& problem = solver_.problem();
+  if (!problem.bounds) return;
+  manifold_.bounds = &*problem.bounds;
+  if (mass_) return;
+  const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
+  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward).callback();
+  method_f_ = &bounded_f_;
+}
+
 /// y' as a function, by which invariants are tested.
 void Run::derive_slope() {
-  if (problem().invariants.empty()) return;
+  if (problem().invariants.empty() && !moves_off_algebraic_equations()) return;
   if (mass_)
     slope_ = std::make_unique<MassSlope>(f_, linear_algebra(), solver_.weights());
   else
@@ -74,7 +88,11 @@ void Run::derive_slope() {
 
 void Run::bind_invariants() {
   const Problem& problem = this->problem();
-  if (problem.invariants.empty()) return;
+  if (problem.invariants.empty()) {
+    manifold_.off_bounds_only = moves_off_algebraic_equations();
+    if (manifold_.off_bounds_only) manifold_.steps = &steps_.emplace(with_algebraic_equations());
+    return;
+  }
   if (mass_ && mass_->singular()) {
     users_invariants_ = &between_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
     steps_.emplace(with_algebraic_equations());
@@ -84,6 +102,9 @@ void Run::bind_invariants() {
   manifold_.steps = &*steps_;
   manifold_.between = users_invariants_;
 }
+
+/// What is moved onto bounds has to be projected onto the algebraic equations again.
+bool Run::moves_off_algebraic_equations() const { return solver_.problem().bounds && mass_ && mass_->singular(); }
 
 /// With a singular mass matrix the invariants are imposed together with the algebraic equations.
 Invariants Run::with_algebraic_equations() {
@@ -102,7 +123,8 @@ Invariants Run::with_algebraic_equations() {
 }
 
 void Run::start_loop() {
-  std::unique_ptr<Step> step = solver_.method().step(f_, solver_.weights(), solver_.options(), linear_algebra());
+  std::unique_ptr<Step> step =
+      solver_.method().step(*method_f_, solver_.weights(), solver_.options(), linear_algebra());
   Integration::Breaks breaks{solver_.problem().breakpoints, &piece_, {}};
   if (mass_ && mass_->singular())
     breaks.consistent = [this](double t, double* y) {
@@ -123,16 +145,19 @@ Consistency Run::prepare(double t0, double* y0) {
 }
 
 void Run::count_evaluations(RunResult& result) const {
-  result.nfev = f_.calls();
+  result.nfev = method_f_->calls();
   if (!steps_) return;
   result.nfev_check = slope_->evaluations();
   result.ng = steps_->calls();
   result.ngjac = steps_->jacobian_calls();
   result.ngdiff = steps_->derivative_calls();
-  if (!between_) return;
+  if (!algebraic_) return;
   const InvariantBlock& algebraic = steps_->blocks().back();  // none of the user's functions
-  result.ng += between_->calls() - algebraic.g.calls();
-  result.ngjac += between_->jacobian_calls() - algebraic.jacobian.calls();
+  result.ng -= algebraic.g.calls();
+  result.ngjac -= algebraic.jacobian.calls();
+  if (!between_) return;
+  result.ng += between_->calls();
+  result.ngjac += between_->jacobian_calls();
 }
 
 void Run::describe_invariants(RunResult& result) const {
@@ -164,6 +189,7 @@ RunResult Run::take_result() {
   result.linear = loop.step().linear_work();
   count_evaluations(result);
   describe_invariants(result);
+  result.clipped = loop.clipped;
   result.t_end = loop.t();
   if (solver_.settings().output_at_times || result.points.t.empty())
     result.y_end.emplace(loop.y(), loop.y() + result.n);

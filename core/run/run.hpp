@@ -42,16 +42,17 @@ struct RunResult {
   std::vector<int> dropped;             ///< redundant invariants, and the t at which the first was seen
   double dropped_at = 0;
   Harm harm;
+  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;
   std::size_t breakpoints_passed = 0;
 
   static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
-                                                "nlu",   "nsolve", "projections", "skipped",    "ng",
-                                                "ngjac", "ngdiff", "dropped"};
+                                                "nlu",   "nsolve", "projections", "skipped",    "clipped",
+                                                "ng",    "ngjac",  "ngdiff",      "dropped",    "harmed"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`.
+  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };
@@ -72,7 +73,7 @@ class Run {
   /// The user's invariants; null: there are none.
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
   /// Evaluations of f by the method.
-  [[nodiscard]] std::int64_t evaluations() const { return f_.calls(); }
+  [[nodiscard]] std::int64_t evaluations() const { return method_f_->calls(); }
 
   /// What the run did, when it has ended. Arrays are moved out: once only.
   RunResult take_result();
@@ -80,8 +81,10 @@ class Run {
  private:
   void see_pieces();
   void copy_linear_terms();
+  void keep_within_bounds();
   void derive_slope();
   void bind_invariants();
+  [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
   void start_loop();
   void count_evaluations(RunResult& result) const;
@@ -100,6 +103,9 @@ class Run {
   std::optional<Jacobian> jacobian_;
   std::optional<Mass> mass_;
 
+  std::optional<BoundedSlope> bounded_slope_;
+  Callback bounded_f_;
+  Callback* method_f_ = &f_;  // what the method integrates: f, or what keeps it within bounds
   std::unique_ptr<Slope> slope_;
   std::optional<AlgebraicConstraints> algebraic_;
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too

@@ -9,7 +9,8 @@ from importlib.metadata import version
 from . import ode_functions
 from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
-from .ensemble import EnsembleEvents, EnsembleSolution, EnsembleStats, solve_ensemble
+from .ensemble import solve_ensemble
+from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from .events import Event
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
@@ -21,6 +22,8 @@ from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from .mechanics import MechanicalSystem
 from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
+from .odepack import odeint
+from .pictures.precision import plot_work_precision
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps
 
@@ -54,6 +57,8 @@ __all__ = [
     "find_invariants",
     "impose",
     "load",
+    "odeint",
+    "plot_work_precision",
     "solve_ensemble",
     "solve_ivp",
 ]

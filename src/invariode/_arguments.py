@@ -38,7 +38,7 @@ _quiet = ContextVar("quiet", default=False)
 PACKAGE = os.path.dirname(__file__) + os.sep
 
 
-def warn(message: str, category: type[UserWarning] = UserWarning) -> None:
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """A warning that points at the line of the caller of this package."""
     if _quiet.get():
         return
@@ -61,7 +61,21 @@ def quietly() -> Iterator[None]:
 def call_name(fun: object, default: str) -> str:
     """A name for messages: the function's own, where it has one that tells something."""
     name = getattr(fun, "__name__", None)
+    if name == LAMBDIFIED:
+        return _expression(fun) or default
     return name if isinstance(name, str) and name != "<lambda>" else default
+
+
+#: What SymPy's `lambdify` calls every function that it makes.
+LAMBDIFIED = "_lambdifygenerated"
+
+
+def _expression(fun: object) -> str | None:
+    """The formula that `lambdify` was given, which stands in the docstring that it writes."""
+    _, found, rest = (getattr(fun, "__doc__", None) or "").partition("Expression:\n\n")
+    text = rest.partition("\n\n")[0]
+    text = text.removeprefix("Matrix([[").removesuffix("]])") if text.count("[") == 2 else text
+    return " ".join(text.split()) if found and text else None
 
 
 def distinct(names: list[str]) -> list[str]:

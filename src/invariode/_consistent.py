@@ -52,13 +52,13 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
 
 
 def _consistent_positions(motion: Motion, start: Point, names: list[str]) -> Array:
-    if motion.phi is None:
+    if not motion.m_phi:
         return start.q
-    t, q0, _, args = start
-    weight = motion.mass(start) if motion.kinematics is None else np.eye(motion.n_q)
+    t, q0 = start.t, start.q
+    weight = np.eye(motion.n_q) if motion.has_map else motion.mass(start)
     q = q0
     for _ in range(_ITERATIONS):
-        residual, rows = motion.positions(t, q, args), motion.positions_jacobian(t, q, args)
+        residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
         if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
             break
         after = q0 + _least_change(weight, rows, rows @ (q - q0) - residual)
@@ -66,7 +66,7 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str]) -> Arr
         q = after
         if moved <= _SETTLED * sizes(q).max(initial=0.0):
             break
-    residual, rows = motion.positions(t, q, args), motion.positions_jacobian(t, q, args)
+    residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
     off = ~(np.abs(residual) <= _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0)))
     if off.any():
         i = int(np.argmax(np.abs(residual) * off))

@@ -23,16 +23,13 @@ class Native:
 
     def __init__(self, *, address: int, event: bool, owner: object | None, inputs: Sequence[PiecewisePolynomial] = []) -> None: ...
 
-    @property
-    def address(self) -> int: ...
-
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
 
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = []) -> None: ...
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0) -> None: ...
 
 class Breakpoint:
     """A breakpoint, for the core."""
@@ -59,7 +56,7 @@ class Linear:
 class Problem:
     """What is to be solved, but for the initial value. n: reals in a state."""
 
-    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
+    def __init__(self, *, n: int, complex: bool, fun: object | None, args: tuple, parameters: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], linear: Linear | None = None, events: Sequence[Event] = [], breakpoints: Sequence[Breakpoint] = [], callback: object | None = None, invariants: Sequence[Invariant] = [], value: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None: ...
 
 class Tolerances:
     """rtol, thr = atol / rtol of all or of each, scales of a vector rtol."""
@@ -202,7 +199,7 @@ class Dense:
     """The continuous solution of a run."""
 
     @staticmethod
-    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool) -> Dense:
+    def from_parts(*, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], y: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], data: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], m: int, interpolation: str, extension: str, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, complex: bool, lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> Dense:
         """What `parts` gave, put together again."""
 
     def parts(self) -> dict:
@@ -300,7 +297,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -325,6 +322,9 @@ class Run:
     def breakpoints_passed(self) -> int: ...
 
     @property
+    def clipped(self) -> float: ...
+
+    @property
     def next_h(self) -> float: ...
 
 class EnsembleRun:
@@ -339,6 +339,8 @@ class EnsembleRun:
     def take_y(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]: ...
 
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
+
+    def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
 
@@ -370,6 +372,12 @@ class Solver:
     @property
     def native(self) -> bool:
         """Whether no function needs the interpreter."""
+
+    @property
+    def motion_work(self) -> object:
+        """
+        What a mechanical system has cost so far: calls of its functions and factorisations.
+        """
 
     def resume(self, seen: Sequence[int], asleep: Sequence[bool]) -> None:
         """
@@ -413,6 +421,12 @@ class Stepper:
     def order(self) -> int: ...
 
     @property
+    def harmed(self) -> int: ...
+
+    @property
+    def harm(self) -> float: ...
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -447,6 +461,63 @@ def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape
     """
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
     """
+
+class Mechanics:
+    """A mechanical system, for the core."""
+
+    def __init__(self, *, n_q: int, n_v: int, m_phi: int, m_psi: int, functions: dict, mass_writes: str, mass: object, jacobian_entries: bool, phi: object, psi: object, kinematics: object, kept: Sequence[bool], dependent: float) -> None: ...
+
+class MotionPart:
+    """
+    A function of (t, y) that a mechanical system has: its slope, one of its laws.
+    """
+
+    def __init__(self, mechanics: object, part: str) -> None: ...
+
+class Differentiable:
+    """A function of t and x with its arguments, and its derivatives."""
+
+    def __init__(self, forms: object, name: str, n_q: int, n_v: int, m: int, args: tuple, parameters: Sequence[float]) -> None: ...
+
+    def value(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Of shape (m,)."""
+
+    def complex_value(self, z: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Its complex form at (t, x); complex numbers are pairs of reals."""
+
+    def slope(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], dt: float, dx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """d/ds at (t + s dt, x + s dx), s = 0."""
+
+    def curvature(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], dt: float, dx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """d²/ds² of the same."""
+
+    def jacobian(self, t: float, x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], pattern: object) -> tuple:
+        """∂/∂x, as (starts, rows, values) in the pattern of such a matrix."""
+
+class Motion:
+    """The equations of motion of a mechanical system with its arguments."""
+
+    def __init__(self, mechanics: object, args: tuple, parameters: Sequence[float]) -> None: ...
+
+    def evaluate(self, part: str, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """One of its functions of (t, y); matrices row by row."""
+
+    def rows(self, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple:
+        """A, as (starts, rows, values), and γ of A v' = γ."""
+
+    def mass(self, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple:
+        """M, as (starts, rows, values)."""
+
+    def accelerations(self, t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool]:
+        """v', λ, and whether they are unique."""
+
+    @property
+    def sparse(self) -> bool:
+        """Whether sparse factors are tried first."""
+
+    @property
+    def work(self) -> dict:
+        """Calls of functions and factorisations so far."""
 
 def solve_saddle(mass: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], force: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], right: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], threshold: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], int, bool]:
     """
@@ -537,6 +608,12 @@ class Method:
     @property
     def scipy_bdf(self) -> bool:
         """That name implies the option bdf."""
+
+    @property
+    def mass(self) -> str:
+        """
+        Which mass matrices it takes: 'none', 'regular' ones that are constant, or 'any'.
+        """
 
     @property
     def options(self) -> tuple: ...

@@ -1,48 +1,65 @@
-"""Derivatives of a function of t and x without symbols: by complex steps where it takes them, else by differences."""
+"""Derivatives of functions of t, q and v without symbols: complex steps where they take them, else differences."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ._arguments import EPS, Array
+from . import _core
+from ._arguments import Array
+from .compiled import CompiledFunction, is_native, native_parameters, to_native
 
-__all__ = ["Derivatives", "reach", "sizes"]
+__all__ = ["Derivatives", "Forms", "Quiet", "compressed", "full_pattern", "sizes"]
 
 #: Complex increment: its square is nothing beside 1, and products of x and it do not vanish.
 _TINY = 1e-40
-#: Relative increments of differences of order 4, where their error h^4 meets roundoff ε / h, for the second derivative
-#: ε / h^2.
-_FIRST = EPS ** (1 / 5)
-_SECOND = EPS ** (1 / 6)
 #: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
 _SMALLEST_PART = 0.1
-#: The rotated complex step begins with this part of the size of x ...
-_ROTATED = 0.1
-#: ... and is halved until it agrees with its half to this part of its terms: what is left after extrapolation is the
-#: square of that, times 1e-3 from the factorials of the Taylor series.
-_AGREEMENT = 1e-6
-_HALVINGS = 30
 #: What counts as agreement of a complex step with a difference of order 4.
 _SAME = 1e-6
+#: From so many entries on it is worth knowing which of them are always zero.
+_LARGE = 500
+#: Where the pattern is looked for: beside x, by so much of the sizes of the components.
+_BESIDE = (0.0, 0.1, -0.07)
 _GOLDEN = 0.6180339887498949
 
 
+class Forms(NamedTuple):
+    """A function in the forms that the core takes."""
+
+    function: Any
+    complex: Any  # of complex t and x; None: there is no such form
+    quiet: Any  # the same, for points outside of its domain
+
+
+class Quiet:
+    """A function without NumPy's warnings, which are no news where it is asked outside of its domain."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def __call__(self, *args: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return self._function(*args)
+
+
 class Derivatives:
-    """First and second derivatives of ``function(t, x) -> (m,)``, where x has shape (n,).
+    """First and second derivatives of ``function(t, q)``, or ``function(t, q, v)``, with respect to t and x = (q, v).
 
     Parameters
     ----------
     function : callable
-        ``function(t, x, *args)``.
-    t, x, args
-        A point at which the function is defined, and its extra arguments: what it returns there tells m, and whether
-        it takes complex t and x.
+        The user's, with extra arguments; Python or native.
+    t, parts, args
+        A point at which the function is defined, q or (q, v), and its extra arguments: what it returns there tells m,
+        and whether it takes complex t and x.
     name : str
         For messages.
+    m : int, optional
+        Number of its values, where a native function does not tell.
 
     Attributes
     ----------
@@ -50,121 +67,154 @@ class Derivatives:
         Where derivatives come from.
     """
 
-    def __init__(self, function: Callable[..., Any], t: float, x: Array, args: tuple[Any, ...], name: str) -> None:
-        self._function, self._name = function, name
-        returned = np.asarray(function(t, x.copy(), *args))
-        if returned.dtype.kind not in "biufO" or returned.ndim > 1 or returned.size == 0 or returned.dtype == object:
-            raise ValueError(f"{name} must return a real number or shape (m,), got {returned!r} at t = {t}")
-        if not np.isfinite(returned.astype(float)).all():
-            raise ValueError(f"{name} is not finite at t = {t}: {returned}")
-        self.m = returned.size
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        t: float,
+        parts: tuple[Array, ...],
+        args: tuple[Any, ...],
+        name: str,
+        m: int | None = None,
+    ) -> None:
+        self._args, self._name, self._parts = args, name, tuple(len(part) for part in parts)
+        self._parameters = native_parameters(args, [function])
+        self.m = _count_values(function, t, parts, args, name, self._parameters) if m is None else m
         self.kind: Literal["complex step", "differences"] = "differences"
-        if self._takes_complex(t, x, args):
+        x = np.concatenate(parts)
+        form = self._of_numbers(function, is_complex=False)
+        self.forms = Forms(form, None, None)
+        self._core = self._bound(self.forms)
+        if not np.isfinite(here := self._core.value(t, x)).all():
+            raise ValueError(f"{name} is not finite at t = {t}: {here}")
+        candidate = self._of_numbers(function, is_complex=True)
+        if candidate is not None and self._takes_complex(t, x, self._bound(Forms(form, candidate, candidate))):
             self.kind = "complex step"
+            self.forms = Forms(form, candidate, candidate if candidate is not function else Quiet(candidate))
+            self._core = self._bound(self.forms)
 
-    def value(self, t: Any, x: Array, args: tuple[Any, ...]) -> Array:
+    def _of_numbers(self, function: Any, is_complex: bool) -> Any:
+        """The function as the core calls it; None: it has no complex form."""
+        n, second, count = sum(self._parts), sum(self._parts[1:]), len(self._parameters)
+        if not is_complex:
+            return to_native(self._name, function, n, self.m, self._parameters, second=second)
+        if not is_native(function):
+            return function
+        if not isinstance(function, CompiledFunction):
+            return None
+        try:
+            return function.complex_native(n, self.m, count, second)
+        except TypeError:
+            return None
+
+    def _bound(self, forms: Forms) -> _core.Differentiable:
+        first, second = (*self._parts, 0)[:2]
+        return _core.Differentiable(forms, self._name, first, second, self.m, self._args, self._parameters.tolist())
+
+    def value(self, t: float, x: Array) -> Array:
         """The function itself, of shape (m,)."""
-        returned = np.atleast_1d(np.asarray(self._function(t, x, *args)))
-        if returned.shape != (self.m,):
-            raise ValueError(f"{self._name} returned shape {returned.shape} at t = {t}, and ({self.m},) at the start")
-        return returned if returned.dtype.kind in "fc" else returned.astype(float)
+        return self._core.value(t, x)
 
-    def jacobian(self, t: float, x: Array, args: tuple[Any, ...]) -> Array:
-        """∂/∂x, of shape (m, n)."""
-        columns = np.empty((self.m, len(x)))
-        direction = np.zeros(len(x))
-        for j, size in enumerate(sizes(x)):
-            direction[j] = size
-            columns[:, j] = self.slope(t, x, 0.0, direction, args) / size
-            direction[j] = 0.0
-        return columns
-
-    def slope(self, t: float, x: Array, dt: float, dx: Array, args: tuple[Any, ...]) -> Array:
+    def slope(self, t: float, x: Array, dt: float, dx: Array) -> Array:
         """d/ds of function(t + s dt, x + s dx) at s = 0."""
-        if self.kind == "complex step":
-            h = _TINY
-            z: Array = self.value(t + 1j * h * dt if dt else t, x + 1j * h * dx, args)
-            return z.imag / h
-        h = _FIRST * reach(t, x, dt, dx)
-        near, far = self._odd(t, x, h * dt, h * dx, args), self._odd(t, x, 2 * h * dt, 2 * h * dx, args)
-        slope: Array = (8 * near - far) / (12 * h)
-        return slope
+        return self._core.slope(t, x, dt, dx)
 
-    def curvature(self, t: float, x: Array, dt: float, dx: Array, args: tuple[Any, ...]) -> Array:
-        """d²/ds² of function(t + s dt, x + s dx) at s = 0.
+    def curvature(self, t: float, x: Array, dt: float, dx: Array) -> Array:
+        """d²/ds² of function(t + s dt, x + s dx) at s = 0."""
+        return self._core.curvature(t, x, dt, dx)
 
-        With s complex of argument π/4, φ(s) + φ(-s) = 2φ + s²φ″ + O(s⁴): as s² is imaginary and s⁴ real, the imaginary
-        part is |s|²φ″ up to O(|s|⁶), and φ itself does not cancel. One extrapolation from |s| and |s|/2 removes that.
+    def jacobian(self, t: float, x: Array) -> Array:
+        """∂/∂x, of shape (m, n)."""
+        values: Array = self._core.jacobian(t, x, full_pattern(self.m, len(x)))[2]
+        return values.reshape(len(x), self.m).T
+
+    def pattern(self, t: float, x: Array) -> tuple[Array, Array, Array]:
+        """Which entries of the Jacobian can be other than zero, as compressed columns.
+
+        They are where NaN for a component spreads to, and where the derivatives at some points are not zero: the first
+        sees terms that vanish by chance, the second those that a comparison with NaN leaves out.
         """
-        if not dt and not dx.any():
-            return np.zeros(self.m)
-        if self.kind == "differences":
-            return self._second_difference(t, x, dt, dx, args)
-        h = _ROTATED * reach(t, x, dt, dx)
-        coarse, terms = self._rotated(t, x, dt, dx, h, args)
-        for _ in range(_HALVINGS):
-            h /= 2
-            fine, terms = self._rotated(t, x, dt, dx, h, args)
-            if (np.abs(fine - coarse) <= _AGREEMENT * terms).all():
-                return (16 * fine - coarse) / 15
-            coarse = fine
-        return coarse
+        n = len(x)
+        if self.m * n < _LARGE:
+            return full_pattern(self.m, n)
+        entries = np.zeros((self.m, n), dtype=bool)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            for j in range(n):
+                at = x.copy()
+                at[j] = np.nan
+                try:
+                    entries[:, j] = np.isnan(self.value(t, at))
+                except (ValueError, ArithmeticError):  # it does not take NaN
+                    entries[:, j] = True
+            for part in _BESIDE:
+                try:
+                    jacobian = self.jacobian(t, x + part * _somewhere(x))
+                except (ValueError, ArithmeticError):
+                    continue  # not defined there
+                entries |= ~(jacobian == 0)
+        return compressed(entries)
 
-    def _rotated(
-        self, t: float, x: Array, dt: float, dx: Array, h: float, args: tuple[Any, ...]
-    ) -> tuple[Array, Array]:
-        """The second derivative with |s| = h, and the size of the terms that it is the sum of."""
-        s = h * (1 + 1j) / np.sqrt(2)
-        with np.errstate(all="ignore"):  # too large an s may lead out of the domain, and is halved
-            up = self.value(t + s * dt, x + s * dx, args).imag
-            down = self.value(t - s * dt, x - s * dx, args).imag
-        return (up + down) / h**2, (np.abs(up) + np.abs(down)) / h**2
-
-    def _odd(self, t: float, x: Array, dt: float, dx: Array, args: tuple[Any, ...]) -> Array:
-        difference: Array = self.value(t + dt, x + dx, args) - self.value(t - dt, x - dx, args)
-        return difference
-
-    def _second_difference(self, t: float, x: Array, dt: float, dx: Array, args: tuple[Any, ...]) -> Array:
-        h = _SECOND * reach(t, x, dt, dx)
-        here = self.value(t, x, args)
-
-        def even(k: int) -> Array:
-            up, down = (
-                self.value(t + k * h * dt, x + k * h * dx, args),
-                self.value(t - k * h * dt, x - k * h * dx, args),
-            )
-            bend: Array = (up - here) - (here - down)
-            return bend
-
-        curvature: Array = (16 * even(1) - even(2)) / (12 * h**2)
-        return curvature
-
-    def _takes_complex(self, t: float, x: Array, args: tuple[Any, ...]) -> bool:
+    def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
         """Whether complex steps give what differences give, along a direction in which everything moves, at a point
         beside x: what is not analytic may not show at x itself."""
-        size = sizes(x)
-        direction = (
-            size * (0.5 + np.modf(_GOLDEN * np.arange(1, len(x) + 1))[0]) * np.where(np.arange(len(x)) % 2, -1, 1)
-        )
+        direction = _somewhere(x)
         dt = max(abs(t), 1.0)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
             for beside in (0.1, 0.0):
                 at = x + beside * direction
                 try:
-                    by_differences = self.slope(t, at, dt, direction, args)
-                    size_of_terms = np.abs(self.value(t, at, args)) + np.abs(by_differences)
+                    by_differences = self.slope(t, at, dt, direction)
+                    size_of_terms = np.abs(self.value(t, at)) + np.abs(by_differences)
                 except (ValueError, ArithmeticError, Warning):
                     continue  # not defined there
                 if not np.isfinite(by_differences).all():
                     continue
+                z = np.concatenate([[t + 1j * _TINY * dt], at + 1j * _TINY * direction])
                 try:
-                    z = np.asarray(self.value(t + 1j * _TINY * dt, at + 1j * _TINY * direction, args), dtype=complex)
+                    by_step = form.complex_value(z.view(float)).view(complex).imag / _TINY
                 except Exception:  # the function is not made for this: no reason to tell the user
                     return False
-                by_step = z.imag / _TINY
                 return bool((np.abs(by_step - by_differences) <= _SAME * size_of_terms).all())
         return False
+
+
+def _count_values(
+    function: Any, t: float, parts: tuple[Array, ...], args: tuple[Any, ...], name: str, parameters: Array
+) -> int:
+    """How many values the function has."""
+    if isinstance(function, CompiledFunction) and not function.inplace:
+        returned = np.asarray(function(t, *(part.copy() for part in parts), *([parameters] if len(parameters) else [])))
+    elif is_native(function):
+        raise ValueError(
+            f"{name} is native and does not tell how many values it has: give it as "
+            "Invariants(function, value=0, names=[...]), with one name for each"
+        )
+    else:
+        returned = np.asarray(function(t, *(part.copy() for part in parts), *args))
+    if returned.dtype.kind not in "biuf" or returned.ndim > 1 or returned.size == 0:
+        raise ValueError(f"{name} must return a real number or shape (m,), got {returned!r} at t = {t}")
+    return int(returned.size)
+
+
+def full_pattern(m: int, n: int) -> tuple[Array, Array, Array]:
+    """A matrix of m rows and n columns without zeros, as compressed columns."""
+    starts = np.arange(0, m * n + 1, m, dtype=np.int32) if m else np.zeros(n + 1, dtype=np.int32)
+    return starts, np.tile(np.arange(m, dtype=np.int32), n), np.ones(m * n)
+
+
+def compressed(entries: Array) -> tuple[Array, Array, Array]:
+    """A dense matrix as compressed columns, without its zeros."""
+    starts = np.concatenate([[0], np.cumsum((entries != 0).sum(axis=0))]).astype(np.int32)
+    columns, rows = np.nonzero(entries.T)
+    return starts, rows.astype(np.int32), entries[rows, columns].astype(float)
+
+
+def _somewhere(x: Array) -> Array:
+    """A direction in which every component moves by about its size."""
+    golden = np.modf(_GOLDEN * np.arange(1, len(x) + 1))[0]
+    direction: Array = sizes(x) * (0.5 + golden) * np.where(np.arange(len(x)) % 2, -1, 1)
+    return direction
 
 
 def sizes(x: Array) -> Array:
@@ -172,11 +222,3 @@ def sizes(x: Array) -> Array:
     size: Array = np.abs(x)
     largest = size.max(initial=0.0)
     return np.maximum(size, _SMALLEST_PART * largest) if largest > 0 else np.ones(len(x))
-
-
-def reach(t: float, x: Array, dt: float, dx: Array) -> float:
-    """The s with which x + s dx, or where x rests t + s dt, changes by the size of x or of t."""
-    moving = dx != 0
-    if moving.any():
-        return float((sizes(x)[moving] / np.abs(dx[moving])).min())
-    return max(abs(t), 1.0) / abs(dt)

@@ -353,4 +353,6 @@ def _lapack() -> dict[str, Any]:
     """LAPACK as SciPy ships it."""
     from scipy.linalg import cython_lapack
 
-    return {name: cython_lapack.__pyx_capi__[name] for name in ("dgetrf", "dgetrs", "dgbtrf", "dgbtrs")}
+    routines = ("getrf", "getrs", "gbtrf", "gbtrs")
+    capi: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
+    return {kind + name: capi[kind + name] for kind in "dz" for name in routines}

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from ._arguments import EPS
+from ._bounds import Limits
 from ._core import Run
 
-_MESSAGES = {
+#: How runs end that do not fail: status and message, those of SciPy where it has them.
+MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
@@ -29,8 +31,8 @@ _LIMITS = {
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
-    if run.state in _MESSAGES:
-        return _MESSAGES[run.state]
+    if run.state in MESSAGES:
+        return MESSAGES[run.state]
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
@@ -43,6 +45,11 @@ def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: 
         return -1, (
             f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
             "it an action that returns a state near the consistent one."
+        )
+    if run.state == "action_out_of_bounds":
+        return -1, (
+            f"After the action at t = {run.t:.6g} component {run.component} is outside of its bounds by "
+            "more than the tolerance. Let the action return a point within them."
         )
     return -1, _step_failed(run, names, pairs)
 
@@ -59,6 +66,12 @@ def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
     return f"{text}. All results so far are kept. To come farther {advice}; a solution can also be extended from here."
 
 
+def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
+    """The text of the ValueError for a start that is outside of its bounds."""
+    within = "" if limits is None else f", {limits.lower[component]} to {limits.upper[component]},"
+    return f"{what}[{component}] is outside of its bounds{within} by more than the tolerance: correct it, or the bounds"
+
+
 def _component(run: Run, pairs: bool) -> str:
     return f"component {run.component // 2 if pairs else run.component}"
 
@@ -70,6 +83,11 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         return f"{what} NaN or infinite also with the smallest step, {where}."
     if run.cause == "newton":
         return f"{_newton_failed(run, pairs)} {where}."
+    if run.cause == "bounds":
+        return (
+            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance also with the "
+            f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
+        )
     if run.cause == "projection" and run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, also "
@@ -179,3 +197,13 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, names, demanded)
+
+
+def harmful_projection(components: str, distance: str) -> str:
+    """The text of an AccuracyWarning: which components projections move, and how far."""
+    return (
+        f"projection moved {components} by {distance}: it corrects other components at the cost of "
+        f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
+        "invariants. Try an atol per component, larger for what changes fast (for velocities, than for positions, by "
+        "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
+    )

@@ -140,6 +140,17 @@ class MethodOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
+    calibrate: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Solve with tighter tolerances, so that the error of the solution, not of a step, is about as large as "
+            "`rtol` and `atol` on well-behaved problems, and proportional to them.",
+            flag,
+            every_method=False,
+        ),
+    ]
     check: Annotated[
         bool,
         Option(True, "bool", "Test that the invariants are invariants, and that their Jacobians are right.", flag),
@@ -340,6 +351,26 @@ class DescribingOptions(TypedDict, total=False):
             "M of M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
             "(index 1); y0 is then moved to consistent values.",
             every_method=False,
+        ),
+    ]
+    nonnegative: Annotated[
+        bool | int | str | Sequence[int] | Sequence[str] | None,
+        Option(
+            None,
+            "bool, indices or labels",
+            "Components that are not to be negative, as concentrations are: True, all. A step that takes one below 0 "
+            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before "
+            "the method commits the step. Output between steps is not negative either; the arguments at which explicit "
+            "methods evaluate f within a step may be. With `invariants` the result is the nearest point that keeps "
+            "both.",
+        ),
+    ]
+    bounds: Annotated[
+        Any,
+        Option(
+            None,
+            "(lower, upper) or scipy.optimize.Bounds",
+            "The same for any bounds: numbers or arrays of shape (n,), infinite or None where there is none.",
         ),
     ]
 

@@ -12,6 +12,7 @@ __all__ = [
     "GRID",
     "IMPOSED",
     "INK",
+    "LEVELS",
     "LOOK",
     "MUTED",
     "PAGE",
@@ -27,6 +28,9 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 
 #: Lines of real and imaginary parts: the first time through the palette, and the second.
 DASHES = (("-", "--"), ("-.", ":"))
+
+#: Lines of the levels of invariants; dots are what was before projection.
+LEVELS = ("-", "--", "-.")
 
 #: What colours stand for where runs are compared: without projection, with it, imposed afterwards.
 PROJECTED, PLAIN, IMPOSED = COLOURS[:3]

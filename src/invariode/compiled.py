@@ -13,13 +13,16 @@ such code of functions that do raise: their values are NaN there.
 
 from __future__ import annotations
 
+import cmath
 import ctypes
 import inspect
+import math
 import sys
 import threading
 from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable
 from functools import reduce
+from types import BuiltinFunctionType, FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,13 +30,65 @@ import numpy as np
 from . import _core
 from ._arguments import Array, call_name
 
-__all__ = ["CompiledFunction", "compile", "is_native", "to_native"]
+__all__ = ["CompiledFunction", "compile", "event_value", "is_native", "to_native", "values_of"]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
 
 #: Tuples of more values, all of one type, are stored by a loop, which is compiled in less time.
 _UNROLLED = 32
+
+
+class CoreFunction:
+    """A function of (t, y, *args) that the core has itself: callable from Python; the core takes `for_core`."""
+
+    #: Whether it calls machine code of the user's, which takes the arguments as numbers.
+    native = False
+
+    def for_core(self, n: int, size: int, parameters: Array) -> Any:
+        """What the core takes in its place, for n components and `size` values."""
+        raise NotImplementedError
+
+
+class _Shape(NamedTuple):
+    """What machine code takes and gives."""
+
+    n: int
+    size: int
+    parameters: int
+    event: bool
+    second: int = 0  # components of a second vector, of the n
+    is_complex: bool = False
+
+    @property
+    def vectors(self) -> list[str]:
+        return ["y", "v"] if self.second else ["y"]
+
+    def unpacked(self) -> list[str]:
+        """Lines that bind what the function takes, from y_: (t,) q and v, one behind the other."""
+        first, middle = int(self.is_complex), int(self.is_complex) + self.n - self.second
+        if not first and not self.second:
+            return [f"y = carray(y_, ({self.n},))"]
+        lines = [f"x = carray(y_, ({first + self.n},))", f"y = x[{first}:{middle}]"]
+        lines += ["t = x[0]"] if first else []
+        return [*lines, *([f"v = x[{middle}:{first + self.n}]"] if self.second else [])]
+
+
+def _with_complex_math(fun: Callable[..., Any]) -> Callable[..., Any]:
+    """The function with cmath in place of math, so that it takes complex numbers. What cmath does not have stays."""
+    if not isinstance(fun, FunctionType):
+        return fun
+
+    def complex_one(value: Any) -> Any:
+        if value is math:
+            return cmath
+        known = getattr(value, "__module__", None) == "math" and isinstance(value, BuiltinFunctionType)
+        return getattr(cmath, value.__name__, value) if known else value
+
+    used = {name: complex_one(fun.__globals__[name]) for name in fun.__code__.co_names if name in fun.__globals__}
+    replaced = FunctionType(fun.__code__, {**fun.__globals__, **used}, fun.__name__, fun.__defaults__, fun.__closure__)
+    replaced.__kwdefaults__ = fun.__kwdefaults__
+    return replaced
 
 
 class CompiledFunction:
@@ -53,8 +108,9 @@ class CompiledFunction:
         self.__name__ = call_name(fun, "compiled")
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
-        self._made: dict[tuple[int, int, int, bool], _core.Native] = {}
+        self._made: dict[tuple[Any, ...], _core.Native] = {}
         self._jitted: Any = None
+        self._jitted_complex: Any = None
         self._making = threading.Lock()
 
     def __call__(self, *args: Any) -> Any:
@@ -71,41 +127,73 @@ class CompiledFunction:
             named = None
         return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace))
 
-    def native(self, n: int, size: int, parameters: int, event: bool) -> _core.Native:
-        """The machine code for n components, `size` values and that many parameters."""
-        key = (n, size, parameters, event)
+    def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
+        """The machine code for n components, `size` values and that many parameters. With `second` the function takes
+        two vectors, of n - second and second components, which stand one behind the other in y."""
+        return self._machine_code(_Shape(n, size, parameters, event, second))
+
+    def complex_native(self, n: int, size: int, parameters: int, second: int = 0) -> _core.Native:
+        """The same function of complex t and y, which stand one behind the other, with complex values.
+
+        Raises
+        ------
+        TypeError
+            numba cannot compile it for complex numbers.
+        """
+        try:
+            return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True))
+        except AttributeError as error:  # a function of math that cmath does not have
+            raise self._cannot_compile(error) from error
+
+    def _machine_code(self, shape: _Shape) -> _core.Native:
         with self._making:
-            made = self._made.get(key)
+            made = self._made.get(shape)
             if made is None:
-                code = self._make(*key)
-                made = self._made[key] = _Native(code.address, event, code, (self, *key))
+                code = self._make(shape)
+                made = self._made[shape] = _Native(code.address, shape.event, code, (self, shape))
         return made
 
-    def _make(self, n: int, size: int, parameters: int, event: bool) -> Any:
+    def _make(self, shape: _Shape) -> Any:
         numba = _numba()
-        if self._jitted is None:
-            self._jitted = numba.njit(self.fun, error_model="numpy")  # 1/0 is inf: no exceptions
-        names = ["t", "y", *(["out"] if self.inplace and not event else []), *(["p"] if parameters else [])]
+        jitted = self._jit(shape.is_complex)
+        names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
+        names += ["p"] if shape.parameters else []
         self._check_call(names)
         call = f"f({', '.join(names)})"
-        body = [f"y = carray(y_, ({n},))", *([f"p = carray(p_, ({parameters},))"] if parameters else [])]
-        if event:
+        body = [*shape.unpacked(), *([f"p = carray(p_, ({shape.parameters},))"] if shape.parameters else [])]
+        if shape.event:
             head = "def code(t, y_, p_):"
             body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
         else:
-            head = "def code(t, y_, out_, p_):"
-            body += [f"out = carray(out_, ({size},))", "out[:] = nan"]  # what is not filled is not evaluated
+            head = f"def code({'t_' if shape.is_complex else 't'}, y_, out_, p_):"
+            body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
-            body += [] if self.inplace else self._stores(size, parameters)
+            body += [] if self.inplace else self._stores(jitted, shape)
         text = "\n    ".join([head, *body])
-        namespace: dict[str, Any] = {"f": self._jitted, "carray": numba.carray, "nan": np.nan}
+        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "nan": np.nan}
         exec(text, namespace)
-        double, pointer = numba.types.double, numba.types.CPointer(numba.types.double)
-        signature = double(double, pointer, pointer) if event else numba.void(double, pointer, pointer, pointer)
+        number = numba.types.complex128 if shape.is_complex else numba.types.double
+        double, pointer, numbers = (
+            numba.types.double,
+            numba.types.CPointer(numba.types.double),
+            numba.types.CPointer(number),
+        )
+        signature = double(double, pointer, pointer) if shape.event else numba.void(double, numbers, numbers, pointer)
         try:
             return numba.cfunc(signature, error_model="numpy")(namespace["code"])
         except numba.core.errors.NumbaError as error:
             raise self._cannot_compile(error) from error
+
+    def _jit(self, is_complex: bool) -> Any:
+        """For numba; 1/0 is inf: no exceptions."""
+        numba = _numba()
+        if is_complex:
+            if self._jitted_complex is None:
+                self._jitted_complex = numba.njit(_with_complex_math(self.fun), error_model="numpy")
+            return self._jitted_complex
+        if self._jitted is None:
+            self._jitted = numba.njit(self.fun, error_model="numpy")
+        return self._jitted
 
     def _check_call(self, names: list[str]) -> None:
         """That the function takes these arguments; numba would tell their number only."""
@@ -115,10 +203,18 @@ class CompiledFunction:
             form = "with args it is" if "p" in names else "without args it is"
             raise TypeError(f"compile({self.__name__}): {error}; {form} f({', '.join(names)})") from None
 
-    def _stores(self, size: int, parameters: int) -> list[str]:
+    def _stores(self, jitted: Any, shape: _Shape) -> list[str]:
         """Lines that store the result r in `out`."""
         types = _numba().types
-        result = self._result(parameters)
+        result, size = self._result(jitted, shape), shape.size
+        if isinstance(result, types.Array) and result.ndim > 1:
+            return [
+                f"if r.size == {size}:",
+                "    k = 0",
+                "    for e in r.flat:",
+                "        out[k] = e",
+                "        k += 1",
+            ]
         if isinstance(result, (types.Array, types.List, types.ListType)):
             return [f"if len(r) == {size}:", f"    for i in range({size}):", "        out[i] = r[i]"]
         returned = len(result) if isinstance(result, types.BaseTuple) else 1
@@ -131,16 +227,17 @@ class CompiledFunction:
             return [f"for i in range({size}):", "    out[i] = r[i]"]
         return [f"out[{i}] = r[{i}]" for i in range(size)]
 
-    def _result(self, parameters: int) -> Any:
+    def _result(self, jitted: Any, shape: _Shape) -> Any:
         """numba's type of what the function returns."""
         numba = _numba()
-        vector = numba.types.Array(numba.types.double, 1, "C")
-        arguments = (numba.types.double, vector, *([vector] if parameters else []))
+        number = numba.types.complex128 if shape.is_complex else numba.types.double
+        vector, values = numba.types.Array(number, 1, "C"), numba.types.Array(numba.types.double, 1, "C")
+        arguments = (number, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
         try:
-            self._jitted.compile(arguments)
+            jitted.compile(arguments)
         except (numba.core.errors.NumbaError, TypeError) as error:
             raise self._cannot_compile(error) from error
-        return self._jitted.overloads[arguments].signature.return_type
+        return jitted.overloads[arguments].signature.return_type
 
     def _cannot_compile(self, error: Exception) -> TypeError:
         return TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}")
@@ -200,6 +297,8 @@ def _numba() -> Any:
 
 def is_native(fun: object) -> bool:
     """Whether `fun` is machine code of a kind that is accepted."""
+    if isinstance(fun, CoreFunction):
+        return fun.native
     return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
 
 
@@ -222,8 +321,9 @@ def _is_low_level(fun: object) -> bool:
     return type(fun).__name__ == "LowLevelCallable" and isinstance(fun, tuple)
 
 
-def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool = False) -> Any:
+def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool = False, second: int = 0) -> Any:
     """For the core, if `fun` is native: its address, with what keeps the code alive. Python functions pass unchanged.
+    `second`: as in `CompiledFunction.native`.
 
     Raises
     ------
@@ -233,8 +333,10 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     if isinstance(fun, NativeWithInputs):
         code = to_native(name, fun.fun, n, size, np.concatenate([np.zeros(fun.size), args]), event)
         return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
+    if isinstance(fun, CoreFunction):
+        return fun.for_core(n, size, args)
     if isinstance(fun, CompiledFunction):
-        return fun.native(n, size, len(args), event)
+        return fun.native(n, size, len(args), event, second)
     if not is_native(fun):
         return fun
     wanted = _EVENT if event else _VECTOR
@@ -272,15 +374,40 @@ class _Native(_core.Native):
 
     def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
         super().__init__(address=address, event=event, owner=owner)
+        self.address = address
         self._made_of = made_of
 
     def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
         if self._made_of is None:
             raise TypeError("native functions cannot be pickled, but for those that invariode.compile makes")
-        return CompiledFunction.native, self._made_of
+        return CompiledFunction._machine_code, self._made_of
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
         return self
+
+
+def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
+    """The value of a native event, as `to_native` made it for the core, at one point."""
+    call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)(fun.address)
+    value: float = call(t, y.ctypes.data, p.ctypes.data if len(p) else None)
+    return value
+
+
+def values_of(fun: Any, t: Array, y: Array, args: tuple[Any, ...]) -> Array:
+    """f at points, (n, n_t), of a native function or of Python's."""
+    rows = np.ascontiguousarray(y.T)
+    values = np.empty_like(rows)
+    if not is_native(fun):
+        for value, at, state in zip(values, t.tolist(), rows, strict=True):
+            value[:] = fun(at, state.copy(), *args)
+        return values.T
+    p = native_parameters(args, [fun])
+    n = rows.view(float).shape[1]
+    vector = ctypes.c_void_p
+    call = ctypes.CFUNCTYPE(None, ctypes.c_double, vector, vector, vector)(to_native("fun", fun, n, n, p).address)
+    for value, at, state in zip(values, t.tolist(), rows, strict=True):
+        call(at, state.ctypes.data, value.ctypes.data, p.ctypes.data if len(p) else None)
+    return values.T
 
 
 _NO_PARAMETERS = np.zeros(0)

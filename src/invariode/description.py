@@ -10,12 +10,15 @@ from typing import Any, Self, Unpack
 from numpy.typing import ArrayLike
 
 from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from ._bounds import limits
+from ._formulas import unlambdified
 from ._options import ProblemArguments
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
 from .events import direction_sign, terminal_count, to_events
 from .inputs import InputsLike, to_inputs
 from .invariants import InvariantsLike, to_invariants
+from .notebook import html_of_problem
 
 __all__ = ["Description", "Matrices"]
 
@@ -49,10 +52,12 @@ class Description:
         uband: int | None = None,
         mass: Any = None,
         inputs: InputsLike | None = None,
+        nonnegative: Any = None,
+        bounds: Any = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        self.fun = fun if is_native(fun) else function("fun", fun, "f(t, y)")
+        self.fun = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
         self.t_span = interval(t_span)
         self.y0 = state(y0)
         self.args = extra_arguments(args)
@@ -67,6 +72,8 @@ class Description:
         self.name = call_name(self.fun, "problem") if name is None else name
         self._title = name
         self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
+        self._bounds_as_given = {"nonnegative": nonnegative, "bounds": bounds}
+        self.limits = limits(nonnegative, bounds, self.y0, self._labels)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A problem that differs from this one in some arguments; this one does not change.
@@ -104,6 +111,7 @@ class Description:
             "events": self.events,
             **vars(self.matrices),
             "inputs": self.inputs,
+            **self._bounds_as_given,
             "name": self._title,
             "labels": self._labels,
         }
@@ -113,6 +121,9 @@ class Description:
                 hint = f"; did you mean {near[0]!r}?" if near else f"; choose from {', '.join(now)}"
                 raise TypeError(f"Problem has no argument {given!r}{hint}")
         return type(self)(**{**now, **changes})
+
+    def _repr_html_(self) -> str:
+        return html_of_problem(self)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from . import _core
 from ._arguments import (
     Array,
+    call_name,
     extra_arguments,
     flag,
     interval,
@@ -25,16 +26,18 @@ from ._arguments import (
     warn,
 )
 from ._docstrings import documented
-from ._messages import inconsistent_start
+from ._messages import harmful_projection, inconsistent_start
 from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
 from ._processes import may_start, solve_rows
 from ._progress import bar
 from ._types import EventsLike, Function, MethodName, Span
 from .compiled import native_parameters
 from .description import Description
-from .invariants import as_columns
+from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, Trajectories
+from .events import to_events
+from .invariants import AccuracyWarning, as_columns
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, Record
+from .result import LIMIT_REACHED, default_labels
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
@@ -48,116 +51,18 @@ _STATUS = {
 #: What a single solve ends with by an exception.
 _RAISED = -4
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
-_EXCEPTIONS = ("invariant_refused", "event_undefined", "action_undefined", "interrupted")
-_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+_EXCEPTIONS = (
+    "invariant_refused",
+    "start_contradicts",
+    "start_out_of_bounds",
+    "event_undefined",
+    "action_undefined",
+    "interrupted",
+)
+_NG, _NGDIFF, _DROPPED, _HARMED = (_core.COUNTS.index(name) for name in ("ng", "ngdiff", "dropped", "harmed"))
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
 _INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
-
-
-@dataclasses.dataclass(eq=False, repr=False)
-class EnsembleEvents(Record):
-    """All occurrences of one event, those of a trajectory one after the other.
-
-    Attributes
-    ----------
-    trajectory : ndarray of int, (k,)
-        In which trajectory each occurred; sorted.
-    t : ndarray, (k,)
-        When.
-    y : ndarray, (k, n)
-        The states there.
-    """
-
-    trajectory: Array
-    t: Array
-    y: Array
-
-    def __repr__(self) -> str:
-        return f"EnsembleEvents({len(self.t)} occurrences in {len(np.unique(self.trajectory))} trajectories)"
-
-
-@dataclasses.dataclass(eq=False, repr=False)
-class EnsembleStats(Record):
-    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve."""
-
-    steps: Array
-    failed: Array
-    nfev: Array
-    nfev_check: Array
-    njev: Array
-    nlu: Array
-    nsolve: Array
-    projections: Array
-    skipped: Array
-    ng: Array
-    ngjac: Array
-    ngdiff: Array
-
-
-@dataclasses.dataclass(eq=False, repr=False)
-class EnsembleSolution(Record):
-    """Result of `solve_ensemble`: N trajectories of n components.
-
-    Attributes
-    ----------
-    t : ndarray, (n_t,)
-        `t_eval`; without it the end of the interval.
-    y : ndarray, (N, n, n_t)
-        The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, wherever the
-        trajectory ended: see `t_end`.
-    t_end : ndarray, (N,)
-        Where each trajectory ended.
-    y_end : ndarray, (N, n)
-        The state there.
-    status : ndarray of int, (N,)
-        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
-        invariant is not conserved, -3 a limit was reached, -4 what ends a single solve with an exception: the initial
-        value is off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function
-        raised.
-    success : ndarray of bool, (N,)
-        status >= 0.
-    messages : dict of int to str
-        Why, for each trajectory without success.
-    events : list of EnsembleEvents
-        One for each event function.
-    stats : EnsembleStats
-        Counts of each trajectory.
-    value : ndarray, (N, m)
-        At what the invariants were held (at first, if events with actions changed it). NaN where there was no start.
-    residual_before : ndarray, (N, m)
-        Largest ``|g - value|`` of the accepted candidates before projection.
-    residual_after : ndarray, (N, m)
-        The same at the outputs and the end.
-    correction : ndarray, (N,)
-        Largest correction by projection of a step, in units of rtol.
-    """
-
-    t: Array
-    y: Array
-    t_end: Array
-    y_end: Array
-    status: Array
-    success: Array
-    messages: dict[int, str]
-    events: list[EnsembleEvents]
-    stats: EnsembleStats
-    value: Array
-    residual_before: Array
-    residual_after: Array
-    correction: Array
-
-    def __repr__(self) -> str:
-        size, n = self.y_end.shape
-        counted = ((0, "reached the end"), (1, "had a terminal event"), (2, "were stopped by callback"))
-        parts = [f"{k} {what}" for status, what in counted if (k := int((self.status == status).sum()))]
-        text = (
-            f"EnsembleSolution of {size} trajectories, {n} components, {len(self.t)} times: {', '.join(parts) or '-'}"
-        )
-        if self.messages:
-            first = min(self.messages)
-            text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
-        return text
 
 
 @documented(options=table_of(EnsembleOptions))
@@ -234,6 +139,10 @@ def solve_ensemble(
     True
     """
     describing, running = parted(options, DescribingOptions)
+    if any(event.at_start for event in to_events(events)):
+        raise ValueError(
+            "at_start is for single runs: evaluate the event at the initial states of an ensemble yourself"
+        )
     described = _Described(fun, interval(t_span), events, describing)
     run_options = _options_of_each(running, t_eval)
     workers = positive_integer("workers", _processors() if workers is None else workers)
@@ -341,19 +250,48 @@ class _Task:
         raise first_error
 
 
-def _solution(plan: Plan, y: Array, y_end: Array, counts: Array, **fields: Any) -> EnsembleSolution:
+def _solution(
+    task: _Task, plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, **fields: Any
+) -> EnsembleSolution:
     times = plan.settings.times
-    if dropped := int((counts[:, -1] > 0).sum()):
+    if dropped := int((counts[:, _DROPPED] > 0).sum()):
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
+    _warn_harmed(plan, counts[fields["status"] >= 0, _HARMED])
     stats = dict(zip(_core.COUNTS, counts.T, strict=True))
-    del stats["dropped"]
+    del stats["dropped"], stats["harmed"]
     return EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
         y=y_end[:, :, None].copy() if times is None else y,
         y_end=y_end,
         success=fields["status"] >= 0,
-        stats=EnsembleStats(**stats),
+        stats=EnsembleStats(**stats, clipped_amount=clipped_amount),
+        _trajectories=_trajectories(plan, task),
         **fields,
+    )
+
+
+def _warn_harmed(plan: Plan, harmed: Array) -> None:
+    """One warning for all trajectories that did not fail. `harmed`: 1 + the component that projection harmed, or 0."""
+    some = harmed[harmed > 0]
+    if not some.size:
+        return
+    names = default_labels(len(plan.y0))
+    components = np.unique((some - 1) // (2 if plan.functions.complex else 1))
+    much = f"much more than estimated errors in {some.size} trajectories"
+    warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
+
+
+def _trajectories(plan: Plan, task: _Task) -> Trajectories:
+    """What the results of single trajectories need to know."""
+    acting = any(event.action is not None for event in plan.functions.events)
+    return Trajectories(
+        call_name(task.described.fun, "problem"),
+        plan.event_names,
+        plan.names[: len(plan.bound)],
+        None if acting else plan.bound,
+        task.args,
+        plan.rtol,
+        plan.atol,
     )
 
 
@@ -372,12 +310,14 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
         [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8
     )
     return _solution(
+        task,
         plan,
         y=run.take_y().view(dtype),
         t_end=run.take_t(),
         y_end=run.take_end().view(dtype),
         status=np.where(states < 0, np.int8(_RAISED), codes[states]),
         counts=run.take_counts(),
+        clipped_amount=run.take_clipped(),
         messages=_messages(task, plan, run, states),
         events=[_in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
         value=value,
@@ -441,6 +381,7 @@ class _Row:
     before: Array
     after: Array
     correction: float
+    clipped_amount: float
     events: list[tuple[Array, Array]]
 
 
@@ -492,6 +433,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
         before=before[: len(bound)],
         after=after,
         correction=correction,
+        clipped_amount=run.clipped,
         events=[(times, points.view(dtype)) for times, points in run.take_events()],
     )
 
@@ -502,13 +444,14 @@ class _Rows:
     def __init__(self, task: _Task, plan: Plan) -> None:
         size, n = task.y0.shape
         times, m = plan.settings.times, len(plan.bound)
-        self.plan = plan
+        self.task, self.plan = task, plan
         self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
         self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), task.y0.copy()
         self.status = np.full(size, _RAISED, dtype=np.int8)
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)
         self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
+        self.clipped_amount = np.zeros(size)
         self.messages: dict[int, str] = {}
         self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
 
@@ -526,18 +469,21 @@ class _Rows:
         self.counts[i] = one.counts
         self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
         self.correction[i] = one.correction
+        self.clipped_amount[i] = one.clipped_amount
         for found, (t, y) in zip(self.found, one.events, strict=True):
             if len(t):
                 found.append((i, t, y))
 
     def solution(self) -> EnsembleSolution:
         return _solution(
+            self.task,
             self.plan,
             y=self.y,
             t_end=self.t_end,
             y_end=self.y_end,
             status=self.status,
             counts=self.counts,
+            clipped_amount=self.clipped_amount,
             messages=dict(sorted(self.messages.items())),
             events=[self._events(found) for found in self.found],
             value=self.value,

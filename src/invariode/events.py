@@ -21,8 +21,7 @@ class Event:
     ----------
     fun : callable
         ``fun(t, y, *args) -> float``, with y of shape (n,). Its sign changes are events; a touch
-        without a sign change is not. An event that is zero at the start is reported only after it has left zero.
-        NaN is an error.
+        without a sign change is not. NaN is an error.
     terminal : bool or int, default False
         True ends the integration at the first occurrence, a positive integer at that occurrence.
     direction : float, default 0
@@ -40,6 +39,10 @@ class Event:
         Default: as many as the degree of the method's continuous extension, at least 3. 'adaptive': as many as it takes
         to resolve `fun` along the step, by Chebyshev interpolation, from which all of its roots follow: from 9 for a
         smooth function, hundreds around a kink.
+    at_start : bool, default False
+        Whether an event that is exactly zero at t0 occurs there, as in SciPy: then it is the first in `t_events`,
+        counts for `terminal`, and has the direction in which the first step leaves zero. False: it does not occur until
+        it has left zero, so that a run that starts at an event does not find this event again. Not with an `action`.
 
     Notes
     -----
@@ -64,6 +67,7 @@ class Event:
         action: Function | None = None,
         rehold: bool = True,
         samples: int | Literal["adaptive"] | None = None,
+        at_start: bool = False,
     ) -> None:
         if not callable(fun) and not is_native(fun):
             raise TypeError(f"an event must be a function event(t, y), got {shown(fun)}")
@@ -73,6 +77,11 @@ class Event:
         self.action: Any = action if action is None or is_native(action) else function("action", action, "action(t, y)")
         self.rehold = flag("rehold", rehold)
         self.samples = _samples(samples)
+        self.at_start = flag("at_start", at_start)
+        if self.at_start and self.action is not None:
+            raise ValueError(
+                "at_start is not possible with an action: where the event is zero at t0, apply the action to y0 first"
+            )
         self.__name__ = call_name(fun, "event")
 
     def __call__(self, t: float, y: Any, *args: Any) -> float:
@@ -80,7 +89,8 @@ class Event:
         return value
 
     def __repr__(self) -> str:
-        return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r})"
+        at_start = ", at_start=True" if self.at_start else ""
+        return f"Event({self.__name__}, terminal={self.terminal!r}, direction={self.direction!r}{at_start})"
 
 
 def _samples(samples: object) -> int | Literal["adaptive"] | None:
@@ -105,7 +115,7 @@ def to_events(events: EventsLike) -> list[Event]:
 #: Up to here doubles are integers, and every count fits into the core's.
 _MOST_OCCURRENCES = 2**53
 
-_ATTRIBUTES = ("terminal", "direction", "action", "rehold", "samples")
+_ATTRIBUTES = ("terminal", "direction", "action", "rehold", "samples", "at_start")
 
 
 def _from_function(fun: EventFunction) -> Event:

@@ -17,13 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array
-from .result import Result
+from .result import Result, default_labels
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import pandas
     import xarray
 
-__all__ = ["FORMAT", "PLAIN", "VERSION", "Exports", "save", "to_dataframe", "to_xarray"]
+__all__ = [
+    "FORMAT",
+    "PLAIN",
+    "VERSION",
+    "Exports",
+    "ensemble_to_dataframe",
+    "ensemble_to_xarray",
+    "save",
+    "to_dataframe",
+]
+__all__ += ["to_xarray", "write_arrays"]
 
 #: What every file says of itself, and the version of its contents: raised whenever they change.
 FORMAT, VERSION = "invariode solution", 2
@@ -143,6 +153,38 @@ def to_dataframe(solution: Result) -> pandas.DataFrame:
     return table
 
 
+def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
+    """See `EnsembleSolution.to_xarray`."""
+    xr = _extra("xarray")
+    whole = ("trajectory", "component", "t")
+    variables: dict[str, Any] = {
+        "y": (whole, ensemble.y),
+        "y_end": (whole[:2], ensemble.y_end),
+        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "correction")},
+        **{name: ("trajectory", counts) for name, counts in ensemble.stats.items()},
+    }
+    if ensemble.value.shape[1]:
+        laws = ("value", "residual_before", "residual_after")
+        variables |= {name: (("trajectory", "invariant"), ensemble[name]) for name in laws}
+    coordinates = {
+        "trajectory": np.arange(len(ensemble)),
+        "component": default_labels(ensemble.y.shape[1]),
+        "t": ensemble.t,
+    }
+    data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version("invariode")})
+    return data
+
+
+def ensemble_to_dataframe(ensemble: Any) -> pandas.DataFrame:
+    """See `EnsembleSolution.to_dataframe`."""
+    pd = _extra("pandas")
+    size, n, times = ensemble.y.shape
+    index = pd.MultiIndex.from_product([np.arange(size), ensemble.t], names=["trajectory", "t"])
+    rows = ensemble.y.transpose(0, 2, 1).reshape(size * times, n)
+    table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=default_labels(n))
+    return table[np.isfinite(rows).all(axis=1)]
+
+
 def _extra(module: str) -> Any:
     try:
         return importlib.import_module(module)
@@ -193,7 +235,11 @@ def _tolerance(given: ArrayLike) -> float | list[float]:
 
 def save(solution: Result, path: str | os.PathLike[str]) -> None:
     """See `Solution.save`."""
-    arrays = _to_arrays(solution)
+    write_arrays(_to_arrays(solution), path)
+
+
+def write_arrays(arrays: dict[str, Any], path: str | os.PathLike[str]) -> None:
+    """Writes an archive of arrays, which takes the place of one that is there when it is complete."""
     try:
         there = os.stat(path)
     except FileNotFoundError:

@@ -15,6 +15,7 @@ from ._messages import wrong_jacobian
 from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
 from .invariants import BoundInvariants, InvariantsLike, bind, to_invariants
+from .notebook import html_of_check
 
 __all__ = ["CheckReport", "check_invariants"]
 
@@ -81,6 +82,9 @@ class CheckReport:
         return "\n".join(lines + self.findings)
 
     __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html_of_check(self)
 
 
 def check_invariants(

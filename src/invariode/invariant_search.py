@@ -15,6 +15,7 @@ from ._arguments import Array, distinct_labels, extra_arguments, function, inter
 from ._types import Span
 from .invariants import Invariants
 from .ivp import solve_ivp
+from .notebook import latex_of_polynomial
 
 __all__ = ["PolynomialInvariant", "find_invariants"]
 
@@ -52,6 +53,7 @@ class PolynomialInvariant(Invariants):
         self.coefficients = coefficients
         self.degree = max(sum(e) for e in coefficients)
         self.formula = _formula(coefficients, labels)
+        self._labels = list(labels)
         self._terms = [
             (float(c), [(i, e) for i, e in enumerate(exponents) if e]) for exponents, c in coefficients.items()
         ]
@@ -60,6 +62,9 @@ class PolynomialInvariant(Invariants):
     def __call__(self, y: Any) -> Any:
         """Its value at y (n,), or at points (n, n_t)."""
         return self._value(0.0, np.asarray(y))
+
+    def _repr_latex_(self) -> str:
+        return latex_of_polynomial(self.coefficients, self._labels)
 
     def _value(self, t: float, y: Any, *args: Any) -> Any:
         total: Any = 0.0

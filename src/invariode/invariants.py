@@ -30,8 +30,9 @@ from ._arguments import (
     shown,
     tolerances,
 )
+from ._formulas import unlambdified
 from ._types import Function, JacobianKind, Numbers
-from .compiled import is_native, native_parameters, to_native
+from .compiled import CoreFunction, is_native, native_parameters, to_native
 
 __all__ = ["AccuracyWarning", "ImposeResult", "InvariantError", "Invariants", "InvariantsLike", "impose"]
 
@@ -81,6 +82,11 @@ class Invariants:
     moves : sequence of int, optional
         The components of y that the correction may move; one set for all invariants of a level. Default: all. The
         others tell nothing of the distance to the manifold: an invariant must depend on some of these.
+    metric : array_like of shape (k,) or (k, k), or callable, optional
+        Makes δᵀ G δ the square of a correction δ, and so the one that is the least: G, its diagonal or all of it,
+        constant or ``G(t, y, *args)``, of the k components of `moves`, in their order; one for all invariants of a
+        level, for real problems. Where it is not positive definite, and by default, it is the diagonal with 1 / w²,
+        w the weights of the error test.
 
     Notes
     -----
@@ -88,7 +94,8 @@ class Invariants:
     invariants are dropped with a warning. A function that is no invariant of the equations is refused.
 
     Constraints of mechanics have levels: positions are put on φ(q) = 0 by moving q alone, then velocities on φ̇ = 0 by
-    moving v alone, so that errors of v do not move q. `MechanicalSystem` sets them.
+    moving v alone, so that errors of v do not move q. The least correction in the metric of the mass matrix is what
+    forces of the constraints do, so that it changes no momentum which these keep. `MechanicalSystem` sets all this.
 
     Examples
     --------
@@ -111,8 +118,9 @@ class Invariants:
         when: Literal["always", "needed"] = "always",
         level: int = 0,
         moves: Sequence[int] | None = None,
+        metric: ArrayLike | Function | None = None,
     ) -> None:
-        self.fun: Any = fun if is_native(fun) else function("the invariant", fun, "g(t, y)")
+        self.fun: Any = fun if is_native(fun) else unlambdified(function("the invariant", fun, "g(t, y)"))
         self.jac: Any = jac
         if isinstance(jac, str):
             choice("jac of the invariant", jac, _KINDS)
@@ -124,6 +132,7 @@ class Invariants:
         self.when = choice("when", when, ("always", "needed"))
         self.level = _level(level)
         self.moves = None if moves is None else _components(moves)
+        self.metric: Any = None if metric is None else _metric(metric)
 
     def __repr__(self) -> str:
         held = "" if self.value is None else f", value={self.value.tolist()}"
@@ -131,7 +140,10 @@ class Invariants:
 
 
 class AccuracyWarning(UserWarning):
-    """Projection moves a component of the solution by much more than its estimated error: it may do harm there."""
+    """Projection moves a component of the solution by much more than its estimated error: it may do harm there.
+
+    Said once: of a run, of all trajectories of an ensemble, or by one of the classes in `invariode.scipy`.
+    """
 
 
 #: Invariants as arguments: a function, an `Invariants`, or several of these.
@@ -167,6 +179,17 @@ def _level(level: object) -> int:
     if result < 0:
         raise ValueError(f"level of an invariant must be an integer from 0 on, got {level!r}")
     return result
+
+
+def _metric(metric: object) -> Any:
+    if callable(metric) or is_native(metric):
+        return metric
+    constant = real_numbers("metric of an invariant", metric)
+    if constant.ndim not in (1, 2) or constant.shape != constant.shape[:1] * constant.ndim or constant.size == 0:
+        raise ValueError(f"metric of an invariant must have shape (k,) or (k, k), got {constant.shape}")
+    if not np.isfinite(constant).all():
+        raise ValueError("metric of an invariant must be finite")
+    return constant
 
 
 def _components(moves: object) -> list[int]:
@@ -205,6 +228,8 @@ class InvariantSpec(NamedTuple):
     held: bool  # at its initial value; False: at one that was demanded
     level: int = 0
     moves: Sequence[int] = ()  # the reals of y that its correction may move; none: all
+    metric: Any = None  # in which it is the least: a function, or flat values
+    metric_size: int = 0  # number of its values
 
 
 class Jump(NamedTuple):
@@ -340,13 +365,14 @@ def bind(
         return BoundInvariants([], _NO_VALUES, [], args, _NO_VALUES, None)
     specs, values, names = [], [], []
     evaluations, n = len(invariants), reals(y)
-    p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac)])
+    p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac, one.metric)])
     for one in invariants:
         name = one.names[0] if one.names and len(one.names) == 1 else call_name(one.fun, "g")
         if is_native(one.fun):
-            fun, at_start = _native_start(one, name, t, y, p)
+            fun, at_start = _native_start(one, name, t, y, args, p)
         else:
-            fun, at_start = one.fun, _evaluate(one, name, t, y, args)
+            at_start = _evaluate(one, name, t, y, args)
+            fun = to_native(name, one.fun, n, len(at_start), p)
         m = len(at_start)
         if one.value is not None and len(one.value) not in (1, m):
             raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
@@ -355,16 +381,17 @@ def bind(
         kind = one.jac
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
-        if kind == "complex-step" and fun is not one.fun:
+        if kind == "complex-step" and is_native(one.fun):
             raise ValueError(f'invariant {name}: jac="complex-step" is not for native functions, which take real y')
-        if kind is None and fun is not one.fun:
+        if kind is None and is_native(one.fun):
             kind = "3-point"
         elif kind is None:
             probe = _Probe(one.fun, t, y, args, threshold, at_start)
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
             evaluations += probe.evaluations
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
-        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, one.level, _moves(one, name, y)))
+        order = (one.level, _moves(one, name, y), *_metric_at(one, name, t, y, args, p))
+        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     levelled = _in_levels(specs)
@@ -385,8 +412,27 @@ def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
     return [part for index in moves for part in (2 * index, 2 * index + 1)]
 
 
+def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, int]:
+    """The metric of an invariant as the core takes it, and the number of its values."""
+    metric = one.metric
+    if metric is None:
+        return None, 0
+    if y.dtype.kind == "c":
+        raise ValueError(f"metric of invariant {name} is for real problems, and y0 is complex")
+    k = len(one.moves or y)
+    if is_native(metric) or isinstance(metric, CoreFunction):
+        return to_native(f"the metric of invariant {name}", metric, len(y), k * k, p), k * k
+    what = f"metric of invariant {name}"
+    constant = not callable(metric)
+    at_start = metric if constant else real_numbers(what, metric(t, y.copy(), *args))
+    if at_start.shape not in ((k,), (k, k)):
+        told = "must have shape" if constant else "returned another shape than"
+        raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), as {k} components move: {at_start.shape}")
+    return (np.ascontiguousarray(metric, dtype=float).ravel() if constant else metric), at_start.size
+
+
 def _in_levels(specs: list[InvariantSpec]) -> bool:
-    """Whether the invariants have levels, in which all may move the same components."""
+    """Whether the invariants have levels, in which all may move the same components in the same metric."""
     first: dict[int, InvariantSpec] = {}
     for spec in specs:
         other = first.setdefault(spec.level, spec)
@@ -395,17 +441,27 @@ def _in_levels(specs: list[InvariantSpec]) -> bool:
                 f"invariants {other.name} and {spec.name} are both of level {spec.level} and may move different "
                 "components: give them one set of moves, or different levels"
             )
-    return any(spec.level or spec.moves for spec in specs)
+        if not _same(other.metric, spec.metric) or (spec.metric is not None and [*other.moves] != [*spec.moves]):
+            raise ValueError(
+                f"invariants {other.name} and {spec.name} are both of level {spec.level} and have different metrics: "
+                "give them one metric, with moves in one order, or different levels"
+            )
+    return any(spec.level or spec.moves or spec.metric is not None for spec in specs)
 
 
-def _native_start(one: Invariants, name: str, t: float, y: Array, p: Array) -> tuple[Any, Array]:
+def _same(a: Any, b: Any) -> bool:
+    """Whether two metrics are one."""
+    return a is b or (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b))
+
+
+def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
     """A native g as the core takes it, and its values at (t, y). How many there are it does not tell itself."""
     told = [len(known) for known in (one.names, one.value) if known is not None]
     if not told:
         raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
     m = max(told)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
-    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], (), p, None)
+    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)
     at_start = alone.residual(np.array([t]), y[:, None])[:, 0]
     if not all(map(math.isfinite, at_start.tolist())):
         raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")

@@ -79,13 +79,13 @@ def load(
         raise _unreadable(path, f"is damaged: {type(wrong).__name__}: {wrong}") from None
     if listed:
         bound = _bind_again(path, solution, dense, listed, extra)
-        solution = dataclasses.replace(solution, _invariants=bound)
+        solution = solution.changed(_invariants=bound)
     if dense is None:
         return solution
     imposed = {"rtol": solution._rtol, "atol": solution._atol} if about.get("imposed") else None
     projects = imposed or (about["dense"]["interpolation"] == "projected" and len(solution._invariants) > 0)
     kind = _Unprojected if projects and not listed else DenseSolution
-    return dataclasses.replace(solution, sol=kind(dense, solution.y.dtype, solution._invariants, imposed))
+    return solution.changed(sol=kind(dense, solution.y.dtype, solution._invariants, imposed))
 
 
 @dataclasses.dataclass

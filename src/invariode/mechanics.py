@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, choice, extra_arguments, function, interval, state, warn
 from ._consistent import consistent_state, dependent_rows, nearby_state
-from ._motion import Motion, Point
+from ._motion import FunctionOfState, Functions, Motion, MotionFunction, Point
 from ._types import Span
+from .compiled import is_native
 from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
 from .problem import Problem
+
+if TYPE_CHECKING:  # an extra, imported when a film is made
+    from .animation import Film
 
 __all__ = ["MechanicalSystem"]
 
@@ -49,10 +53,11 @@ class MechanicalSystem:
     force : callable
         ``Q(t, q, v, *args)``, of shape (n,): all forces but those of the constraints, with the terms that are quadratic
         in v.
-    constraints : callable, optional
-        Holonomic constraints ``φ(t, q, *args)``, a number or shape (m,).
-    velocity_constraints : callable, optional
-        Non-holonomic constraints ``ψ(t, q, v, *args)``, a number or shape (k,), linear in v.
+    constraints : callable or Invariants, optional
+        Holonomic constraints ``φ(t, q, *args)``, a number or shape (m,); or ``Invariants(φ, names=[...])``, which
+        names them in messages and tables.
+    velocity_constraints : callable or Invariants, optional
+        Non-holonomic constraints ``ψ(t, q, v, *args)``, a number or shape (k,), linear in v; the same.
     kinematics : callable, optional
         ``K(t, q, v, *args)``, the derivative of q where that is not v, as with quaternions: q and v may then differ in
         length.
@@ -60,6 +65,8 @@ class MechanicalSystem:
         ``E(t, q, v, *args)``, a number, held at its initial value. Default: none is held.
     invariants : callable, Invariants, or list of these, optional
         Further invariants ``g(t, y, *args)`` with y = (q, v).
+    points : callable, optional
+        ``points(t, q, *args)``, shape (k, 2) or (k, 3): what `animate` shows.
     args : tuple, optional
         Extra arguments of all functions.
     labels : sequence of str, optional
@@ -67,7 +74,7 @@ class MechanicalSystem:
     name : str, optional
         For tables and plots.
     jacobian : callable, optional
-        ``Φ(t, q, *args)``, the Jacobian ∂φ/∂q of shape (m, n). Default: by complex steps, n evaluations of φ, where φ
+        ``Φ(t, q, *args)``, the Jacobian ∂φ/∂q of shape (m, n), dense or sparse. Default: by complex steps, where φ
         takes complex t and q, else by differences of order 4.
 
     Notes
@@ -79,8 +86,16 @@ class MechanicalSystem:
     A system is an index-3 differential-algebraic equation. Here it is an ordinary one with invariants, which is as
     accurate with explicit methods, and needs no multipliers: these are computed afterwards, where they are wanted.
 
-    A call of f evaluates mass, force, and φ n + 4 times, or with `jacobian` 4 times (and Φ once more where q' is not v;
-    for constraints without scale some more times), and factorises M, dense: O(n³).
+    All functions may be native (`invariode.compile`, ctypes, ...), in a mix with Python functions, too: ``f(t, q)`` or
+    ``f(t, q, v)``, with `args` ``f(t, q, p)`` or ``f(t, q, v, p)``, p being the arguments as an array. In C these are
+    ``void f(double t, const double* x, double* out, const double* p)`` with x = q, or q and v one behind the other; a
+    mass fills (n, n). Native constraints that `compile` has not made need names, to tell how many they are, and have
+    differences. If all functions are native, no Python is called in the run.
+
+    A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times, and factorises M, dense, in
+    O(n³) operations. In systems of 24 velocities and more the entries of M and Φ that are always zero are looked for.
+    Where these are most of them, as in chains, one evaluation of φ gives all columns of Φ that have no row in common,
+    and the factors are sparse: a call of f costs O(n).
 
     Examples
     --------
@@ -101,27 +116,30 @@ class MechanicalSystem:
         self,
         mass: ArrayLike | Callable[..., Any],
         force: Callable[..., Any],
-        constraints: Callable[..., Any] | None = None,
-        velocity_constraints: Callable[..., Any] | None = None,
+        constraints: Callable[..., Any] | Invariants | None = None,
+        velocity_constraints: Callable[..., Any] | Invariants | None = None,
         kinematics: Callable[..., Any] | None = None,
         energy: Callable[..., Any] | None = None,
         invariants: InvariantsLike | None = None,
+        points: Callable[..., Any] | None = None,
         *,
         args: Iterable[Any] = (),
         labels: Sequence[str] | None = None,
         name: str | None = None,
         jacobian: Callable[..., Any] | None = None,
     ) -> None:
-        self.force = function("force", force, "Q(t, q, v)")
+        self.force = force if is_native(force) else function("force", force, "Q(t, q, v)")
         optional = {
             "constraints": (constraints, "φ(t, q)"),
             "velocity_constraints": (velocity_constraints, "ψ(t, q, v)"),
             "kinematics": (kinematics, "K(t, q, v)"),
             "energy": (energy, "E(t, q, v)"),
             "jacobian": (jacobian, "Φ(t, q)"),
+            "points": (points, "points(t, q)"),
         }
         for argument, (given, signature) in optional.items():
-            if given is not None:
+            named = argument.endswith("constraints") and isinstance(given, Invariants)
+            if given is not None and not is_native(given) and not named:
                 function(argument, given, signature)
         if jacobian is not None and constraints is None:
             raise ValueError("jacobian is that of the constraints: give constraints too")
@@ -129,6 +147,7 @@ class MechanicalSystem:
         self.constraints, self.velocity_constraints = constraints, velocity_constraints
         self.kinematics, self.energy, self.jacobian = kinematics, energy, jacobian
         self.invariants = to_invariants(invariants)
+        self.points = points
         self.args = extra_arguments(args)
         self.labels = None if labels is None else list(labels)
         self.name = name
@@ -202,13 +221,46 @@ class MechanicalSystem:
                 "accelerations are not determined. Give a mass to every motion that is free"
             )
 
-        def slope(t: float, y: Array, *args: Any) -> Array:
-            return motion.slope(Point(t, y[: motion.n_q], y[motion.n_q :], args))
-
         held = None if correction == "none" else self._laws(motion, names, in_levels=correction == "levels")
+        slope = MotionFunction(motion, "slope")
         return Problem(
             slope, t_span, start.x, args=self.args, invariants=held, name=self.name, labels=self._labels(motion)
         )
+
+    def consistent(self, t: float, y: ArrayLike) -> Array:
+        """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
+
+        What an action of an event returns where it changes velocities: the links answer an impact with impulses of
+        their own, which are the least change of v in this metric.
+
+        Parameters
+        ----------
+        t : float
+            The time.
+        y : array_like of shape (n,)
+            A state of a problem of this system.
+
+        Returns
+        -------
+        ndarray, (n,)
+
+        Raises
+        ------
+        InvariantError
+            There is no consistent state nearby.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> bead = iv.MechanicalSystem([1, 3], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
+        >>> bead.consistent(0.0, [0, 0, 4, 0])
+        array([0., 0., 1., 1.])
+        """
+        values = state(y)
+        n = self._positions_of(values)
+        start = Point(float(t), values[:n], values[n:], self.args)
+        motion = self._motion(start)
+        return consistent_state(motion, start, self._names(motion)).x
 
     def multipliers(self, sol: _Points) -> Array:
         """The multipliers λ at the points of a solution.
@@ -245,6 +297,31 @@ class MechanicalSystem:
         ]
         return np.array(columns).T
 
+    def animate(self, sol: Any, **options: Any) -> Film:
+        """Shows the motion of the `points` of the system as a film.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        **options
+            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
+
+        Returns
+        -------
+        Film
+
+        Raises
+        ------
+        ValueError
+            The system was made without `points`.
+        """
+        if self.points is None:
+            raise ValueError("the system has no points: make it with points=, or use sol.animate")
+        n, place, args = self._positions_of(sol.y), self.points, self.args
+        film: Film = sol.animate(lambda t, y: place(t, y[:n], *args), **options)
+        return film
+
     def _along(self, sol: _Points) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
         points = [Point(float(t), y[:n], y[n:], self.args) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
@@ -267,30 +344,29 @@ class MechanicalSystem:
         if self.kinematics is None and n_q != n_v:
             raise ValueError(f"q0 and v0 must have one length where q' = v, got {n_q} and {n_v}; else give kinematics")
         self._n_q = n_q
-        motion = Motion(
-            self.mass,
-            self.force,
-            self.constraints,
-            self.velocity_constraints,
-            self.kinematics,
-            self.jacobian,
-            start,
+        given = {"constraints": self.constraints, "velocity_constraints": self.velocity_constraints}
+        told = {name: one for name, one in given.items() if isinstance(one, Invariants)}
+        functions = Functions(
+            mass=self.mass,
+            force=self.force,
+            kinematics=self.kinematics,
+            jacobian=self.jacobian,
+            **{name: one.fun if isinstance(one, Invariants) else one for name, one in given.items()},
+            counts={name: len(one.names) for name, one in told.items() if one.names},
         )
+        motion = Motion(functions, start)
         mass = motion.mass(start)
-        motion.force(start), motion.q_dot(start)
         if np.abs(mass - mass.T).max(initial=0.0) > _SYMMETRIC * np.abs(mass).max(initial=0.0):
             raise ValueError(f"mass must be symmetric, and is not at t = {start.t}")
         self._require_linear(motion, start)
         return motion
 
     def _require_linear(self, motion: Motion, start: Point) -> None:
-        if motion.psi is None:
+        if not motion.m_psi:
             return
         v = np.where(start.v != 0, start.v, 1.0)
         w = np.roll(v, 1) + v
-        at_v, at_w, between = (
-            motion.psi.value(start.t, np.concatenate([start.q, part]), start.args) for part in (v, w, 3 * v - 2 * w)
-        )
+        at_v, at_w, between = (motion.rates(start._replace(v=part))[motion.m_phi :] for part in (v, w, 3 * v - 2 * w))
         terms = np.abs(at_v) + np.abs(at_w) + np.abs(between)
         off = np.abs(between - (3 * at_v - 2 * at_w)) > _LINEAR * terms
         if off.any():
@@ -301,8 +377,11 @@ class MechanicalSystem:
             )
 
     def _names(self, motion: Motion) -> list[str]:
-        holonomic = [f"constraint {i + 1}" for i in range(motion.m_phi)]
-        return holonomic + [f"velocity constraint {i + 1}" for i in range(motion.m - motion.m_phi)]
+        given: list[list[str] | None] = [
+            one.names if isinstance(one, Invariants) else None for one in (self.constraints, self.velocity_constraints)
+        ]
+        holonomic = given[0] or [f"constraint {i + 1}" for i in range(motion.m_phi)]
+        return holonomic + (given[1] or [f"velocity constraint {i + 1}" for i in range(motion.m_psi)])
 
     def _labels(self, motion: Motion) -> list[str]:
         if self.labels is not None:
@@ -339,9 +418,9 @@ class MechanicalSystem:
             warn(f"the start was moved onto the constraints: components of q0 by up to {q:.3g}, of v0 by up to {v:.3g}")
 
     def _require_consistent(self, motion: Motion, start: Point, names: list[str]) -> None:
-        t, q, v, args = start
-        held, rows = motion.positions(t, q, args), motion.positions_jacobian(t, q, args)
-        parts = [("", held, np.abs(rows) @ np.abs(q), names)]
+        t, v = start.t, start.v
+        held, rows = motion.positions(start), motion.positions_jacobian(start)
+        parts = [("", held, np.abs(rows) @ np.abs(start.q), names)]
         rates = motion.rates(start)
         parts.append(("the rate of ", rates, np.abs(motion.rows(start)) @ np.abs(v), names))
         for prefix, residual, terms, of in parts:
@@ -358,18 +437,22 @@ class MechanicalSystem:
 
     def _laws(self, motion: Motion, names: list[str], *, in_levels: bool) -> list[Invariants]:
         n, size = motion.n_q, motion.n_q + motion.n_v
-        first = {"level": 0, "moves": range(n)} if in_levels else {}
-        second = {"level": 1, "moves": range(n, size)} if in_levels else {}
+        mass = motion.metric()
+        first = {"level": 0, "moves": range(n), "metric": None if motion.has_map else mass}
+        second = {"level": 1, "moves": range(n, size), "metric": mass}
+        if not in_levels:
+            first, second = {}, {}
+        holonomic = _kept_names(names[: motion.m_phi], motion.kept[: motion.m_phi])
+        others = _kept_names(names[motion.m_phi :], motion.kept[motion.m_phi :])
         laws = []
-        if motion.kept[: motion.m_phi].any():
-            laws += [
-                _positions_law(motion, names[: motion.m_phi], first),
-                _rates_law(motion, [f"rate of {name}" for name in names[: motion.m_phi]], second),
-            ]
-        if motion.kept[motion.m_phi :].any():
-            laws.append(_velocities_law(motion, names[motion.m_phi :], second))
+        if holonomic:
+            laws.append(_law(motion, "positions", holonomic, first))
+            laws.append(_law(motion, "rates", [f"rate of {name}" for name in holonomic], second))
+        if others:
+            laws.append(_law(motion, "velocities", others, second))
         if self.energy is not None:
-            laws.append(_energy_law(self.energy, n, 2 if in_levels else 0))
+            energy = FunctionOfState(self.energy, motion.n_q, motion.n_v, "energy")
+            laws.append(Invariants(energy, names="energy", level=2 if in_levels else 0))
         for one in self.invariants:
             if in_levels and one.level == 0:
                 one = _at_level(one, 2)
@@ -381,58 +464,13 @@ def _kept_names(names: list[str], kept: Array) -> list[str]:
     return [name for name, stays in zip(names, kept, strict=True) if stays]
 
 
-def _positions_law(motion: Motion, names: list[str], order: dict[str, Any]) -> Invariants:
-    """φ = 0, with its Jacobian (Φ, 0)."""
-    n, kept = motion.n_q, motion.kept[: motion.m_phi]
-
-    def positions(t: float, y: Array, *args: Any) -> Array:
-        values: Array = motion.positions(t, y[:n], args)[kept]
-        return values
-
-    def jacobian(t: float, y: Array, *args: Any) -> Array:
-        rows = motion.positions_jacobian(t, y[:n], args)[kept]
-        return np.hstack([rows, np.zeros((len(rows), motion.n_v))])
-
-    return Invariants(positions, jacobian, value=0, names=_kept_names(names, kept), **order)
-
-
-def _rates_law(motion: Motion, names: list[str], order: dict[str, Any]) -> Invariants:
-    """φ' = 0."""
-    n, m = motion.n_q, motion.m_phi
-    kept = motion.kept[:m]
-
-    def rates(t: float, y: Array, *args: Any) -> Array:
-        values: Array = motion.rates(Point(t, y[:n], y[n:], args))[:m][kept]
-        return values
-
-    def jacobian(t: float, y: Array, *args: Any) -> Array:
-        rows: Array = motion.rates_jacobian(Point(t, y[:n], y[n:], args))[kept]
-        return rows
-
-    return Invariants(rates, jacobian, value=0, names=_kept_names(names, kept), **order)
-
-
-def _velocities_law(motion: Motion, names: list[str], order: dict[str, Any]) -> Invariants:
-    """ψ = 0."""
-    kept = motion.kept[motion.m_phi :]
-    psi = motion.psi
-
-    def velocities(t: Any, y: Array, *args: Any) -> Array:
-        assert psi is not None  # there are names of its values
-        values: Array = psi.value(t, y, args)[kept]
-        return values
-
-    return Invariants(velocities, value=0, names=_kept_names(names, kept), **order)
-
-
-def _energy_law(energy: Callable[..., Any], n: int, level: int) -> Invariants:
-    def of_state(t: Any, y: Array, *args: Any) -> Any:
-        return energy(t, y[:n], y[n:], *args)
-
-    return Invariants(of_state, names="energy", level=level)
+def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> Invariants:
+    """One of the laws of the motion, = 0, with its Jacobian."""
+    fun, jacobian = MotionFunction(motion, part), MotionFunction(motion, f"{part}_jacobian")
+    return Invariants(fun, jacobian, value=0, names=names, **order)
 
 
 def _at_level(one: Invariants, level: int) -> Invariants:
     names = None if one.names is None else list(one.names)
     when: Any = one.when
-    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves)
+    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves, one.metric)

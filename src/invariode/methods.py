@@ -43,6 +43,8 @@ class Method:
         The name of the corresponding method of `scipy.integrate.solve_ivp`, accepted too.
     scipy_options : mapping
         What that name implies.
+    mass : str
+        Which mass matrices it takes: 'none', 'regular' (and constant) ones, or 'any'.
     options : tuple of str
         Options that not every method can use, and this one can.
     source : str
@@ -61,6 +63,7 @@ class Method:
     refine: int
     scipy_name: str | None
     source: str
+    mass: str
     options: tuple[str, ...]
     scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -79,7 +82,6 @@ METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for 
 
 #: What to use instead of the methods of SciPy that have no counterpart here.
 _INSTEAD = {
-    "Radau": "use method='ode15s' for stiff problems and index-1 algebraic equations",
     "LSODA": "use method='ode15s' if the problem is stiff, 'ode113' if it is not",
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, real_numbers
 from ._core import Dense
 from .invariants import BoundInvariants, as_columns
+from .notebook import html_of_solution
 
 __all__ = ["LIMIT_REACHED", "BeforeProjection", "DenseSolution", "Drift", "Names", "Record", "Result", "Stats", "Steps"]
 
@@ -65,6 +66,8 @@ class Stats(Record):
         Projected attempts.
     skipped : int
         Attempts whose projection was not needed.
+    clipped : int
+        Steps that ended outside of `bounds` by less than the tolerance, and were moved onto them.
     ng : int
         Evaluations of the invariants, output between steps included.
     ngjac : int
@@ -77,6 +80,9 @@ class Stats(Record):
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
+    clipped_amount : float
+        What moving steps onto `bounds` has added to the sum of the components; with invariants, before these were
+        imposed again.
     """
 
     steps: int
@@ -88,11 +94,13 @@ class Stats(Record):
     nsolve: int
     projections: int
     skipped: int
+    clipped: int
     ng: int
     ngjac: int
     ngdiff: int
     derivatives: str | None
     projected_start: bool
+    clipped_amount: float = 0.0
 
 
 class Steps(Record):
@@ -279,9 +287,17 @@ def default_labels(size: int) -> list[str]:
     return [f"y{i}" for i in range(size)]
 
 
-@dataclasses.dataclass(eq=False, repr=False)
-class Result(Record):
-    """The data of a `Solution`, and what is computed from them."""
+#: Of a field that was not given, where None would be a value.
+_ABSENT: Any = object()
+
+
+@dataclasses.dataclass(eq=False, repr=False, init=False)
+class Result(dict[str, Any]):
+    """The data of a `Solution`, and what is computed from them.
+
+    As in SciPy, it is a dict whose items are attributes too: the fields, and whatever the user adds. What starts with
+    an underscore is no item.
+    """
 
     t: Array
     y: Array
@@ -303,6 +319,74 @@ class Result(Record):
     _atol: ArrayLike
     _drift: BeforeProjection
     _names: Names
+    _origin: Any  # with the functions, where there are any: see `Solution`
+
+    def __init__(
+        self,
+        *,
+        t: Array,
+        y: Array,
+        sol: DenseSolution | None,
+        t_events: list[Array] | None,
+        y_events: list[Array] | None,
+        nfev: int,
+        njev: int,
+        nlu: int,
+        status: int,
+        message: str,
+        success: bool,
+        stats: Stats,
+        steps: Steps | None,
+        t_end: float,
+        _invariants: BoundInvariants,
+        _rtol: ArrayLike,
+        _atol: ArrayLike,
+        _drift: BeforeProjection,
+        _names: Names,
+        _origin: Any = None,
+        **more: Any,
+    ) -> None:
+        # One by one, and past __setattr__: a short solve takes 30 µs, of which this is to be no part.
+        self["t"], self["y"], self["sol"] = t, y, sol
+        self["t_events"], self["y_events"] = t_events, y_events
+        self["nfev"], self["njev"], self["nlu"] = nfev, njev, nlu
+        self["status"], self["message"], self["success"] = status, message, success
+        self["stats"], self["steps"], self["t_end"] = stats, steps, t_end
+        if more:
+            self.update(more)
+        own = self.__dict__
+        own["_invariants"], own["_rtol"], own["_atol"] = _invariants, _rtol, _atol
+        own["_drift"], own["_names"], own["_origin"] = _drift, _names, _origin
+
+    def changed(self, **changes: Any) -> Self:
+        """The same with other values of some fields, and with what the user has added."""
+        own = {name: value for name, value in self.__dict__.items() if name.startswith("_")}
+        return type(self)(**{**self, **own, **changes})
+
+    def __getattr__(self, name: str) -> Any:
+        """Called for what is no attribute of the class or the object: an item."""
+        value = self.get(name, _ABSENT)
+        if value is _ABSENT:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+        return value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_") or hasattr(type(self), name):
+            super().__setattr__(name, value)
+        else:
+            self[name] = value
+
+    def __delattr__(self, name: str) -> None:
+        if name in self:
+            del self[name]
+        else:
+            super().__delattr__(name)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *map(str, self)]
+
+    __eq__ = object.__eq__  # arrays do not compare to one truth
+    __hash__ = object.__hash__  # type: ignore[assignment]  # a dict has none
 
     @cached_property
     def residual(self) -> Array:
@@ -336,13 +420,18 @@ class Result(Record):
             raise ValueError('the corrections of the steps are kept with keep="all"')
         return self.steps.correction
 
+    def _repr_html_(self) -> str:
+        return html_of_solution(self)
+
     def __repr__(self) -> str:
-        width = max(map(len, self))
-        shown = {name: self[name] for name in self}
-        for name in ("t", "y"):
-            shown[name] = f"array of shape {shown[name].shape}"
-        for name in ("t_events", "y_events"):
-            if shown[name] is not None:
-                shown[name] = "[" + ", ".join(f"array of shape {one.shape}" for one in shown[name]) + "]"
-        shown["sol"] = None if self.sol is None else f"function on [{self.sol.t_min}, {self.sol.t_max}]"
-        return "\n".join(f"{name:>{width}}: {value}" for name, value in shown.items())
+        width = max((len(str(name)) for name in self), default=0)
+        return "\n".join(f"{name:>{width}}: {_shape_or_value(value)}" for name, value in self.items())
+
+
+def _shape_or_value(value: Any) -> Any:
+    """What stands in the table of a result: of arrays the shape, of a continuous solution its interval."""
+    if isinstance(value, np.ndarray):
+        return f"array of shape {value.shape}"
+    if isinstance(value, list) and all(isinstance(one, np.ndarray) for one in value):
+        return "[" + ", ".join(map(_shape_or_value, value)) + "]"
+    return f"function on [{value.t_min}, {value.t_max}]" if isinstance(value, DenseSolution) else value

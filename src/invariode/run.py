@@ -10,13 +10,18 @@ import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
+from ._at_start import ended_at_start, found_at_start, with_start, without_start
+from ._calls import explained
 from ._interruption import stopped_by_interrupt
+from ._messages import MESSAGES, harmful_projection
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
+from .compiled import values_of
 from .description import Description
 from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
+from .methods import find_method
 from .plan import Plan, make_plan, solver
 from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps
 from .solution import Solution
@@ -59,6 +64,36 @@ class RunOrigin:
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         return _extended(self, sol, t_end, options)
 
+    def slopes(self, t: Array, y: Array) -> Array | None:
+        problem, options = self.source.problem, self.source.options
+        known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
+        if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
+            return None
+        if not np.allclose(y[:, -1], self.y, rtol=1e-2, atol=0):  # the user has changed its units
+            return None
+        if "jac" in find_method(self.source.method)[0].options:
+            return self._slopes_of_shape(t, y)
+        return values_of(problem.fun, t, y, problem.args)
+
+    def _slopes_of_shape(self, t: Array, y: Array) -> Array:
+        """Those of monotone cubics, for implicit methods: f at stiff solutions magnifies their errors, and its cubics
+        overshoot."""
+        from scipy.interpolate import PchipInterpolator
+
+        reals = np.ascontiguousarray(y.T).view(float)
+        slopes = np.zeros_like(reals)
+        for piece in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) == 0) + 1):  # between jumps
+            if len(piece) > 1:
+                at = self.forward * t[piece]
+                slopes[piece] = self.forward * PchipInterpolator(at, reals[piece])(at, 1)
+        return as_columns(slopes, y.dtype)
+
+    def field(self, y: Array) -> Array | None:
+        problem = self.source.problem
+        if problem.matrices.mass is not None:
+            return None
+        return values_of(problem.fun, np.full(y.shape[1], problem.t_span[0]), y, problem.args)
+
     def imposing(self) -> RunOrigin:
         return dataclasses.replace(self, imposed=True)
 
@@ -70,12 +105,24 @@ class RunOrigin:
 
 def solve(problem: Description, method: MethodName, options: Options) -> Solution:
     """See `Problem.solve`."""
+    with explained(problem):
+        return _solved(problem, method, options)
+
+
+def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
     plan = make_plan(problem, method, options)
     given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
     for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
-    return _carried_out(plan, Source(problem, method, given))
+    source = Source(problem, method, given)
+    if any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
+        sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
+        if ended_at_start(plan, found) and sol.success:
+            status, message = MESSAGES["terminal_event"]
+            sol = sol.changed(status=status, message=message)
+        return sol
+    return _carried_out(plan, source)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -102,7 +149,8 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if dropped:
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
-        _warn_harmed(sol._names.components[harmed // 2 if plan.functions.complex else harmed], harm)
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
     return sol
 
 
@@ -155,9 +203,10 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
     stats = Stats(
-        *run.counts[:-1],  # in the order of COUNTS, of which the last, dropped invariants, is a warning
+        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
+        clipped_amount=run.clipped,
     )
     stats.ng += plan.bound.evaluations
     stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
@@ -181,15 +230,6 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
         f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
         f"{'were' if several else 'was'} left out in such steps. {then}"
-    )
-
-
-def _warn_harmed(component: str, ratio: float) -> None:
-    warn(
-        f"projection moved {component} by {ratio:.2g} times its estimated errors: it corrects other components at the "
-        "cost of this one, which may then be less accurate than without invariants. Try an atol per component, larger "
-        "for what changes fast (for velocities, than for positions, by the highest frequency), and a smaller rtol",
-        AccuracyWarning,
     )
 
 
@@ -269,8 +309,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
     first, then = old._drift, new._drift
-    return dataclasses.replace(
-        new,
+    return new.changed(
         t=np.concatenate([old.t[:points], new.t[known:]]),
         y=np.concatenate([old.y[:, :points], new.y[:, known:]], axis=1),
         sol=sol,

@@ -19,13 +19,21 @@ class Origin(Protocol):
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
+    def slopes(self, t: Array, y: Array) -> Array | None:
+        """Slopes of the solution at the outputs, (n, n_t), where these are the steps of a differential equation."""
+
+    def field(self, y: Array) -> Array | None:
+        """f at the start of the run, in other states (n, k)."""
+
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""
 
 
-@dataclasses.dataclass(eq=False, repr=False)
+@dataclasses.dataclass(eq=False, repr=False, init=False)
 class Solution(Plots, Exports):
-    """Result of a solve. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+    """Result of a solve, a dict. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
+
+    Fields are attributes and items, as in SciPy: ``sol.t`` is ``sol["t"]``, and whatever is added is both too.
 
     Attributes
     ----------
@@ -95,12 +103,12 @@ class Solution(Plots, Exports):
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
         origin = self._origin and self._origin.imposing()
-        return dataclasses.replace(self, y=y, y_events=events, sol=dense, _origin=origin)
+        return self.changed(y=y, y_events=events, sol=dense, _origin=origin)
 
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
 
-        The method starts again from the final state, with the problem and the options of the run. The Runge-Kutta pairs
+        The method starts again from the final state, with the problem and the options of the run. Methods of one order
         go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
         order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
         event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the

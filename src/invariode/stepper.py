@@ -9,19 +9,23 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
 from . import _core
-from ._arguments import Array, flag, unknown_option
+from ._arguments import Array, flag, unknown_option, warn
 from ._docstrings import documented
+from ._messages import harmful_projection
 from ._options import TABLE, DescribingOptions, Options, StepperOptions, parted, table_of, unused
 from ._types import Numbers
 from .compiled import is_native
 from .description import Description
+from .invariants import AccuracyWarning
 from .ivp import one_column
 from .plan import make_plan, solver
-from .result import DenseSolution
+from .result import DenseSolution, default_labels
 
 __all__ = ["Stepper"]
 
 _OPTIONS = table_of(StepperOptions)
+#: Before so many steps nothing can be said of harm: one step in eight is looked at.
+FEW_STEPS = 64
 
 
 class _Interpolant(DenseOutput):
@@ -48,7 +52,8 @@ class Stepper(OdeSolver):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     max_step, rtol, atol, first_step, vectorized : optional
-        As in `invariode.solve_ivp`. As there, `max_step` is a tenth of the interval by default; ``inf`` lifts that.
+        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`. `max_step` is a tenth of the interval by
+        default here too; ``inf`` lifts that.
 
     Other Parameters
     ----------------
@@ -86,7 +91,6 @@ class Stepper(OdeSolver):
         max_step: float | None = None,
         rtol: Numbers = 1e-3,
         atol: Numbers = 1e-6,
-        *,
         vectorized: bool = False,
         first_step: float | None = None,
         **options: Unpack[StepperOptions],
@@ -105,9 +109,10 @@ class Stepper(OdeSolver):
         # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
         self._plan = plan._replace(functions=plan.functions._replace(linear=None))
         self._stepper = _core.Stepper(solver(plan), plan.y0.view(float))
-        if self._stepper.state == "invariant_refused":
+        if self._stepper.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
             raise self._plan.exception(self._stepper.result()) or AssertionError
         self.y = self._state()
+        self._steps, self._warned = 0, False
         self._count()
 
     @classmethod
@@ -120,12 +125,28 @@ class Stepper(OdeSolver):
         if self._stepper.state == "running":
             self._stepper.step()
             self._count()
+            self._watch_accuracy()
         elif self._stepper.state == "interrupted":
             raise RuntimeError("a function raised in an earlier step: start a new solver from the last t and y")
         if self._stepper.state not in ("running", "reached_end"):
             return False, self._plan.verdict(self._stepper.result())[1]
         self.t, self.y = self._stepper.t, self._state()
         return True, None
+
+    def _watch_accuracy(self) -> None:
+        """One warning, if projection does harm. Nobody tells a solver that the run ends before t_bound: looked at in
+        steps 64, 128, 256, … too."""
+        self._steps += 1
+        ended = self._stepper.state != "running"
+        if self._warned or not (ended or (self._steps >= FEW_STEPS and self._steps.bit_count() == 1)):
+            return
+        harmed = self._stepper.harmed
+        if harmed < 0 or self._stepper.state not in ("running", "reached_end"):
+            return
+        self._warned = True
+        component = default_labels(len(self.y))[harmed // 2 if self._plan.functions.complex else harmed]
+        distance = f"{self._stepper.harm:.2g} times its estimated errors"
+        warn(harmful_projection(component, distance), AccuracyWarning)
 
     def _dense_output_impl(self) -> _Interpolant:
         if self.status == "failed":

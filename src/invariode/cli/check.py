@@ -10,9 +10,10 @@ from rich.console import Console
 from rich.text import Text
 
 from ..invariant_check import CheckReport, check_invariants
+from ..precision import unprojected
 from ..problem import Problem
 from .load import File, load
-from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop, unprojected
+from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop
 
 __all__ = ["EXAMPLES", "check"]
 

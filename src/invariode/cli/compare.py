@@ -17,9 +17,7 @@ from rich.text import Text
 
 from .._progress import bar, in_passing
 from ..methods import Method
-from ..problem import Problem
-from .load import File, load
-from .precision import (
+from ..precision import (
     WAYS,
     Judgement,
     NoReferenceError,
@@ -32,9 +30,12 @@ from .precision import (
     compare_runs,
     judge,
     judgements,
+    power,
     reference,
 )
-from .session import PICTURES, clock, complete_method, count, examples, guarded, method_of, power, stop, writable
+from ..problem import Problem
+from .load import File, load
+from .session import PICTURES, clock, complete_method, count, examples, guarded, method_of, stop, writable
 
 __all__ = ["EXAMPLES", "compare"]
 
@@ -119,7 +120,7 @@ def _print_answer(console: Console, problem: Problem, rows: list[Row], truth: Re
 
 
 def _draw(rows: list[Row], truth: Reference, problem: Problem, path: Path) -> None:
-    from .figure import draw
+    from ..pictures.precision import draw
 
     try:
         draw(rows, truth, problem.name, path)
@@ -150,7 +151,7 @@ def _methods(problem: Problem, named: Sequence[Method]) -> Sequence[Method]:
     for one in named:
         if one not in possible:
             names = ", ".join(able_one.name for able_one in possible)
-            raise typer.BadParameter(f"{one.name} cannot use a mass matrix; {names} can", param_hint="--method")
+            raise typer.BadParameter(f"{one.name} cannot use this mass matrix; {names} can", param_hint="--method")
     return [one for i, one in enumerate(named) if one not in named[:i]] or possible
 
 

@@ -23,7 +23,6 @@ from .._arguments import PACKAGE
 from .._options import TABLE
 from ..invariants import InvariantError
 from ..methods import METHODS, Method, find_method
-from ..problem import Problem
 
 __all__ = [
     "ATOL",
@@ -40,10 +39,8 @@ __all__ = [
     "numbers",
     "paragraphs",
     "plain_warnings",
-    "power",
     "print_traceback",
     "stop",
-    "unprojected",
     "writable",
 ]
 
@@ -154,11 +151,6 @@ def method_of(name: str) -> Method:
         raise typer.BadParameter(str(error), param_hint="--method") from None
 
 
-def unprojected(problem: Problem) -> Problem:
-    """The same problem without its invariants."""
-    return problem.replace(invariants=None)
-
-
 def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, extra: str, force: bool) -> None:
     """Stops before the work is done if `path` could not be written after it."""
     if path.suffix not in endings:
@@ -213,8 +205,3 @@ def clock(seconds: float) -> str:
     """Three digits and a unit."""
     size, unit = (1e-6, "µs") if seconds < 1e-3 else (1e-3, "ms") if seconds < 1 else (1.0, "s")
     return f"{seconds / size:.0f} {unit}" if seconds >= 100 * size else f"{seconds / size:.3g} {unit}"
-
-
-def power(error: float) -> str:
-    """An error in one digit: 1e-4, not 1e-04."""
-    return f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")

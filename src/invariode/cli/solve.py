@@ -16,6 +16,7 @@ from rich.text import Text
 from .._arguments import Array, tolerances
 from .._progress import in_passing
 from ..invariants import bind
+from ..precision import unprojected
 from ..problem import Problem
 from ..solution import Solution
 from .load import File, load
@@ -30,7 +31,6 @@ from .session import (
     method_of,
     numbers,
     stop,
-    unprojected,
     writable,
     write_to,
 )
@@ -243,7 +243,7 @@ def _draw(sol: Any, name: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     from ..paper.plots import STYLE
-    from ..plotting import drawable
+    from ..pictures.canvas import drawable
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.9), layout="constrained")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from sympy.printing.pycode import PythonCodePrinter
 from .._arguments import Array
 from ..compiled import CompiledFunction, compile
 
-__all__ = ["Formula", "Function", "Pattern", "Piece", "System", "functions", "jacobian_pattern"]
+__all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "functions"]
 
 #: What expressions become: a Python function, or one for numba.
 Function = CompiledFunction | Callable[..., Any]
@@ -38,6 +39,11 @@ class System(NamedTuple):
     mass: Any  # Matrix (k, k), k >= 0: at least as many as the other components
     force: Sequence[Any]
 
+    def without(self, rows: Sequence[int]) -> System:
+        """The same without some of the constraints, named by rows of the matrix."""
+        stays = [i for i in range(len(self.force)) if i not in rows]
+        return self._replace(mass=self.mass.extract(stays, stays), force=[self.force[i] for i in stays])
+
 
 class Pattern(NamedTuple):
     """Where entries of a sparse matrix are, in compressed columns."""
@@ -59,15 +65,28 @@ class Piece(NamedTuple):
 
 
 class Formula:
-    """Generated code as a Python function of (t, y, *args); it can be pickled. Where it raises, its values are NaN."""
+    """Generated code as a Python function of (t, y, *args); it can be pickled. Where it raises, its values are NaN.
 
-    def __init__(self, name: str, text: str, size: int, layout: tuple[int, ...] | Pattern, arguments: bool) -> None:
+    Its text is a string, or a function that makes it when it is needed first.
+    """
+
+    def __init__(
+        self, name: str, text: str | Callable[[], str], size: int, layout: tuple[int, ...] | Pattern, arguments: bool
+    ) -> None:
         self.__name__ = self.__qualname__ = name
-        self.text = text
-        self._size, self._layout, self._arguments = size, layout, arguments
-        self._code = _executed(name, text)
+        self._text, self._size, self._layout, self._arguments = text, size, layout, arguments
+        self._code: Callable[..., Any] | None = None
+
+    @property
+    def text(self) -> str:
+        """The source of the function."""
+        if not isinstance(self._text, str):
+            self._text = self._text()
+        return self._text
 
     def __call__(self, t: float, y: Any, *args: float) -> Any:
+        if self._code is None:
+            self._code = _executed(self.__name__, self.text, vars(math))
         out = [0.0] * self._size
         try:
             self._code(t, np.asarray(y).tolist(), out, *((args,) if self._arguments else ()))
@@ -81,8 +100,8 @@ class Formula:
         return Formula, (self.__name__, self.text, self._size, self._layout, self._arguments)
 
 
-def _executed(name: str, text: str) -> Callable[..., Any]:
-    namespace: dict[str, Any] = {**vars(math), "np": np}
+def _executed(name: str, text: str, names: Mapping[str, Any]) -> Callable[..., Any]:
+    namespace: dict[str, Any] = {**names, "np": np}
     exec(text, namespace)
     code: Callable[..., Any] = namespace[name]
     return code
@@ -104,50 +123,148 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]  # sympy has no types
         return "0.0"
 
 
-def functions(system: System, pieces: Iterable[Piece], compiled: bool, parameters: int) -> dict[str, Function]:
-    """The functions f, its exact jac, and `pieces`, by name. One pass finds the common subexpressions of all."""
+class Code(NamedTuple):
+    """The functions of a system by name, and the pattern of the Jacobian of f if it is sparse."""
+
+    functions: dict[str, Function]
+    pattern: Pattern | None
+
+
+class _Source(NamedTuple):
+    """A function (t, y, out, p): its body, which calls formulas by name, and the lines of these."""
+
+    body: list[str]
+    formulas: dict[str, Callable[[], list[str]]]
+    layout: tuple[int, ...] | Pattern
+
+
+def functions(system: System, pieces: Iterable[Piece], compiled: bool, parameters: int) -> Code:
+    """The functions f, its exact jac, and `pieces`.
+
+    One pass finds the common subexpressions of all. But where accelerations are solved for, the Jacobian is derived,
+    with a pass of its own, when a method asks for it: explicit methods do not.
+    """
     pieces = list(pieces)
-    n, k = len(system.y), len(system.force)
-    matrix, right = _flat(system.mass), list(system.force)
-    rates, inner = _jacobian_parts(system)
-    groups = [*(list(piece.values) for piece in pieces), [*system.explicit, *matrix, *right], rates, inner]
-    text = _Text(groups, parameters > 0)
-    made = {piece.name: (text.plain(piece.name, i), piece.layout) for i, piece in enumerate(pieces)}
-    slope, jacobian, motion = (len(pieces) + i for i in range(3))
-    explicit = len(system.explicit)
-    if k:
-        made["f"] = text.solved("f", slope, explicit, n), (n,)
-        made["jac"] = text.solved_jacobian("jac", (slope, jacobian, motion), explicit, n), (n, n)
+    n = len(system.y)
+    solved = len(system.force) > 0
+    groups = [*(list(piece.values) for piece in pieces), [*system.explicit, *_flat(system.mass), *system.force]]
+    rates = [] if solved else _rates(system)
+    text = _Text([*groups, rates])
+    sources = {piece.name: _plain(piece, *text.formula(i)) for i, piece in enumerate(pieces)}
+    pattern = None
+    at = len(pieces)
+    if solved:
+        motion = {"motion": text.formula(at)[0]}
+        sources["f"] = _Source(_solved(system), motion, (n,))
+        change = {"change": cache(lambda: _Text([_derived(system)]).formula(0)[0]())}
+        sources["jac"] = _Source(_solved_jacobian(system), motion | change, (n, n))
     else:
-        made["f"] = text.plain("f", slope), (n,)
-        layout = _sparse(rates, n)
-        kept = None if layout is None else [i * n + j for j in range(n) for i in _column(layout, j)]
-        made["jac"] = text.plain("jac", jacobian, kept), (n, n) if layout is None else layout
-    result: dict[str, Function] = {}
-    for name, (source, layout_) in made.items():
-        size = len(layout_.indices) if isinstance(layout_, Pattern) else math.prod(layout_)
-        if compiled:
-            result[name] = compile(_executed(name, source), inplace=True)
-        else:
-            result[name] = Formula(name, source, size, layout_, parameters > 0)
-    return result
+        sources["f"] = _plain(Piece("f", system.explicit, (n,)), *text.formula(at))
+        pattern = _sparse(rates, n)
+        kept = None if pattern is None else [i * n + j for j in range(n) for i in _column(pattern, j)]
+        piece = Piece("jac", rates, pattern or (n, n))
+        sources["jac"] = _plain(piece, *text.formula(at + 1, kept))
+    return Code(_compiled(sources, parameters) if compiled else _interpreted(sources, parameters), pattern)
 
 
-def jacobian_pattern(system: System) -> Pattern | None:
-    """Where the Jacobian of f has entries, if it is worth being sparse."""
-    return None if len(system.force) else _sparse(_jacobian_parts(system)[0], len(system.y))
+def _plain(piece: Piece, lines: Callable[[], list[str]], full: bool) -> _Source:
+    size = _size(piece.layout)
+    zeros = [] if full else [f"for i in range({size}):", "    out[i] = 0.0"]
+    name = f"formulas_of_{piece.name}"
+    return _Source([*zeros, f"{name}(t, y, y, out, p)"], {name: lines}, piece.layout)
 
 
-def _jacobian_parts(system: System) -> tuple[list[Any], list[Any]]:
-    """Rows of the Jacobian of the explicit part, and ∂force/∂y - (∂mass/∂y) a with the accelerations a as symbols."""
-    y, k = system.y, len(system.force)
-    rows = [slope for e in system.explicit for slope in _gradient([e], y)]
+def _solved(system: System) -> list[str]:
+    """out = (explicit, the first of mass⁻¹ force)."""
+    n, explicit = len(system.y), len(system.explicit)
+    return [
+        *_accelerations(system),
+        f"for i in range({explicit}):",
+        "    out[i] = values[i]",
+        f"for i in range({n - explicit}):",
+        f"    out[{explicit} + i] = {_ACCELERATION}[i]",
+    ]
+
+
+def _solved_jacobian(system: System) -> list[str]:
+    """The Jacobian of that: its rows solve mass · rows = ∂force/∂y - (∂mass/∂y) a."""
+    n, k, explicit = len(system.y), len(system.force), len(system.explicit)
+    return [
+        *_accelerations(system),
+        f"slopes = np.zeros({(explicit + k) * n})",
+        f"change(t, y, {_ACCELERATION}, slopes, p)",
+        f"rows = np.linalg.solve(mass, slopes[{explicit * n}:].reshape(({k}, {n})))",
+        f"for i in range({explicit * n}):",
+        "    out[i] = slopes[i]",
+        f"for i in range({n - explicit}):",
+        f"    for j in range({n}):",
+        f"        out[({explicit} + i) * {n} + j] = rows[i, j]",
+    ]
+
+
+def _accelerations(system: System) -> list[str]:
+    """a = mass⁻¹ force."""
+    k, explicit = len(system.force), len(system.explicit)
+    force = explicit + k * k
+    return [
+        f"values = np.zeros({force + k})",
+        "motion(t, y, y, values, p)",
+        f"mass = values[{explicit}:{force}].reshape(({k}, {k}))",
+        f"{_ACCELERATION} = np.linalg.solve(mass, values[{force}:])",
+    ]
+
+
+def _interpreted(sources: dict[str, _Source], parameters: int) -> dict[str, Function]:
+    """Functions of Python."""
+
+    def text(name: str, source: _Source) -> str:
+        parts = [_function(inner, "t, y, a, out, p", lines()) for inner, lines in source.formulas.items()]
+        return "".join([*parts, _outer(name, source, parameters)])
+
+    return {
+        name: Formula(name, partial(text, name, source), _size(source.layout), source.layout, parameters > 0)
+        for name, source in sources.items()
+    }
+
+
+def _compiled(sources: dict[str, _Source], parameters: int) -> dict[str, Function]:
+    """Functions for numba."""
+    from .machine import translated  # needs numba
+
+    inner = {name: translated(name, lines) for source in sources.values() for name, lines in source.formulas.items()}
+    return {
+        name: compile(_executed(name, _outer(name, source, parameters), inner), inplace=True)
+        for name, source in sources.items()
+    }
+
+
+def _outer(name: str, source: _Source, parameters: int) -> str:
+    body = source.body if parameters else ["p = y  # there are none", *source.body]
+    return _function(name, "t, y, out, p" if parameters else "t, y, out", body)
+
+
+def _function(name: str, arguments: str, lines: list[str]) -> str:
+    return "\n    ".join([f"def {name}({arguments}):", *(lines or ["pass"])]) + "\n"
+
+
+def _size(layout: tuple[int, ...] | Pattern) -> int:
+    return len(layout.indices) if isinstance(layout, Pattern) else math.prod(layout)
+
+
+def _rates(system: System) -> list[Any]:
+    """Rows of the Jacobian of the explicit part."""
+    return [slope for e in system.explicit for slope in _gradient([e], system.y)]
+
+
+def _derived(system: System) -> list[Any]:
+    """These, then those of ∂force/∂y - (∂mass/∂y) a with the accelerations a as symbols."""
+    k = len(system.force)
     a = [sympy.Symbol(f"{_ACCELERATION}[{i}]", real=True) for i in range(k)]
-    inner = []
+    rows = _rates(system)
     for i, force in enumerate(system.force):
         inertia = [-system.mass[i, j] * a[j] for j in range(k)]
-        inner += _gradient([*sympy.Add.make_args(force), *inertia], y)
-    return rows, inner
+        rows += _gradient([*sympy.Add.make_args(force), *inertia], system.y)
+    return rows
 
 
 def _gradient(terms: Sequence[Any], y: Sequence[Any]) -> list[Any]:
@@ -174,74 +291,22 @@ def _column(pattern: Pattern, j: int) -> list[int]:
 
 
 class _Text:
-    """The text of functions ``name(t, y, out, p)`` of groups of expressions with common subexpressions."""
+    """The text of groups of expressions with common subexpressions."""
 
-    def __init__(self, groups: list[list[Any]], parameters: bool) -> None:
+    def __init__(self, groups: list[list[Any]]) -> None:
         names = sympy.numbered_symbols("x", real=True)
         found, reduced = sympy.cse([e for group in groups for e in group], symbols=names, order="none")
         ends = np.cumsum([0, *map(len, groups)])
         self._groups = [reduced[a:b] for a, b in pairwise(ends)]
         self._found: dict[Any, Any] = dict(found)
-        self._head = "t, y, out, p" if parameters else "t, y, out"
         self._printer = _Printer()
 
-    def plain(self, name: str, group: int, kept: list[int] | None = None) -> str:
-        """out = the values, or those that are kept."""
+    def formula(self, group: int, kept: list[int] | None = None) -> tuple[Callable[[], list[str]], bool]:
+        """Lines that store what is not zero, of all values or of those that are kept; and whether that is all."""
         values = self._groups[group] if kept is None else [self._groups[group][i] for i in kept]
-        return self._function(name, [*self._assigned(values), *self._stored("out", values)])
-
-    def solved(self, name: str, group: int, explicit: int, n: int) -> str:
-        """out = (explicit, the first of mass⁻¹ force)."""
-        values = self._groups[group]
-        return self._function(
-            name,
-            [
-                *self._assigned(values),
-                *self._stored("out", values[:explicit]),
-                *self._accelerations(values[explicit:]),
-                f"for i in range({n - explicit}):",
-                f"    out[{explicit} + i] = {_ACCELERATION}[i]",
-            ],
-        )
-
-    def solved_jacobian(self, name: str, groups: tuple[int, int, int], explicit: int, n: int) -> str:
-        """The Jacobian of that: its rows solve mass · rows = ∂force/∂y - (∂mass/∂y) a."""
-        slope, rates, inner = (self._groups[group] for group in groups)
-        first = self._assigned([*slope[explicit:], *rates])
-        return self._function(
-            name,
-            [
-                *first,
-                *self._stored("out", rates),
-                *self._accelerations(slope[explicit:]),
-                *(line for line in self._assigned([*slope[explicit:], *rates, *inner]) if line not in set(first)),
-                f"right = np.zeros(({len(inner) // n}, {n}))",
-                *self._entries("right", inner, n),
-                "rows = np.linalg.solve(mass, right)",
-                f"for i in range({n - explicit}):",
-                f"    for j in range({n}):",
-                f"        out[({explicit} + i) * {n} + j] = rows[i, j]",
-            ],
-        )
-
-    def _accelerations(self, values: Sequence[Any]) -> list[str]:
-        """a = mass⁻¹ force, from k² + k values."""
-        k = math.isqrt(len(values))
-        return [
-            f"mass = np.zeros(({k}, {k}))",
-            *self._entries("mass", values[: k * k], k),
-            f"force = np.zeros({k})",
-            *(f"force[{i}] = {self._print(e)}" for i, e in enumerate(values[k * k :]) if e != 0),
-            f"{_ACCELERATION} = np.linalg.solve(mass, force)",
-        ]
-
-    def _entries(self, name: str, values: Sequence[Any], columns: int) -> list[str]:
-        places = ((*divmod(at, columns), e) for at, e in enumerate(values))
-        return [f"{name}[{i}, {j}] = {self._print(e)}" for i, j, e in places if e != 0]
-
-    def _stored(self, name: str, values: Sequence[Any]) -> list[str]:
-        zeros = [f"for i in range({len(values)}):", f"    {name}[i] = 0.0"] if any(e == 0 for e in values) else []
-        return zeros + [f"{name}[{i}] = {self._print(e)}" for i, e in enumerate(values) if e != 0]
+        stored = [f"out[{i}] = {self._print(e)}" for i, e in enumerate(values) if e != 0]
+        lines = [*self._assigned(values), *stored]
+        return lambda: lines, len(stored) == len(values)
 
     def _assigned(self, values: Sequence[Any]) -> list[str]:
         """The subexpressions that the values need, in the order of the pass, in which each follows those it needs."""
@@ -262,6 +327,3 @@ class _Text:
                 f"there is no code for one of {', '.join(found)}: use elementary functions or Piecewise ({error})"
             ) from None
         return text
-
-    def _function(self, name: str, lines: list[str]) -> str:
-        return "\n    ".join([f"def {name}({self._head}):", *(lines or ["pass"])]) + "\n"

@@ -9,9 +9,12 @@ import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
+from .._types import Span
+from ..problem import Problem
 from .code import System
+from .mechanism import Consistent, Correction, Mechanism
 from .noether import symmetries, vanishes
-from .systems import Law, Phase, label
+from .systems import POSITIONS, VELOCITIES, Law, Phase, label
 from .vocabulary import Vocabulary
 
 __all__ = ["hamiltonian", "lagrangian"]
@@ -25,11 +28,96 @@ class Hamiltonian(Phase):
 
     _second = "p"
 
+    def problem(
+        self,
+        t_span: Span,
+        q0: Any,
+        p0: Any,
+        *,
+        laws: bool = True,
+        compiled: bool | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """The initial value problem, with y = (q, p).
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        q0, p0 : dict or array_like
+            Initial coordinates and momenta, by symbol or in the order of q and of p.
+        laws : bool, default True
+            Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
+            the start, and that do not follow from others there.
+        compiled : bool, optional
+            Whether numba compiles the functions, which takes some seconds. Default: where it is installed.
+        name : str, optional
+            For tables and plots.
+
+        Returns
+        -------
+        Problem
+        """
+        return self._problem(t_span, self._start(q0, p0), laws=laws, compiled=compiled, name=name)
+
 
 class Lagrangian(Phase):
     """d/dt ∂L/∂q' = ∂L/∂q + forces, with constraints."""
 
     _second = "v"
+
+    def problem(
+        self,
+        t_span: Span,
+        q0: Any,
+        v0: Any,
+        *,
+        laws: bool = True,
+        consistent: Consistent = "check",
+        correction: Correction = "levels",
+        compiled: bool | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """The initial value problem, with y = (q, v).
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        q0 : dict or array_like
+            Initial coordinates, by symbol or in the order of q.
+        v0 : dict or array_like
+            Initial velocities, by coordinate or by its derivative, or in the order of q.
+        laws : bool, default True
+            Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
+            the start, and that do not follow from others there. Constraints are held in any case.
+        consistent : {'check', 'project'}, default 'check'
+            What is done with a start that is off the constraints by more than the tolerances of the run: an
+            `invariode.InvariantError`, or it is moved onto them, with a warning, as
+            `invariode.MechanicalSystem.problem` does.
+        correction : {'levels', 'joint', 'none'}, default 'levels'
+            How the solution is put back onto the constraints after each step: first positions, then velocities, then
+            both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
+            laws either. Without constraints the laws are imposed together.
+        compiled : bool, optional
+            Whether numba compiles the functions, which takes some seconds. Default: where it is installed.
+        name : str, optional
+            For tables and plots.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        ValueError, InvariantError
+            As `invariode.MechanicalSystem.problem`, where there are constraints. Redundant ones are left out, with one
+            warning that names them.
+        """
+        start = self._start(q0, v0)
+        return self._problem(
+            t_span, start, laws=laws, compiled=compiled, name=name, consistent=consistent, correction=correction
+        )
 
 
 def hamiltonian(
@@ -38,6 +126,7 @@ def hamiltonian(
     p: Sequence[Any],
     *,
     parameters: Mapping[Any, Any] | None = None,
+    points: Sequence[Any] | None = None,
 ) -> Hamiltonian:
     """A Hamiltonian system.
 
@@ -49,6 +138,8 @@ def hamiltonian(
         Coordinates and their momenta.
     parameters : dict, optional
         Other symbols and their values, which become `args` of the problem.
+    points : sequence of points, optional
+        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
 
     Returns
     -------
@@ -95,7 +186,7 @@ def hamiltonian(
     laws += _momenta(words, x, momenta, change)
     system = System(words.y, [*by_p, *(-one for one in by_q)], None, [])
     shown = [(sympy.Symbol("H"), words.shown(energy))]
-    return Hamiltonian(words, system, laws, shown)
+    return Hamiltonian(words, system, laws, shown, points)
 
 
 def lagrangian(
@@ -106,6 +197,7 @@ def lagrangian(
     nonholonomic: Iterable[Any] = (),
     forces: Mapping[Any, Any] | Sequence[Any] | None = None,
     parameters: Mapping[Any, Any] | None = None,
+    points: Sequence[Any] | None = None,
 ) -> Lagrangian:
     """A Lagrangian system, with constraints and with forces that have no potential.
 
@@ -123,6 +215,8 @@ def lagrangian(
         Generalised forces, by coordinate or in the order of q. Default: none.
     parameters : dict, optional
         Other symbols and their values, which become `args` of the problem.
+    points : sequence of points, optional
+        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
 
     Returns
     -------
@@ -132,8 +226,8 @@ def lagrangian(
     Raises
     ------
     TypeError, ValueError
-        q are no functions of the time; a formula has a symbol without meaning; the mass matrix, with the constraints,
-        is singular; a velocity constraint is not linear in the velocities.
+        q are no functions of the time; a formula has a symbol without meaning; the mass matrix is singular, and there
+        are no constraints; a velocity constraint is not linear in the velocities.
 
     Notes
     -----
@@ -166,16 +260,22 @@ def lagrangian(
     _require_constraints(form, held, rolled)
     rates = [form.rate(one) for one in held]
     system = form.system([*rates, *rolled])
-    _require_regular(words, system, len(held) + len(rolled))
+    mechanism = None
+    names = [f"constraint {i + 1}" for i in range(len(held))]
+    names += [f"velocity constraint {i + 1}" for i in range(len(rolled))]
+    if names:
+        mechanism = Mechanism(words, names, held, rolled, system.mass[:n, :n], system.force[:n])
+    else:
+        _require_regular(words, system)
     laws = [
-        *(Law(f"constraint {i + 1}", one, 0.0, False) for i, one in enumerate(held)),
-        *(Law(f"rate of constraint {i + 1}", one, 0.0, False) for i, one in enumerate(rates)),
-        *(Law(f"velocity constraint {i + 1}", one, 0.0, False) for i, one in enumerate(rolled)),
+        *(Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=False)),
+        *(Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=False)),
+        *(Law(name, one, 0.0, False, VELOCITIES) for name, one in zip(names[len(held) :], rolled, strict=True)),
         *form.laws(held, rates, rolled),
     ]
     shown = [(sympy.Symbol("L"), words.shown(form.lagrangian))]
     shown += [(sympy.Integer(0), words.shown(one)) for one in [*held, *rolled]]
-    return Lagrangian(words, system, laws, shown)
+    return Lagrangian(words, system, laws, shown, points, mechanism)
 
 
 class _Form:
@@ -287,14 +387,14 @@ def _require_constraints(form: _Form, held: list[Any], rolled: list[Any]) -> Non
             )
 
 
-def _require_regular(words: Vocabulary, system: System, constraints: int) -> None:
+def _require_regular(words: Vocabulary, system: System) -> None:
     """That the accelerations are determined, at a point without symmetry."""
     symbols = [words.t, *words.y, *words.p]
     point = np.random.default_rng(_SEED).uniform(0.2, 1.7, len(symbols))
     with np.errstate(all="ignore"):
         matrix = np.array(sympy.lambdify(symbols, system.mass, modules="numpy", cse=True)(*point), dtype=float)
     if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix) < len(matrix):
-        cause = "the mass matrix ∂²L/∂v² is singular: L must be quadratic in each velocity"
-        if constraints:
-            cause = "constraints depend on each other, or a motion has no mass: leave out what follows from others"
-        raise ValueError(f"the accelerations are not determined: {cause}")
+        raise ValueError(
+            "the accelerations are not determined: the mass matrix ∂²L/∂v² is singular: L must be quadratic in each "
+            "velocity"
+        )

@@ -2,17 +2,99 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 import sympy
 from sympy.physics.mechanics import KanesMethod, LagrangesMethod
 
+from .._arguments import choice, interval, warn
+from .._types import Span
+from ..invariants import InvariantError, impose
+from ..problem import Problem
 from .code import System
-from .systems import Equations, Law, given_laws, label
+from .mechanism import Consistent, Correction, Mechanism
+from .noether import vanishes
+from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, given_laws, label
 from .vocabulary import Vocabulary
 
 __all__ = ["from_mechanics"]
+
+
+class Multibody(SymbolicSystem):
+    """Equations of motion of SymPy's mechanics: y = (q, u), or (q, q') by Lagrange's method."""
+
+    def __init__(self, *arguments: Any, initial: Mapping[Any, Any] | None = None) -> None:
+        super().__init__(*arguments)
+        self._initial = initial
+
+    def problem(
+        self,
+        t_span: Span,
+        y0: Any = None,
+        *,
+        consistent: Consistent = "check",
+        correction: Correction = "levels",
+        compiled: bool | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """The initial value problem.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        y0 : dict or array_like
+            Initial coordinates and speeds, by symbol or in the order of `states`. Default: the initial conditions of
+            PyDy's system.
+        consistent : {'check', 'project'}, default 'check'
+            What is done with a start that is off the constraints by more than the tolerances of the run: an
+            `invariode.InvariantError`, or it is moved onto them, with a warning: by the least change in the metric of
+            the mass matrix, of Kane's method in the Euclidean one.
+        correction : {'levels', 'joint', 'none'}, default 'levels'
+            How the solution is put back onto the constraints after each step: first positions, then velocities, then
+            both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
+            laws either.
+        compiled : bool, optional
+            Whether numba compiles the functions, which takes some seconds. Default: where it is installed.
+        name : str, optional
+            For tables and plots.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        ValueError, InvariantError
+            As `invariode.MechanicalSystem.problem`. Redundant constraints of Lagrange's method are left out, with one
+            warning that names them.
+        """
+        choice("consistent", consistent, ("check", "project"))
+        if y0 is None and self._initial is None:
+            raise TypeError(f"problem needs y0, the initial values of {', '.join(map(str, self.states))}")
+        start = self._words.start("y0", self._initial if y0 is None else y0, self.states)
+        if self._mechanism is None and consistent == "project":
+            start = self._on_constraints(interval(t_span)[0], start)
+        return self._problem(t_span, start, compiled=compiled, name=name, consistent=consistent, correction=correction)
+
+    def _on_constraints(self, t: float, start: list[float]) -> list[float]:
+        """The nearest start that satisfies the constraints, positions first."""
+        made = self._functions(False, frozenset()).functions
+        held = [law for law in self._laws if law.level < LAWS]
+        if not held:
+            return start
+        kept = self._invariants(made, t, start, held, "levels")
+        found = impose(kept, t, start, args=self._words.args, rtol=1.0, atol=max(1.0, *map(abs, start)))
+        if not found.converged:
+            raise InvariantError(
+                f"no state near y0 satisfies the constraints at t = {t}: {held[0].name} and others are "
+                f"{found.residual} at the best one found. Start from a y0 nearer to a solution"
+            )
+        if (moved := np.abs(found.y - start)).max() > 0:
+            warn(f"the start was moved onto the constraints: components of y0 by up to {moved.max():.3g}")
+        return [float(one) for one in found.y]
 
 
 def from_mechanics(
@@ -20,22 +102,29 @@ def from_mechanics(
     *,
     invariants: Iterable[Any] | Mapping[str, Any] = (),
     parameters: Mapping[Any, Any] | None = None,
-) -> Equations:
+    points: Sequence[Any] | None = None,
+) -> Multibody:
     """A system whose equations of motion SymPy has formed, by Kane's method or by Lagrange's.
 
     Parameters
     ----------
-    method : sympy.physics.mechanics.KanesMethod or LagrangesMethod
-        After ``kanes_equations`` or ``form_lagranges_equations``.
+    method : sympy.physics.mechanics.KanesMethod or LagrangesMethod, or PyDy's System
+        After ``kanes_equations`` or ``form_lagranges_equations``. Of an object with `eom_method`, `constants` and
+        `initial_conditions`, as ``pydy.system.System`` is, these are taken.
     invariants : sequence of sympy.Expr or sympy.Eq, or dict of names and these, optional
-        What the solution keeps, as for `equations`: configuration constraints ``Eq(a, b)``, the energy.
+        What the solution keeps, as for `equations`: the energy, or configuration constraints ``Eq(a, b)`` that the
+        method was not told.
     parameters : dict, optional
-        Other symbols and their values, which become `args` of the problem.
+        Other symbols and their values, which become `args` of the problem; for PyDy's system, in place of its
+        constants.
+    points : sequence of points, optional
+        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
 
     Returns
     -------
-    Equations
-        A `SymbolicSystem`, with ``problem(t_span, y0)``; y = (q, u), or (q, q') by Lagrange's method.
+    Multibody
+        A `SymbolicSystem`, with ``problem(t_span, y0)``; y = (q, u), or (q, q') by Lagrange's method. For PyDy's system
+        y0 may be left out.
 
     Raises
     ------
@@ -44,9 +133,8 @@ def from_mechanics(
 
     Notes
     -----
-    Each evaluation of f solves the linear system of mass matrix and forces: no formula is solved for accelerations. Of
-    Lagrange's method the velocity constraints are held without being asked for. Kane's method does not tell which it
-    was given: list its constraints, and configuration constraints in any case, in `invariants`.
+    Each evaluation of f solves the linear system of mass matrix and forces: no formula is solved for accelerations. The
+    constraints that the method was given, of configurations and of velocities, are held without being asked for.
 
     Examples
     --------
@@ -56,36 +144,113 @@ def from_mechanics(
     >>> x, y = dynamicsymbols("x y")
     >>> method = LagrangesMethod((x.diff()**2 + y.diff()**2) / 2 - y, [x, y], hol_coneqs=[x**2 + y**2 - 1])
     >>> _ = method.form_lagranges_equations()
-    >>> pendulum = symbolic.from_mechanics(method, invariants={"rod": sympy.Eq(x**2 + y**2, 1)})
+    >>> pendulum = symbolic.from_mechanics(method)
     >>> sol = pendulum.problem((0, 10), [1, 0, 0, 0], compiled=False).solve(rtol=1e-6)
-    >>> bool(abs(sol.residual).max() < 1e-9)
+    >>> bool(abs(sol.residual).max() < 1e-13)
     True
     """
-    if not isinstance(method, (KanesMethod, LagrangesMethod)):
-        raise TypeError(f"method must be a KanesMethod or a LagrangesMethod, got {method!r}")
+    method, parameters, initial = _taken(method, parameters)
     q, u = list(method.q), list(method.u)
     words = Vocabulary([*q, *u], parameters)
-    mass, force = _solved(method, len(q))
-    coded = [words.coded("the mass matrix", e) for e in mass]
-    right = [words.coded("the forces", e) for e in force]
-    if isinstance(method, KanesMethod):
-        rates = method.kindiffdict()
-        explicit = [words.coded(f"the derivative of {one}", rates[one.diff(words.time)]) for one in q]
-        held = []
-    else:
-        explicit = words.y[len(q) :]
-        held = [words.coded("a constraint", one) for one in (method.coneqs if method.coneqs else [])]
-    laws = [Law(f"velocity constraint {i + 1}", one, 0.0, False) for i, one in enumerate(held)]
-    system = System(words.y, explicit, sympy.Matrix(len(right), len(right), coded), right)
-    shown = [(sympy.Symbol(f"{label(one)}'"), words.shown(e)) for one, e in zip(q, explicit, strict=True)]
-    return Equations(words, system, [*laws, *given_laws(words, invariants)], shown)
+    made = (_by_kane if isinstance(method, KanesMethod) else _by_lagrange)(method, words, len(q))
+    given = [_at_its_level(words, law, len(q)) for law in given_laws(words, invariants)]
+    laws, renamed = _without_duplicates(words, made.laws, given)
+    mechanism = made.mechanism
+    if mechanism is not None:
+        mechanism = mechanism._replace(names=[renamed.get(name, name) for name in mechanism.names])
+    shown = [(sympy.Symbol(f"{label(one)}'"), words.shown(e)) for one, e in zip(q, made.system.explicit, strict=True)]
+    return Multibody(words, made.system, laws, shown, points, mechanism, initial=initial)
 
 
-def _solved(method: Any, n: int) -> tuple[list[Any], list[Any]]:
-    """The matrix, row by row, and the right-hand side of the equations for u' and for multipliers."""
+class _Made(NamedTuple):
+    system: System
+    laws: list[Law]
+    mechanism: Mechanism | None
+
+
+def _taken(
+    method: Any, parameters: Mapping[Any, Any] | None
+) -> tuple[Any, Mapping[Any, Any] | None, Mapping[Any, Any] | None]:
+    """Method, parameters and initial conditions of PyDy's system, or what was given."""
+    initial = None
+    if all(hasattr(method, one) for one in ("eom_method", "constants", "initial_conditions")):
+        parameters = {**dict(method.constants), **(parameters or {})}
+        initial, method = dict(method.initial_conditions), method.eom_method
+    if not isinstance(method, (KanesMethod, LagrangesMethod)):
+        raise TypeError(f"method must be a KanesMethod, a LagrangesMethod or a System of PyDy's, got {method!r}")
+    return method, parameters, initial
+
+
+def _formed(method: Any, *names: str) -> list[Any]:
     try:
-        if isinstance(method, KanesMethod):
-            return list(method.mass_matrix), list(method.forcing)
-        return list(method.mass_matrix_full[n:, n:]), list(method.forcing_full[n:, 0])
+        return [getattr(method, name) for name in names]
     except ValueError as error:
         raise ValueError(f"{error}: call its kanes_equations or form_lagranges_equations before") from None
+
+
+def _by_kane(method: Any, words: Vocabulary, n: int) -> _Made:
+    mass, force = _formed(method, "mass_matrix", "forcing")
+    rates = method.kindiffdict()
+    explicit = [words.coded(f"the derivative of {one}", rates[one.diff(words.time)]) for one in list(method.q)]
+    right = [words.coded("the forces", e) for e in force]
+    matrix = sympy.Matrix(len(right), len(right), [words.coded("the mass matrix", e) for e in mass])
+    held = [words.coded("a constraint", e) for e in method._f_h or []]
+    rolled = []
+    if method._k_nh:
+        rolled = [words.coded("a velocity constraint", e) for e in method._k_nh * method.u + method._f_nh]
+    laws = [Law(f"constraint {i + 1}", one, 0.0, False, POSITIONS) for i, one in enumerate(held)]
+    laws += [Law(f"velocity constraint {i + 1}", one, 0.0, False, VELOCITIES) for i, one in enumerate(rolled)]
+    return _Made(System(words.y, explicit, matrix, right), laws, None)
+
+
+def _by_lagrange(method: Any, words: Vocabulary, n: int) -> _Made:
+    full, right_side = _formed(method, "mass_matrix_full", "forcing_full")
+    right = [words.coded("the forces", e) for e in right_side[n:, 0]]
+    matrix = sympy.Matrix(len(right), len(right), [words.coded("the mass matrix", e) for e in full[n:, n:]])
+    system = System(words.y, words.y[n:], matrix, right)
+    held = [words.coded("a constraint", one) for one in method._hol_coneqs or []]
+    rates = [words.coded("a constraint", one) for one in method.coneqs or []]
+    names = [f"constraint {i + 1}" for i in range(len(held))]
+    names += [f"velocity constraint {i + 1}" for i in range(len(rates) - len(held))]
+    laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=False)]
+    for i, (name, one) in enumerate(zip(names, rates, strict=True)):
+        own = (f"rate of {name}", name) if i < len(held) else (name, "")
+        laws.append(Law(own[0], one, 0.0, False, VELOCITIES, own[1]))
+    mechanism = Mechanism(words, names, held, rates[len(held) :], matrix[:n, :n], right[:n]) if names else None
+    return _Made(system, laws, mechanism)
+
+
+def _at_its_level(words: Vocabulary, law: Law, n: int) -> Law:
+    """A demand on positions, or one that is linear in velocities, is a constraint."""
+    if law.value is None:
+        return law
+    slopes = [law.formula.diff(one) for one in words.y[n:]]
+    if not any(slopes):
+        return law._replace(level=POSITIONS)
+    linear = not any(slope.free_symbols & set(words.y[n:]) for slope in slopes)
+    return law._replace(level=VELOCITIES) if linear else law
+
+
+def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> tuple[list[Law], dict[str, str]]:
+    """The laws of the method, those under the names that the user gave them who has them too, and the user's others."""
+    symbols = [words.t, *words.y, *words.p]
+    renamed: dict[str, str] = {}
+    others = []
+    for law in given:
+        known = law.value is not None and [
+            one.name
+            for one in own
+            if one.level == law.level
+            and any(vanishes(sympy.Add(one.formula, sign * law.formula), symbols) for sign in (-1, 1))
+        ]
+        if known:
+            renamed[known[0]] = law.name
+        else:
+            others.append(law)
+    return [*(_renamed(law, renamed) for law in own), *others], renamed
+
+
+def _renamed(law: Law, names: Mapping[str, str]) -> Law:
+    if law.of in names and law.name not in names:
+        return law._replace(name=f"rate of {names[law.of]}", of=names[law.of])
+    return law._replace(name=names.get(law.name, law.name), of=names.get(law.of, law.of))

@@ -4,19 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import sympy
 
-from .._arguments import distinct, interval
+from .._arguments import choice, distinct, interval
 from .._types import Span
 from ..invariant_check import check_invariants
 from ..invariants import Invariants
 from ..problem import Problem
-from .code import Function, Pattern, Piece, System, functions, jacobian_pattern
+from .code import Code, Piece, System, functions
+from .mechanism import Consistent, Correction, Mechanism
 from .vocabulary import Vocabulary, parsed
 
-__all__ = ["Equations", "Law", "Phase", "SymbolicSystem", "equations", "given_laws", "label"]
+if TYPE_CHECKING:  # an extra, imported when a film is made
+    from ..animation import Film
+
+__all__ = [
+    "LAWS",
+    "POSITIONS",
+    "VELOCITIES",
+    "Equations",
+    "Law",
+    "Phase",
+    "SymbolicSystem",
+    "equations",
+    "given_laws",
+    "label",
+]
+
+#: Levels of correction: constraints move positions only, their rates and constraints of velocities move velocities
+#: only, and other laws what is left.
+POSITIONS, VELOCITIES, LAWS = 0, 1, 2
 
 #: Longer formulas are not names.
 _NAME = 40
@@ -29,6 +49,8 @@ class Law(NamedTuple):
     formula: Any
     value: float | None  # None: that at the start
     proposed: bool  # by us: then only if it holds and says something new
+    level: int = LAWS
+    of: str = ""  # the constraint whose rate it is
 
 
 class SymbolicSystem:
@@ -45,12 +67,20 @@ class SymbolicSystem:
     """
 
     def __init__(
-        self, words: Vocabulary, system: System, laws: Sequence[Law], shown: Sequence[tuple[Any, Any]]
+        self,
+        words: Vocabulary,
+        system: System,
+        laws: Sequence[Law],
+        shown: Sequence[tuple[Any, Any]],
+        points: Sequence[Any] | None = None,
+        mechanism: Mechanism | None = None,
     ) -> None:
         self._words, self._system, self._shown = words, system, list(shown)
         names = distinct([law.name for law in laws])
         self._laws = [law._replace(name=name) for law, name in zip(laws, names, strict=True)]
-        self._made: dict[bool, dict[str, Function]] = {}
+        self._points = None if points is None else _points(words, points)
+        self._mechanism = mechanism
+        self._made: dict[tuple[bool, frozenset[str]], Code] = {}
         self.states = list(words.states)
         self.parameters = dict(words.parameters)
 
@@ -66,15 +96,58 @@ class SymbolicSystem:
         rows = r" \\ ".join(f"{sympy.latex(left)} &= {sympy.latex(right)}" for left, right in self._shown)
         return rf"$\displaystyle\begin{{aligned}} {rows} \end{{aligned}}$"
 
-    def _problem(self, t_span: Span, y0: list[float], laws: bool, compiled: bool | None, name: str | None) -> Problem:
+    def animate(self, sol: Any, **options: Any) -> Film:
+        """Shows the motion of the `points` of the system as a film.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        **options
+            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
+
+        Returns
+        -------
+        Film
+
+        Raises
+        ------
+        ValueError
+            The system was made without `points`.
+        """
+        if self._points is None:
+            raise ValueError("the system has no points: make it with points=[(x, y), ...], or use sol.animate")
+        words, shape = self._words, (len(self._points), -1)
+        flat = [e for row in self._points for e in row]
+        code = sympy.lambdify([words.t, words.y, words.p], flat, modules="numpy", cse=True)
+        args = sol._invariants.args or words.args  # those of the run, which may have been replaced
+        film: Film = sol.animate(lambda t, y: np.reshape(code(t, y, args), shape), **options)
+        return film
+
+    def _problem(
+        self,
+        t_span: Span,
+        y0: list[float],
+        *,
+        laws: bool = True,
+        compiled: bool | None = None,
+        name: str | None = None,
+        consistent: Consistent = "check",
+        correction: Correction = "levels",
+    ) -> Problem:
+        choice("correction", correction, ("levels", "joint", "none"))
+        left_out: frozenset[str] = frozenset()
+        if self._mechanism is not None:
+            y0, left_out = self._mechanism.start(t_span, y0, consistent, correction)
         native = find_spec("numba") is not None if compiled is None else compiled
-        made = self._functions(native)
-        pattern = jacobian_pattern(self._system)
-        n = len(y0)
+        made, pattern = self._functions(native, left_out)
         sparsity = None
-        if native and isinstance(pattern, Pattern):  # native code gives the values of this pattern
+        if native and pattern is not None:  # native code gives the values of this pattern
             sparsity = pattern.matrix([1.0] * len(pattern.indices))
-        invariants = self._invariants(made, interval(t_span)[0], y0, laws)
+        invariants: list[Invariants] = []
+        if correction != "none":
+            kept = [law for law in self._laws if not {law.name, law.of} & left_out]
+            invariants = self._invariants(made, interval(t_span)[0], y0, kept if laws else _given(kept), correction)
         return Problem(
             made["f"],
             t_span,
@@ -84,32 +157,56 @@ class SymbolicSystem:
             jac=made["jac"],
             jac_sparsity=sparsity,
             name=name,
-            labels=[label(one) for one in self.states[:n]],
+            labels=[label(one) for one in self.states],
         )
 
-    def _functions(self, native: bool) -> dict[str, Function]:
+    def _functions(self, native: bool, left_out: frozenset[str]) -> Code:
         """f, jac, and for law i its function g_i and gradient dg_i; made once."""
-        if native not in self._made:
+        key = native, left_out
+        if key not in self._made:
             n = len(self._words.y)
             pieces = []
             for i, law in enumerate(self._laws):
                 pieces.append(Piece(f"g{i}", [law.formula], (1,)))
                 pieces.append(Piece(f"dg{i}", [law.formula.diff(one) for one in self._words.y], (1, n)))
-            self._made[native] = functions(self._system, pieces, native, len(self._words.p))
-        return self._made[native]
+            system = self._system
+            if left_out and self._mechanism is not None:
+                first = len(system.force) - len(self._mechanism.names)
+                system = system.without([first + self._mechanism.names.index(one) for one in left_out])
+            self._made[key] = functions(system, pieces, native, len(self._words.p))
+        return self._made[key]
 
-    def _invariants(self, made: Mapping[str, Any], t: float, y0: list[float], laws: bool) -> list[Invariants]:
+    def _invariants(
+        self, made: Mapping[str, Any], t: float, y0: list[float], laws: list[Law], correction: Correction
+    ) -> list[Invariants]:
         """Those that were given, and of the proposed laws those that hold and say something new at the start."""
         kept: list[Invariants] = []
-        for i, law in sorted(enumerate(self._laws), key=lambda item: item[1].proposed):
-            one = Invariants(made[f"g{i}"], made[f"dg{i}"], value=law.value, names=law.name)
+        in_levels = correction == "levels" and any(law.level < LAWS for law in laws)
+        positions = len(self._system.explicit)
+        moves = {POSITIONS: range(positions), VELOCITIES: range(positions, len(y0))}
+        for law in sorted(laws, key=lambda law: law.proposed):
+            i = self._laws.index(law)
+            order: Any = {"level": law.level, "moves": moves.get(law.level)} if in_levels else {}
+            one = Invariants(made[f"g{i}"], made[f"dg{i}"], value=law.value, names=law.name, **order)
             if not law.proposed:
                 kept.append(one)
-            elif laws:
+            else:
                 report = check_invariants(made["f"], [*kept, one], t, y0, self._words.args)
                 if report.conserved[-1] and not (report.stationary[-1] or report.redundant.any()):
                     kept.append(one)
         return kept
+
+
+def _given(laws: list[Law]) -> list[Law]:
+    return [law for law in laws if not law.proposed]
+
+
+def _points(words: Vocabulary, points: Sequence[Any]) -> list[list[Any]]:
+    """Coordinates in the symbols of the code, a row of two or three for each point."""
+    rows = [list(row) if np.iterable(row) else [row] for row in points]
+    if not rows or {len(row) for row in rows} not in ({2}, {3}):
+        raise ValueError("points must be a list of points, each of two or each of three coordinates")
+    return [[words.coded(f"point {i}", e) for e in row] for i, row in enumerate(rows)]
 
 
 class Equations(SymbolicSystem):
@@ -134,7 +231,7 @@ class Equations(SymbolicSystem):
         -------
         Problem
         """
-        return self._problem(t_span, self._words.start("y0", y0, self.states), True, compiled, name)
+        return self._problem(t_span, self._words.start("y0", y0, self.states), compiled=compiled, name=name)
 
 
 class Phase(SymbolicSystem):
@@ -142,44 +239,12 @@ class Phase(SymbolicSystem):
 
     _second: str
 
-    def problem(
-        self,
-        t_span: Span,
-        q0: Any,
-        second: Any,
-        *,
-        laws: bool = True,
-        compiled: bool | None = None,
-        name: str | None = None,
-    ) -> Problem:
-        """The initial value problem; y = (q, p) of a Hamiltonian system, (q, v) of a Lagrangian one.
-
-        Parameters
-        ----------
-        t_span : (float, float)
-            (t0, tf).
-        q0 : dict or array_like
-            Initial coordinates, by symbol or in the order of q.
-        second : dict or array_like
-            Initial momenta by symbol, or velocities by coordinate; or in the order of q.
-        laws : bool, default True
-            Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
-            the start, and that do not follow from others there. Constraints are held in any case.
-        compiled : bool, optional
-            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
-            bodies minutes: give False where the runs are short.
-        name : str, optional
-            For tables and plots.
-
-        Returns
-        -------
-        Problem
-        """
+    def _start(self, q0: Any, second: Any) -> list[float]:
+        """The state, of q by symbol or in their order, and p by symbol, v by coordinate, or in the order of q."""
         n = len(self.states) // 2
         q, p = self.states[:n], self.states[n:]
         last = q if isinstance(second, Mapping) and not any(one in p for one in second) else p
-        start = [*self._words.start("q0", q0, q), *self._words.start(f"{self._second}0", second, last)]
-        return self._problem(t_span, start, laws, compiled, name)
+        return [*self._words.start("q0", q0, q), *self._words.start(f"{self._second}0", second, last)]
 
 
 def label(state: Any) -> str:
@@ -194,6 +259,7 @@ def equations(
     *,
     invariants: Iterable[Any] | Mapping[str, Any] = (),
     parameters: Mapping[Any, Any] | None = None,
+    points: Sequence[Any] | None = None,
 ) -> Equations:
     """Differential equations by formulas.
 
@@ -205,6 +271,8 @@ def equations(
         What the solution keeps: expressions keep their initial values, equations ``Eq(a, b)`` hold.
     parameters : dict, optional
         Other symbols and their values, which become `args` of the problem.
+    points : sequence of points, optional
+        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
 
     Returns
     -------
@@ -240,7 +308,7 @@ def equations(
     coded = [words.coded(f"the derivative of {one}", rate) for one, rate in rates.items()]
     system = System(words.y, coded, None, [])
     shown = [(sympy.Symbol(f"{label(one)}'"), parsed("", rate)) for one, rate in rates.items()]
-    return Equations(words, system, given_laws(words, invariants), shown)
+    return Equations(words, system, given_laws(words, invariants), shown, points)
 
 
 def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any]) -> list[Law]:

@@ -10,16 +10,17 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_array
 
-from .._arguments import EPS, Array
-from ..invariants import InvariantError
-from ..methods import METHODS, Method
-from ..problem import Problem
-from ..solution import Solution
-from .session import power, unprojected
+from ._arguments import EPS, Array
+from ._matrices import null_basis
+from .invariants import InvariantError
+from .methods import METHODS, Method
+from .problem import Problem
+from .solution import Solution
 
 __all__ = ["WAYS", "Judgement", "NoReferenceError", "Reference", "Row", "Run", "able", "best", "compare_runs", "judge"]
-__all__ += ["reference"]
+__all__ += ["power", "reference", "unprojected"]
 
 #: With and without projection.
 WAYS = ("plain", "projected")
@@ -126,7 +127,11 @@ class _Limit:
 
 def able(problem: Problem) -> list[Method]:
     """The methods that can solve the problem."""
-    return [m for m in METHODS.values() if problem.matrices.mass is None or "mass" in m.options]
+    mass = problem.matrices.mass
+    if mass is None:
+        return list(METHODS.values())
+    regular = not callable(mass) and null_basis(csc_array(mass)).shape[1] == 0
+    return [m for m in METHODS.values() if m.mass == "any" or (m.mass == "regular" and regular)]
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -146,9 +151,7 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
                 limit = _Limit(_PATIENCE * seconds)
                 sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, callback=limit, **options)
                 if sol.status not in (0, 1):
-                    why = (
-                        sol.message if sol.status < 0 else f"It takes longer than {_PATIENCE * seconds:g} s (--limit)."
-                    )
+                    why = sol.message if sol.status < 0 else f"It takes longer than {_PATIENCE * seconds:g} s (limit)."
                     obstacles.append(f"{name}, rtol {power(rtol)}: {why}")
                     break
                 found.append(sol)
@@ -381,3 +384,13 @@ def _decades(least: float, largest: float) -> list[float]:
         return []
     powers = range(math.floor(math.log10(largest)), math.ceil(math.log10(least)) - 1, -1)
     return [10.0**k for k in powers] or [math.sqrt(least * largest)]
+
+
+def unprojected(problem: Problem) -> Problem:
+    """The same problem without its invariants."""
+    return problem.replace(invariants=None)
+
+
+def power(error: float) -> str:
+    """An error in one digit: 1e-4, not 1e-04."""
+    return f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")

@@ -1,12 +1,14 @@
-"""Mechanisms with published solutions: what `mechanics.py` measures on."""
+"""Mechanisms, with what is known of their motion, as data: what tests and ``benchmarks/mechanics.py`` solve."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from invariode import Problem
 from invariode.mechanics import MechanicalSystem
 
 Array = NDArray[np.float64]
@@ -20,6 +22,10 @@ class Case(NamedTuple):
     q0: Array
     v0: Array
     end: Array  # (q, v) at the end of t_span
+    multipliers: Array = np.zeros(0)  # at the end, where they are published
+
+    def problem(self, correction: Literal["levels", "joint", "none"] = "levels") -> Problem:
+        return self.system.problem(self.t_span, self.q0, self.v0, correction=correction)
 
 
 # Andrews' squeezing mechanism: seven bodies in the plane, driven by a torque. F. Mazzia, C. Magherini, Test Set for
@@ -133,7 +139,118 @@ def arevalo() -> Case:
         [1, 1], lambda t, q, v: [2 * q[1], -2 * q[0]], lambda t, q: (q[0] ** 2 + q[1] ** 2 - 1) / 2, name="particle"
     )
     end = [np.sin(9), np.cos(9), 6 * np.cos(9), -6 * np.sin(9)]
-    return Case(system, (0.0, 3.0), np.array([0.0, 1.0]), np.zeros(2), np.array(end))
+    return Case(system, (0.0, 3.0), np.array([0.0, 1.0]), np.zeros(2), np.array(end), np.array([-4.0 * 9]))
+
+
+def car_axis() -> Case:
+    """Two loads on springs, above an axis of which one end goes over a bumpy road: 0 <= t <= 3, φ depends on t.
+
+    Test Set, chapter II-10; references by GAMD. With ε = 0.01 the springs are stiff.
+    """
+    epsilon, load, length, rest, height, speed, gravity = 1e-2, 10.0, 1.0, 0.5, 0.1, 10.0, 1.0
+    mass = load * epsilon**2 / 2
+
+    def bumped(t: float) -> tuple[float, float]:
+        y = height * np.sin(speed * t)
+        return np.sqrt(length**2 - y**2), y
+
+    def springs(t: float, q: Array, v: Array) -> Array:
+        x, y = bumped(t)
+        left, right = q[:2], q[2:] - [x, y]
+        pulls = [(rest - one_length) * one / one_length for one in (left, right) for one_length in [np.hypot(*one)]]
+        return np.concatenate(pulls) - mass * gravity * np.array([0, 1, 0, 1])
+
+    def axis(t: float, q: Array) -> Array:
+        x, y = bumped(t)
+        return np.array([x * q[0] + y * q[1], (q[0] - q[2]) ** 2 + (q[1] - q[3]) ** 2 - length**2])
+
+    end = [
+        0.4934557842755629e-1, 0.4969894602303324, 0.1041742524885400e1, 0.3739110272652214,
+        -0.7705836840321485e-1, 0.7446866596327776e-2, 0.1755681574942899e-1, 0.7703410437794031,
+    ]  # fmt: skip
+    system = MechanicalSystem(np.full(4, mass), springs, axis, name="car axis")
+    q0, v0 = np.array([0, rest, length, rest]), np.array([-rest / length, 0, -rest / length, 0])
+    return Case(system, (0.0, 3.0), q0, v0, np.array(end), np.array([-0.4736886750784630e-2, -0.1104680411345730e-2]))
+
+
+def slider_crank() -> Case:
+    """A crank, a connecting rod and a slider, with spring, damper and a constant force, 0 <= t <= 10.
+
+    The example idaSlCrank_dns of SUNDIALS 6, whose output at rtol = atol = 1e-6 has five digits of the positions; the
+    velocities are not printed.
+    """
+    a = 0.5  # half of the crank's length; all else is 1, but for the rod's moment of inertia
+
+    def force(t: float, q: Array, v: Array) -> Array:
+        crank, x, rod = q
+        turned = np.sin(rod - crank)
+        spring = np.sqrt(
+            x**2 - x * (np.cos(rod) + a * np.cos(crank)) + (1 + a**2) / 4 + a * np.cos(rod - crank) / 2
+        )  # between the middles of crank and rod
+        gradient = np.array(
+            [
+                a * (x * np.sin(crank) + turned / 2),
+                2 * x - np.cos(rod) - a * np.cos(crank),
+                x * np.sin(rod) - a * turned / 2,
+            ]
+        ) / (2 * spring)
+        pull = (spring - 1) + gradient @ v
+        return np.array([0, 1, -np.sin(rod)]) - pull * gradient
+
+    def joints(t: float, q: Array) -> Array:
+        return np.array([q[1] - np.cos(q[2]) - a * np.cos(q[0]), -np.sin(q[2]) - a * np.sin(q[0])])
+
+    system = MechanicalSystem([1, 1, 2], force, joints, name="slider crank")
+    rod = np.arcsin(-a)
+    end = np.array([1.2757, 1.0236, -0.49881, np.nan, np.nan, np.nan])
+    return Case(system, (0.0, 10.0), np.array([np.pi / 2, np.cos(rod), rod]), np.zeros(3), end)
+
+
+def fekete() -> Case:
+    """Twenty points on the unit sphere that repel each other and are damped, 0 <= t <= 1000: they come to rest.
+
+    Test Set, chapter II-8; reference by RADAU5 at 1e-12, velocities below 1e-15.
+    """
+    rings = [(3, 1, 3 / 8, 13), (7, 1, 1 / 8, 29), (6, 1, -2 / 15, 7), (4, 0, -3 / 10, 17)]
+    q0 = np.array(
+        [
+            [np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)]
+            for count, first, latitude, shift in rings
+            for k in range(first, first + count)
+            for a, b in [(2 * np.pi * k / count + np.pi / shift, np.pi * latitude)]
+        ]
+    )
+
+    def force(t: float, q: Array, v: Array) -> Array:
+        p = q.reshape(-1, 3)
+        apart = p[:, None] - p
+        square = (apart**2).sum(axis=2)
+        np.fill_diagonal(square, 1.0)
+        return ((apart / square[:, :, None]).sum(axis=1) - v.reshape(-1, 3) / 2).ravel()
+
+    def spheres(t: float, q: Array) -> Array:
+        return (q.reshape(-1, 3) ** 2).sum(axis=1) - 1
+
+    def jacobian(t: float, q: Array) -> Array:
+        rows = np.zeros((20, 20, 3))
+        rows[np.arange(20), np.arange(20)] = 2 * q.reshape(-1, 3)
+        return rows.reshape(20, 60)
+
+    system = MechanicalSystem(np.ones(60), force, spheres, jacobian=jacobian, name="Fekete points")
+    end = np.loadtxt(Path(__file__).with_name("data") / "fekete.txt").ravel()
+    return Case(system, (0.0, 1000.0), q0.ravel(), np.zeros(60), np.append(end, np.zeros(60)))
+
+
+def index_3_pendulum() -> Case:
+    """x″ = -x λ, y″ = -y λ - 1 from (1, 0, 0, 1) to t = 1, with which solvers of index 3 are tested.
+
+    By the equation of its angle, θ″ = -cos θ, these digits are good to 3e-11. Our λ has the other sign.
+    """
+    system = MechanicalSystem([1, 1], lambda t, q, v: [0, -1], lambda t, q: (q[0] ** 2 + q[1] ** 2 - 1) / 2)
+    end = [0.867348640604551746, 0.497701050476373918, -0.0337480180329866458, 0.0588130114660715686]
+    return Case(
+        system, (0.0, 1.0), np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array(end), np.array([0.493103151528274442])
+    )
 
 
 def pendulum() -> Case:
@@ -171,6 +288,26 @@ def closed_chain() -> Case:
     side = np.sqrt(3) / 2  # of the first and the last link, which lean inwards by 30 degrees
     q0 = np.array([0.5, side, 1.0, 2 * side, 1.5, side])
     return Case(system, (0.0, 60.0), q0, _swaying(q0), np.full(12, np.nan))
+
+
+def spatial_chain() -> Case:
+    """A chain of ten links of length 1 in space, from a fixed point, unit masses; let go from a straight line."""
+    links = 10
+
+    def lengths(t: float, q: Array) -> Array:
+        joints = np.vstack([np.zeros(3), q.reshape(-1, 3)])
+        return (np.diff(joints, axis=0) ** 2).sum(axis=1) - 1
+
+    def energy(t: float, q: Array, v: Array) -> float:
+        return (v @ v) / 2 + q[2::3].sum()
+
+    system = MechanicalSystem(
+        np.ones(3 * links), lambda t, q, v: np.tile([0.0, 0.0, -1.0], links), lengths, energy=energy, name="chain"
+    )
+    number = np.arange(1.0, links + 1)
+    q0 = np.column_stack([number, 0 * number, 0 * number]).ravel()
+    v0 = np.column_stack([0 * number, 0.1 * number, 0 * number]).ravel()  # across: consistent
+    return Case(system, (0.0, 60.0), q0, v0, np.full(60, np.nan))
 
 
 def energy_of_unit_masses(t: float, q: Array, v: Array) -> float:

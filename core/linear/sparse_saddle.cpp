@@ -1,0 +1,117 @@
+#include "linear/sparse_saddle.hpp"
+
+#include <algorithm>
+#include <vector>
+
+#include "weights.hpp"
+
+namespace invariode {
+namespace {
+
+using Sparse = Eigen::SparseMatrix<double>;
+using Vector = Eigen::VectorXd;
+using Eigen::Index;
+
+constexpr double dependent = 1000 * eps;  // pivots of a matrix of ones on the diagonal: what roundoff leaves of 0
+constexpr double accurate = 1e-13;        // residuals, as a part of their terms
+
+bool diagonal(const Sparse& M) {
+  for (Index j = 0; j < M.outerSize(); ++j)
+    for (Sparse::InnerIterator it(M, j); it; ++it)
+      if (it.row() != j) return false;
+  return true;
+}
+
+/// The residual is at most `part` of its terms, row by row.
+bool small(const Vector& residual, const Vector& terms, double part) {
+  return (residual.array().abs() <= part * terms.array()).all();
+}
+
+}  // namespace
+
+bool SparseSaddle::solve(const Sparse& M, const Sparse& A, const VectorView& Q, const VectorView& gamma,
+                         ConstrainedSolution& found) {
+  const Index n = M.rows();
+  if (!analyzed_) diagonal_ = diagonal(M);
+  if (diagonal_) {
+    inverse_mass_ = M.diagonal();
+    diagonal_ = (inverse_mass_.array() > 0).all();
+    if (!diagonal_) analyzed_ = false;
+    inverse_mass_ = inverse_mass_.cwiseInverse();
+  }
+  const bool needs_factors = A.rows() > 0 || !diagonal_;
+  if (needs_factors && !(diagonal_ ? factor_complement(A) : factor_whole(M, A))) return false;
+  analyzed_ = true;
+  const Sparse size = A.cwiseAbs();
+  const Sparse mass_size = M.cwiseAbs();
+  found.a = Vector::Zero(n);
+  found.lambda = Vector::Zero(A.rows());
+  Vector p = Q, q = gamma;
+  for (int pass = 0;; ++pass) {
+    substitute(A, p, q);
+    found.a += a_;
+    found.lambda += lambda_;
+    p = Q + A.transpose() * found.lambda - M * found.a;
+    q = gamma - A * found.a;
+    const Vector force_terms =
+        Q.cwiseAbs() + size.transpose() * found.lambda.cwiseAbs() + mass_size * found.a.cwiseAbs();
+    const Vector terms = gamma.cwiseAbs() + size * found.a.cwiseAbs();
+    if (small(p, force_terms, accurate) && small(q, terms, accurate)) break;
+    if (pass == 1) return false;
+  }
+  found.rank = A.rows();
+  found.unique = true;
+  return true;
+}
+
+/// B Bᵀ with the rows of B = A M^(-1/2) scaled to norm 1.
+bool SparseSaddle::factor_complement(const Sparse& A) {
+  const Sparse B = inverse_mass_.cwiseSqrt().asDiagonal() * Sparse(A.transpose());
+  row_scale_ = (B.cwiseAbs2().transpose() * Vector::Ones(B.rows())).cwiseSqrt();
+  if (!(row_scale_.array() > 0).all()) return false;
+  row_scale_ = row_scale_.cwiseInverse();
+  const Sparse scaled = B * row_scale_.asDiagonal();
+  const Sparse complement = scaled.transpose() * scaled;
+  if (!analyzed_) complement_.analyzePattern(complement);
+  complement_.factorize(complement);
+  return complement_.info() == Eigen::Success && (complement_.vectorD().array() > dependent).all();
+}
+
+bool SparseSaddle::factor_whole(const Sparse& M, const Sparse& A) {
+  const Index n = M.rows(), k = A.rows();
+  std::vector<Eigen::Triplet<double>> entries;
+  entries.reserve(static_cast<std::size_t>(M.nonZeros() + 2 * A.nonZeros()));
+  for (Index j = 0; j < n; ++j) {
+    for (Sparse::InnerIterator it(M, j); it; ++it)
+      entries.emplace_back(static_cast<int>(it.row()), static_cast<int>(j), it.value());
+    for (Sparse::InnerIterator it(A, j); it; ++it) {
+      entries.emplace_back(static_cast<int>(n + it.row()), static_cast<int>(j), it.value());
+      entries.emplace_back(static_cast<int>(j), static_cast<int>(n + it.row()), -it.value());
+    }
+  }
+  Sparse all(n + k, n + k);
+  all.setFromTriplets(entries.begin(), entries.end());
+  if (!analyzed_) whole_.analyzePattern(all);
+  whole_.factorize(all);
+  return whole_.info() == Eigen::Success;
+}
+
+void SparseSaddle::substitute(const Sparse& A, const Vector& p, const Vector& q) {
+  const Index n = p.size(), k = q.size();
+  if (!diagonal_) {
+    Vector right(n + k);
+    right << p, q;
+    const Vector both = whole_.solve(right);
+    a_ = both.head(n);
+    lambda_ = both.tail(k);
+    return;
+  }
+  a_ = inverse_mass_.cwiseProduct(p);
+  lambda_ = Vector::Zero(k);
+  if (k == 0) return;
+  const Vector rest = row_scale_.cwiseProduct(q - A * a_);
+  lambda_ = row_scale_.cwiseProduct(Vector(complement_.solve(rest)));
+  a_ += inverse_mass_.cwiseProduct(A.transpose() * lambda_);
+}
+
+}  // namespace invariode

@@ -1,0 +1,34 @@
+#pragma once
+// The linear system of constrained mechanics where few things touch each other: chains, nets, trees.
+
+#include <Eigen/SparseCholesky>
+#include <Eigen/SparseCore>
+#include <Eigen/SparseLU>
+
+#include "linear/saddle.hpp"
+
+namespace invariode {
+
+/// Solves the system of `ConstrainedSolution` with sparse M and A, of patterns that stay: with a diagonal positive M by
+/// the Schur complement A M⁻¹ Aᵀ, else by LU factors of the whole. What the square of a condition number costs is
+/// brought back by one step of refinement, and looked at.
+class SparseSaddle {
+ public:
+  /// False: rows depend on each other or nearly so, M is not definite, or the solution is not good to roundoff. It is
+  /// then left to `solve_saddle`.
+  bool solve(const Eigen::SparseMatrix<double>& M, const Eigen::SparseMatrix<double>& A, const VectorView& Q,
+             const VectorView& gamma, ConstrainedSolution& found);
+
+ private:
+  bool factor_complement(const Eigen::SparseMatrix<double>& A);
+  bool factor_whole(const Eigen::SparseMatrix<double>& M, const Eigen::SparseMatrix<double>& A);
+  /// M a − Aᵀ λ = p, A a = q.
+  void substitute(const Eigen::SparseMatrix<double>& A, const Eigen::VectorXd& p, const Eigen::VectorXd& q);
+
+  bool diagonal_ = false, analyzed_ = false;
+  Eigen::VectorXd inverse_mass_, row_scale_, a_, lambda_;
+  Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> complement_;
+  Eigen::SparseLU<Eigen::SparseMatrix<double>> whole_;
+};
+
+}  // namespace invariode

@@ -1,0 +1,68 @@
+#include "manifold/metric.hpp"
+
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+namespace invariode {
+namespace {
+
+Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
+
+}  // namespace
+
+MetricFactor::MetricFactor(Metric metric, std::vector<std::size_t> components)
+    : metric_(std::move(metric)), components_(std::move(components)), part_(index(components_.size())) {
+  const std::size_t k = components_.size();
+  if (metric_.values.size() == k)
+    diagonal_.resize(index(k));
+  else if (metric_.values.size() == k * k)
+    factor_ = Eigen::LLT<Eigen::MatrixXd>(index(k));
+  else
+    throw std::invalid_argument("a metric has other components than its invariant may move");
+}
+
+Status MetricFactor::update(double t, const double* y) {
+  if (metric_.function && metric_.function(t, y, metric_.values.data()) == Status::stop) return Status::stop;
+  if (metric_.function || !known_) factorize();
+  known_ = true;
+  return Status::ok;
+}
+
+void MetricFactor::factorize() {
+  const Eigen::Map<const Eigen::VectorXd> values(metric_.values.data(), index(metric_.values.size()));
+  regular_ = values.allFinite();
+  if (!regular_) return;
+  if (diagonal_.size() > 0) {
+    regular_ = (values.array() > 0).all();
+    if (regular_) diagonal_ = values.cwiseSqrt();
+    return;
+  }
+  const Eigen::Index k = part_.size();
+  factor_.compute(Eigen::Map<const Eigen::MatrixXd>(metric_.values.data(), k, k));
+  regular_ = factor_.info() == Eigen::Success;
+}
+
+void MetricFactor::gather(const double* a) {
+  for (std::size_t j = 0; j < components_.size(); ++j) part_[index(j)] = a[components_[j]];
+}
+
+void MetricFactor::divide(const double* a, double* x) {
+  gather(a);
+  if (diagonal_.size() > 0)
+    part_.array() /= diagonal_.array();
+  else
+    factor_.matrixL().solveInPlace(part_);
+  for (std::size_t j = 0; j < components_.size(); ++j) x[components_[j]] = part_[index(j)];
+}
+
+void MetricFactor::divide_transposed(double* x) {
+  gather(x);
+  if (diagonal_.size() > 0)
+    part_.array() /= diagonal_.array();
+  else
+    factor_.matrixU().solveInPlace(part_);
+  for (std::size_t j = 0; j < components_.size(); ++j) x[components_[j]] = part_[index(j)];
+}
+
+}  // namespace invariode

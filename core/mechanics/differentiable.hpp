@@ -1,0 +1,77 @@
+#pragma once
+// Derivatives of a function of t and x without symbols (docs/algorithms.md, 'The right-hand side of mechanics').
+
+#include <Eigen/SparseCore>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "callback.hpp"
+#include "linear/groups.hpp"
+
+namespace invariode {
+
+using SparseMatrix = Eigen::SparseMatrix<double>;
+
+/// Some columns of a Jacobian: where they may have entries, and which of them are computed together.
+struct SparseColumns {
+  SparseMatrix matrix;    ///< (m, columns); its pattern stays
+  std::size_t first = 0;  ///< which component of x the first column belongs to
+  ColumnGroups groups;    ///< of the columns
+
+  SparseColumns() = default;
+  SparseColumns(const SparseMatrix& pattern, std::size_t first_component);
+};
+
+/// A function (t, x) -> (m) with x of n components, and its first and second derivatives: by complex steps where there
+/// is a complex form of it, else by differences of order 4.
+class Differentiable {
+ public:
+  /// `function` of t and x. Its complex form, if there is one, takes 1 + n complex numbers, (t, x), and gives m of
+  /// them. `quiet`: the same, where it may be asked for values outside of its domain.
+  struct Forms {
+    Callback function, complex, quiet;
+  };
+
+  Differentiable() = default;
+  Differentiable(const Forms& forms, std::size_t n, std::size_t m);
+
+  [[nodiscard]] std::size_t n() const { return n_; }
+  [[nodiscard]] std::size_t m() const { return m_; }
+  [[nodiscard]] bool by_complex_steps() const { return static_cast<bool>(forms_.complex); }
+  /// Calls of the user's function, real and complex.
+  [[nodiscard]] std::int64_t calls() const {
+    return forms_.function.calls() + forms_.complex.calls() + forms_.quiet.calls();
+  }
+
+  Status value(double t, const double* x, double* out) { return forms_.function(t, x, out); }
+  /// d/ds of function(t + s dt, x + s dx) at s = 0.
+  Status slope(double t, const double* x, double dt, const double* dx, double* out);
+  /// d²/ds² of the same.
+  Status curvature(double t, const double* x, double dt, const double* dx, double* out);
+  /// ∂/∂x_j for the columns asked for, one evaluation of the complex form for each group of them, or four of the
+  /// function. `size`: of the components, for increments.
+  Status jacobian(double t, const double* x, const double* size, SparseColumns& columns);
+
+ private:
+  Status complex_at(Callback& form, double t, const double* x, double dt, const double* dx, double re, double im);
+  Status odd_difference(double t, const double* x, double dt, const double* dx, double* out);
+  Status rotated(double t, const double* x, double dt, const double* dx, double h, double* out);
+  Status second_difference(double t, const double* x, double dt, const double* dx, double* out);
+  Status even_difference(double t, const double* x, double dt, const double* dx, double* out);
+  void move(const double* x, const double* dx, double s);
+
+  Forms forms_;
+  std::size_t n_ = 0, m_ = 0;
+  std::vector<double> point_, direction_, column_;                // (n), (n), (m)
+  std::vector<double> plus_, minus_, near_, far_, terms_, here_;  // (m)
+  std::vector<double> z_, w_;                                     // 1 + n, and m complex numbers
+};
+
+/// Sizes of the components, for increments: those that are small beside the largest tell no scale of their own.
+void fill_sizes(const double* x, std::size_t n, double* size);
+
+/// The s with which x + s dx, or where x rests t + s dt, changes by the size of x or of t.
+double reach(double t, const double* x, std::size_t n, double dt, const double* dx);
+
+}  // namespace invariode

@@ -1,0 +1,334 @@
+#include "mechanics/motion.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <utility>
+
+#include "weights.hpp"
+
+namespace invariode {
+namespace {
+
+using Eigen::Index;
+
+constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
+const double along_increment = std::cbrt(eps);  // relative, of the central difference of Φ along the motion
+// Sparse factors are faster from this size on, where at most that part of A can be other than 0 (benchmarks/chains.py).
+constexpr std::size_t least_sparse = 24;
+constexpr double densest = 0.25;
+
+Index index(std::size_t i) { return static_cast<Index>(i); }
+
+SparseMatrix columns_from(const SparseMatrix& A, std::size_t first) { return A.rightCols(A.cols() - index(first)); }
+
+/// A product's pattern, which does not depend on values that happen to cancel.
+SparseMatrix pattern_of_product(SparseMatrix A, SparseMatrix B) {
+  std::fill_n(A.valuePtr(), A.nonZeros(), 1.0);
+  std::fill_n(B.valuePtr(), B.nonZeros(), 1.0);
+  return A * B;
+}
+
+std::vector<std::size_t> indices(const char* kept, std::size_t count) {
+  std::vector<std::size_t> found;
+  for (std::size_t i = 0; i < count; ++i)
+    if (kept[i] != 0) found.push_back(i);
+  return found;
+}
+
+/// Writes the rows of a sparse matrix that are kept into rows of `width` columns, from column `first` on.
+void write_rows(const SparseMatrix& from, const std::vector<int>& place, std::size_t offset, std::size_t width,
+                std::size_t first, double factor, double* J) {
+  for (Index j = 0; j < from.outerSize(); ++j)
+    for (SparseMatrix::InnerIterator it(from, j); it; ++it) {
+      const int row = place[static_cast<std::size_t>(it.row())];
+      if (row < 0) continue;
+      const std::size_t i = static_cast<std::size_t>(row) - offset;
+      J[i * width + first + static_cast<std::size_t>(j)] += factor * it.value();
+    }
+}
+
+}  // namespace
+
+Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
+  const std::size_t n_q = terms_.n_q, n_v = terms_.n_v, n = n_q + n_v;
+  const std::size_t m_phi = terms_.constraints.m(), m_psi = terms_.velocity_constraints.m();
+  const auto fits = [](const SparseMatrix& A, std::size_t rows, std::size_t columns) {
+    return A.rows() == index(rows) && A.cols() == index(columns);
+  };
+  const bool map = terms_.kinematics.m() > 0;
+  if (terms_.kept.size() != m_phi + m_psi || !fits(terms_.mass.matrix, n_v, n_v) ||
+      !fits(terms_.phi_pattern, m_phi, n_q) || !fits(terms_.psi_pattern, m_psi, n) ||
+      (map ? !fits(terms_.kinematics_pattern, n_q, n) || terms_.kinematics.m() != n_q : n_q != n_v) || !terms_.force)
+    throw std::invalid_argument("the sizes of a mechanical system do not match");
+  kept_phi_ = indices(terms_.kept.data(), m_phi);
+  kept_psi_ = indices(terms_.kept.data() + m_phi, m_psi);
+  place_phi_.assign(m_phi, -1);
+  place_psi_.assign(m_psi, -1);
+  for (std::size_t i = 0; i < kept_phi_.size(); ++i) place_phi_[kept_phi_[i]] = static_cast<int>(i);
+  for (std::size_t i = 0; i < kept_psi_.size(); ++i) place_psi_[kept_psi_[i]] = static_cast<int>(kept_phi_.size() + i);
+  choose_patterns();
+  force_.resize(index(n_v));
+  gamma_.resize(A_.rows());
+  q_dot_.resize(n_q);
+  along_.resize(n);
+  bend_.resize(std::max({n_q, m_phi, m_psi}));
+  values_.resize(bend_.size());
+  size_.resize(n);
+  ones_.assign(n, 1.0);
+  beside_.resize(n_q);
+  entries_.resize(std::max(n_v * n_v, m_phi * n_q));
+}
+
+void Motion::choose_patterns() {
+  terms_.mass.matrix.makeCompressed();
+  phi_ = SparseColumns(terms_.phi_pattern, 0);
+  psi_ = SparseColumns(terms_.psi_pattern, 0);
+  psi_by_v_ = SparseColumns(columns_from(terms_.psi_pattern, terms_.n_q), terms_.n_q);
+  phi_by_v_ = phi_.matrix;
+  if (terms_.kinematics.m() > 0) {
+    kinematics_ = SparseColumns(terms_.kinematics_pattern, 0);
+    kinematics_by_v_ = SparseColumns(columns_from(terms_.kinematics_pattern, terms_.n_q), terms_.n_q);
+    phi_by_v_ = pattern_of_product(phi_.matrix, kinematics_by_v_.matrix);
+  }
+  A_.resize(index(kept_phi_.size() + kept_psi_.size()), index(terms_.n_v));
+  assemble();
+  const auto all = static_cast<double>(A_.rows() * A_.cols());
+  const auto masses = static_cast<double>(terms_.n_v * terms_.n_v);
+  sparse_ = terms_.n_v >= least_sparse && static_cast<double>(A_.nonZeros()) <= densest * all &&
+            static_cast<double>(terms_.mass.matrix.nonZeros()) <= densest * masses;
+}
+
+Callback Motion::callback(Part part) {
+  switch (part) {
+    case Part::slope: return {&entry<&Motion::slope>, this};
+    case Part::positions: return {&entry<&Motion::positions>, this};
+    case Part::positions_jacobian: return {&entry<&Motion::positions_jacobian>, this};
+    case Part::rates: return {&entry<&Motion::rates>, this};
+    case Part::rates_jacobian: return {&entry<&Motion::rates_jacobian>, this};
+    case Part::velocities: return {&entry<&Motion::velocities>, this};
+    case Part::velocities_jacobian: return {&entry<&Motion::velocities_jacobian>, this};
+    case Part::mass_matrix: return {&entry<&Motion::mass_matrix>, this};
+  }
+  return {};
+}
+
+MotionWork Motion::work() const {
+  return {.mass = terms_.mass.function.calls(),
+          .force = terms_.force.calls(),
+          .constraints = terms_.constraints.calls(),
+          .velocity_constraints = terms_.velocity_constraints.calls(),
+          .kinematics = terms_.kinematics.calls(),
+          .jacobian = terms_.jacobian.function.calls(),
+          .sparse = sparse_count_,
+          .dense = dense_count_};
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// What the user's functions give
+
+/// The values of a pattern, from `entries_`.
+void Motion::read_entries(SparseMatrix& into, bool entries) const {
+  double* value = into.valuePtr();
+  const auto width = static_cast<std::size_t>(into.cols());
+  for (Index j = 0; j < into.outerSize(); ++j)
+    for (int p = into.outerIndexPtr()[j]; p < into.outerIndexPtr()[j + 1]; ++p) {
+      const auto k = static_cast<std::size_t>(p), i = static_cast<std::size_t>(into.innerIndexPtr()[p]);
+      value[p] = entries_[entries ? k : i * width + static_cast<std::size_t>(j)];
+    }
+}
+
+Status Motion::mass_matrix(double t, const double* y, double* out) {
+  if (mass(t, y) == Status::stop) return Status::stop;
+  Eigen::Map<Eigen::MatrixXd>(out, index(terms_.n_v), index(terms_.n_v)) = terms_.mass.matrix;
+  return Status::ok;
+}
+
+Status Motion::mass(double t, const double* q) {
+  MassTerm& mass = terms_.mass;
+  if (mass.writes == MassTerm::Writes::nothing) return Status::ok;
+  if (mass.function(t, q, entries_.data()) == Status::stop) return Status::stop;
+  read_entries(mass.matrix, mass.writes != MassTerm::Writes::rows);  // a diagonal is its own pattern
+  const auto full = static_cast<Index>(terms_.n_v * terms_.n_v);
+  if (mass.writes != MassTerm::Writes::rows || mass.matrix.nonZeros() == full) return Status::ok;
+  const auto zeros_in = [](const double* values, Index count) { return std::count(values, values + count, 0.0); };
+  if (full - zeros_in(entries_.data(), full) ==
+      mass.matrix.nonZeros() - zeros_in(mass.matrix.valuePtr(), mass.matrix.nonZeros()))
+    return Status::ok;
+  mass.matrix = Eigen::MatrixXd::Ones(index(terms_.n_v), index(terms_.n_v)).sparseView();  // it has others, after all
+  sparse_ = false;
+  read_entries(mass.matrix, false);
+  return Status::ok;
+}
+
+Status Motion::q_dot(double t, const double* y, double* out) {
+  if (terms_.kinematics.m() > 0) return terms_.kinematics.value(t, y, out);
+  std::copy(y + terms_.n_q, y + size(), out);
+  return Status::ok;
+}
+
+Status Motion::phi_jacobian(double t, const double* q) {
+  if (phi_.matrix.rows() == 0) return Status::ok;
+  if (!terms_.jacobian.function) {
+    fill_sizes(q, terms_.n_q, size_.data());
+    return terms_.constraints.jacobian(t, q, size_.data(), phi_);
+  }
+  if (terms_.jacobian.function(t, q, entries_.data()) == Status::stop) return Status::stop;
+  read_entries(phi_.matrix, terms_.jacobian.entries);
+  return Status::ok;
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// The accelerations
+
+Status Motion::slope(double t, const double* y, double* out) {
+  if (q_dot(t, y, out) == Status::stop) return Status::stop;
+  if (accelerations(t, y, solution_) == Status::stop) return Status::stop;
+  std::copy(solution_.a.begin(), solution_.a.end(), out + terms_.n_q);
+  return Status::ok;
+}
+
+Status Motion::accelerations(double t, const double* y, ConstrainedSolution& found) {
+  if (mass(t, y) == Status::stop || terms_.force(t, y, force_.data()) == Status::stop || rows(t, y) == Status::stop)
+    return Status::stop;
+  const auto finite = [](const auto& values, Index count) {
+    return all_finite(values, static_cast<std::size_t>(count));
+  };
+  if (!finite(M().valuePtr(), M().nonZeros()) || !finite(force_.data(), force_.size()) ||
+      !finite(A_.valuePtr(), A_.nonZeros()) || !finite(gamma_.data(), gamma_.size())) {
+    found = {.a = Eigen::VectorXd::Constant(index(terms_.n_v), undefined),
+             .lambda = Eigen::VectorXd::Constant(A_.rows(), undefined)};
+    return Status::ok;
+  }
+  if (sparse_) {
+    ++sparse_count_;
+    if (saddle_.solve(M(), A_, force_, gamma_, found)) return Status::ok;
+  }
+  ++dense_count_;
+  found = solve_saddle(Eigen::MatrixXd(M()), Eigen::MatrixXd(A_), force_, gamma_, terms_.dependent);
+  return Status::ok;
+}
+
+/// A v' = γ, where A = (Φ K_v, ψ_v).
+Status Motion::rows(double t, const double* y) {
+  if (A_.rows() == 0) return Status::ok;
+  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
+  if (terms_.kinematics.m() > 0 && !kept_phi_.empty()) {
+    if (terms_.kinematics.jacobian(t, y, ones_.data(), kinematics_by_v_) == Status::stop) return Status::stop;
+    phi_by_v_ = phi_.matrix * kinematics_by_v_.matrix;
+  } else {
+    std::copy_n(phi_.matrix.valuePtr(), phi_.matrix.nonZeros(), phi_by_v_.valuePtr());
+  }
+  if (!kept_psi_.empty() && terms_.velocity_constraints.jacobian(t, y, ones_.data(), psi_by_v_) ==
+                                Status::stop)  // linear in v: any increment
+    return Status::stop;
+  assemble();
+  return curvatures(t, y);
+}
+
+/// The rows that are kept, those of φ before those of ψ.
+void Motion::assemble() {
+  const bool first = A_.nonZeros() == 0;
+  std::vector<Eigen::Triplet<double>> entries;
+  double* value = A_.valuePtr();
+  const auto take = [&](const SparseMatrix& from, const std::vector<int>& place, Index j) {
+    for (SparseMatrix::InnerIterator it(from, j); it; ++it) {
+      const int row = place[static_cast<std::size_t>(it.row())];
+      if (row < 0) continue;
+      if (first)
+        entries.emplace_back(row, static_cast<int>(j), 1.0);
+      else
+        *value++ = it.value();
+    }
+  };
+  for (Index j = 0; j < A_.cols(); ++j) {
+    take(phi_by_v_, place_phi_, j);
+    take(psi_by_v_.matrix, place_psi_, j);
+  }
+  if (first) A_.setFromTriplets(entries.begin(), entries.end());
+}
+
+/// γ: minus what the second derivatives along the motion leave, −(φ″ + Φ κ) with the rate κ of K at fixed v, and
+/// −dψ/dt at fixed v.
+Status Motion::curvatures(double t, const double* y) {
+  const std::size_t n_q = terms_.n_q;
+  if (q_dot(t, y, q_dot_.data()) == Status::stop) return Status::stop;
+  std::copy(q_dot_.begin(), q_dot_.end(), along_.begin());
+  std::fill(along_.begin() + static_cast<std::ptrdiff_t>(n_q), along_.end(), 0.0);
+  if (!kept_phi_.empty()) {
+    if (terms_.constraints.curvature(t, y, 1, q_dot_.data(), values_.data()) == Status::stop) return Status::stop;
+    if (terms_.kinematics.m() > 0) {
+      if (terms_.kinematics.slope(t, y, 1, along_.data(), bend_.data()) == Status::stop) return Status::stop;
+      Eigen::Map<Eigen::VectorXd> curvature(values_.data(), phi_.matrix.rows());
+      curvature += phi_.matrix * Eigen::Map<const Eigen::VectorXd>(bend_.data(), index(n_q));
+    }
+    for (std::size_t i = 0; i < kept_phi_.size(); ++i) gamma_[index(i)] = -values_[kept_phi_[i]];
+  }
+  if (kept_psi_.empty()) return Status::ok;
+  if (terms_.velocity_constraints.slope(t, y, 1, along_.data(), values_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < kept_psi_.size(); ++i) gamma_[index(m_phi() + i)] = -values_[kept_psi_[i]];
+  return Status::ok;
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// The laws
+
+Status Motion::positions(double t, const double* y, double* out) {
+  if (terms_.constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
+  return Status::ok;
+}
+
+Status Motion::positions_jacobian(double t, const double* y, double* J) {
+  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
+  std::fill(J, J + m_phi() * size(), 0.0);
+  write_rows(phi_.matrix, place_phi_, 0, size(), 0, 1, J);
+  return Status::ok;
+}
+
+/// φ' along the motion.
+Status Motion::rates(double t, const double* y, double* out) {
+  if (q_dot(t, y, q_dot_.data()) == Status::stop) return Status::stop;
+  if (terms_.constraints.slope(t, y, 1, q_dot_.data(), values_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
+  return Status::ok;
+}
+
+/// ∂φ'/∂(q, v). By the symmetry of second derivatives ∂/∂q (Φ K + φ_t) = dΦ/dt along the motion + Φ K_q.
+Status Motion::rates_jacobian(double t, const double* y, double* J) {
+  const std::size_t n_q = terms_.n_q;
+  if (q_dot(t, y, q_dot_.data()) == Status::stop) return Status::stop;
+  const double h = along_increment * reach(t, y, n_q, 1, q_dot_.data());
+  std::fill(J, J + m_phi() * size(), 0.0);
+  for (const double side : {1.0, -1.0}) {
+    for (std::size_t j = 0; j < n_q; ++j) beside_[j] = y[j] + side * h * q_dot_[j];
+    if (phi_jacobian(t + side * h, beside_.data()) == Status::stop) return Status::stop;
+    write_rows(phi_.matrix, place_phi_, 0, size(), 0, side / (2 * h), J);
+  }
+  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
+  if (terms_.kinematics.m() == 0) {
+    write_rows(phi_.matrix, place_phi_, 0, size(), n_q, 1, J);
+    return Status::ok;
+  }
+  fill_sizes(y, size(), size_.data());
+  if (terms_.kinematics.jacobian(t, y, size_.data(), kinematics_) == Status::stop) return Status::stop;
+  write_rows(SparseMatrix(phi_.matrix * kinematics_.matrix), place_phi_, 0, size(), 0, 1, J);
+  return Status::ok;
+}
+
+Status Motion::velocities(double t, const double* y, double* out) {
+  if (terms_.velocity_constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < kept_psi_.size(); ++i) out[i] = values_[kept_psi_[i]];
+  return Status::ok;
+}
+
+Status Motion::velocities_jacobian(double t, const double* y, double* J) {
+  fill_sizes(y, size(), size_.data());
+  if (terms_.velocity_constraints.jacobian(t, y, size_.data(), psi_) == Status::stop) return Status::stop;
+  std::fill(J, J + m_psi() * size(), 0.0);
+  write_rows(psi_.matrix, place_psi_, m_phi(), size(), 0, 1, J);
+  return Status::ok;
+}
+
+}  // namespace invariode

@@ -1,0 +1,131 @@
+#pragma once
+// The equations of motion of a constrained mechanical system (docs/algorithms.md, 'The right-hand side of mechanics').
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "callback.hpp"
+#include "linear/saddle.hpp"
+#include "linear/sparse_saddle.hpp"
+#include "mechanics/differentiable.hpp"
+
+namespace invariode {
+
+/// M, of a pattern that stays: a constant, or what a function of (t, q) writes: the diagonal, all entries row by row,
+/// or the entries of the pattern column by column.
+struct MassTerm {
+  enum class Writes { nothing, diagonal, rows, entries } writes = Writes::nothing;
+  SparseMatrix matrix;  ///< (n_v, n_v): the constant, else the pattern
+  Callback function;
+};
+
+/// Φ = ∂φ/∂q as a user function of (t, q) writes it, if there is one: all entries row by row, or those of the pattern
+/// column by column.
+struct JacobianTerm {
+  Callback function;
+  bool entries = false;
+};
+
+/// M v' = Q + Aᵀ λ, q' = K(t, q, v), φ(t, q) = 0, ψ(t, q, v) = 0.
+struct MotionTerms {
+  std::size_t n_q = 0, n_v = 0;
+  MassTerm mass;
+  Callback force;                                             ///< Q, a function of (t, (q, v))
+  Differentiable constraints;                                 ///< φ, of (t, q)
+  Differentiable velocity_constraints;                        ///< ψ, of (t, (q, v))
+  Differentiable kinematics;                                  ///< K, of (t, (q, v)); none: q' = v
+  JacobianTerm jacobian;                                      ///< none: φ is differentiated
+  SparseMatrix phi_pattern, psi_pattern, kinematics_pattern;  ///< of their Jacobians
+  std::vector<char> kept;                                     ///< of φ, then of ψ: whether it is imposed
+  double dependent = 0;  ///< rows that depend on others to this part of their length are left out
+};
+
+/// What the evaluations have cost so far.
+struct MotionWork {
+  std::int64_t mass, force, constraints, velocity_constraints, kinematics, jacobian;  ///< calls of functions
+  std::int64_t sparse, dense;                                                         ///< factorisations
+};
+
+/// The right-hand side (q', v') and the laws of the motion: φ = 0, φ' = 0 and ψ = 0, as functions of (t, y) with
+/// y = (q, v). Its workspace serves one run at a time.
+class Motion {
+ public:
+  /// Throws std::invalid_argument where sizes do not match.
+  explicit Motion(MotionTerms terms);
+  Motion(const Motion&) = delete;
+  Motion& operator=(const Motion&) = delete;
+
+  /// Its functions of (t, y), those of the laws with the values that are kept; Jacobians are (…, n_q + n_v), row-major.
+  /// M is (n_v, n_v).
+  enum class Part {
+    slope,
+    positions,
+    positions_jacobian,
+    rates,
+    rates_jacobian,
+    velocities,
+    velocities_jacobian,
+    mass_matrix
+  };
+  [[nodiscard]] Callback callback(Part part);
+
+  Status slope(double t, const double* y, double* out);
+  /// v' and λ; what is not finite makes both NaN.
+  Status accelerations(double t, const double* y, ConstrainedSolution& found);
+  /// A and the right-hand side γ of A v' = γ, of what is kept.
+  Status rows(double t, const double* y);
+  [[nodiscard]] const SparseMatrix& A() const { return A_; }
+  [[nodiscard]] const Eigen::VectorXd& right_hand_side() const { return gamma_; }
+  Status mass(double t, const double* q);
+  [[nodiscard]] const SparseMatrix& M() const { return terms_.mass.matrix; }
+  /// Q of (t, (q, v)), and q'.
+  Status force(double t, const double* y, double* out) { return terms_.force(t, y, out); }
+  Status q_dot(double t, const double* y, double* out);
+
+  [[nodiscard]] std::size_t size() const { return terms_.n_q + terms_.n_v; }
+  [[nodiscard]] std::size_t n_q() const { return terms_.n_q; }
+  [[nodiscard]] std::size_t n_v() const { return terms_.n_v; }
+  /// How many values of φ and of ψ are kept.
+  [[nodiscard]] std::size_t m_phi() const { return kept_phi_.size(); }
+  [[nodiscard]] std::size_t m_psi() const { return kept_psi_.size(); }
+  /// Whether sparse factors are tried before dense ones.
+  [[nodiscard]] bool sparse() const { return sparse_; }
+  [[nodiscard]] MotionWork work() const;
+
+ private:
+  template <Status (Motion::*function)(double, const double*, double*)>
+  static Status entry(void* self, double t, const double* y, double* out) {
+    return (static_cast<Motion*>(self)->*function)(t, y, out);
+  }
+
+  Status positions(double t, const double* y, double* out);
+  Status positions_jacobian(double t, const double* y, double* J);
+  Status rates(double t, const double* y, double* out);
+  Status rates_jacobian(double t, const double* y, double* J);
+  Status velocities(double t, const double* y, double* out);
+  Status velocities_jacobian(double t, const double* y, double* J);
+
+  Status mass_matrix(double t, const double* y, double* out);
+
+  void choose_patterns();
+  Status phi_jacobian(double t, const double* q);
+  Status curvatures(double t, const double* y);
+  void assemble();
+  void read_entries(SparseMatrix& into, bool entries) const;
+
+  MotionTerms terms_;
+  std::vector<std::size_t> kept_phi_, kept_psi_;
+  std::vector<int> place_phi_, place_psi_;  // of each value of φ, ψ: its row in A; -1: not kept
+  SparseColumns phi_, psi_, psi_by_v_, kinematics_, kinematics_by_v_;
+  SparseMatrix phi_by_v_, A_;
+  bool sparse_ = false;
+  SparseSaddle saddle_;
+  ConstrainedSolution solution_;
+  Eigen::VectorXd force_, gamma_;
+  std::vector<double> q_dot_, along_, bend_, values_, size_, ones_, beside_, entries_;
+  std::int64_t sparse_count_ = 0, dense_count_ = 0;
+};
+
+}  // namespace invariode

@@ -1,0 +1,57 @@
+#pragma once
+// The modified Rosenbrock formulas of orders 2 and 3 (docs/algorithms.md, 'Rosenbrock'; Shampine & Reichelt, The MATLAB
+// ODE Suite, 1997, section 3).
+
+#include <memory>
+#include <vector>
+
+#include "methods/newton.hpp"
+#include "step.hpp"
+
+namespace invariode {
+
+/// The code ode23s, for M y' = f(t, y) with a constant regular M: linearly implicit, one factorisation and three
+/// solutions a step, no iteration. J and ∂f/∂t are taken anew in every step.
+class Rosenbrock final : public Step {
+ public:
+  static constexpr int formula_order = 2;
+
+  /// The mass matrix, if there is one, belongs to the caller and outlives this.
+  Rosenbrock(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+
+  Outcome start(double t, const double* y, const Span& span) override;
+  Attempt attempt(double h, double t1) override;
+  bool errors(double* out) const override;
+  bool reject(Cause cause, double hmin) override;
+  Outcome accept(const double* y1) override;
+
+  [[nodiscard]] Interpolate interpolate() const override;
+  [[nodiscard]] std::size_t extension_size() const override { return 3 * n(); }
+  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
+  [[nodiscard]] int degree() const override { return formula_order; }
+  Status extension(double* data) override;
+
+  [[nodiscard]] int order() const override { return formula_order; }
+  [[nodiscard]] const double* slope() const override { return slope_.data(); }
+  [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
+  [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
+
+ private:
+  Outcome linearize();
+  Outcome stages();
+  void solve(std::vector<double>& b);
+  [[nodiscard]] const double* times_mass(const std::vector<double>& k);
+
+  AgingJacobian jacobian_;
+  InitialSlopes initial_;
+  std::unique_ptr<Factorization> lu_;
+  std::vector<double> f0_, f1_, f2_, ft_;  // f at the start, in the middle and at the end of the step; ∂f/∂t
+  std::vector<double> k1_, k2_, k3_;
+  std::vector<double> last_y_, candidate_, slope_, scratch_;
+  double signed_h_ = 0, t1_ = 0;
+  bool ft_known_ = false;
+  double error_ = 0;
+  bool failed_ = false;  // an attempt of this step
+};
+
+}  // namespace invariode

@@ -1,0 +1,56 @@
+"""What to say of a function that cannot be called as the solvers call it."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ._arguments import call_name, shown
+from .compiled import is_native
+from .description import Description
+
+__all__ = ["explained"]
+
+
+@contextmanager
+def explained(problem: Description) -> Iterator[None]:
+    """Adds to an exception of the user's functions what their call has to do with it; the exception stays the same."""
+    try:
+        yield
+    except TypeError as error:
+        if problem.args and (found := [name for name, fun in _functions(problem) if not _takes(fun, problem.args)]):
+            several = len(found) > 1
+            error.add_note(
+                f"args = {shown(problem.args)} are passed to all functions of the problem, also to invariants and "
+                f"events, and {' and '.join(found)} {'do' if several else 'does'} not take them: define "
+                f"{'them' if several else 'it'} with (t, y, *args)"
+            )
+        raise
+    except ValueError as error:
+        if "returned shape" in str(error) and ", 1)" in str(error):
+            error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
+        raise
+
+
+def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
+    """All that are called with t, y and the arguments, and what to call them."""
+    yield "fun", problem.fun
+    yield "jac", problem.matrices.jac
+    yield from ((f"invariant {call_name(one.fun, 'g')}", one.fun) for one in problem.invariants)
+    yield from (("the Jacobian of an invariant", one.jac) for one in problem.invariants)
+    yield from ((f"event {event.__name__}", event.fun) for event in problem.events)
+    yield from ((f"the action of event {event.__name__}", event.action) for event in problem.events)
+
+
+def _takes(fun: Any, args: Iterable[Any]) -> bool:
+    if not callable(fun) or is_native(fun):
+        return True
+    try:
+        inspect.signature(fun).bind(None, None, *args)
+    except TypeError:
+        return False
+    except ValueError:  # of a builtin, which tells no signature
+        return True
+    return True

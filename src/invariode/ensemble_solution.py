@@ -1,0 +1,367 @@
+"""What `solve_ensemble` returns: many trajectories, each of which is a `Solution` too."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import operator
+import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+
+from ._arguments import Array, choice
+from ._messages import MESSAGES
+from ._types import Numbers
+from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
+from .invariants import BoundInvariants
+from .notebook import html_of_ensemble
+from .pictures.ensembles import draw as draw_ensemble
+from .result import BeforeProjection, Names, Record, Stats
+from .solution import Solution
+
+if TYPE_CHECKING:  # extras, imported when they are used
+    import pandas
+    import xarray
+    from matplotlib.axes import Axes
+
+__all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories"]
+
+#: What every file says of itself.
+_FORMAT = "invariode ensemble"
+
+
+@dataclasses.dataclass
+class Trajectories:
+    """What the results of single trajectories need beside the numbers. It does not travel in pickles: functions."""
+
+    name: str
+    events: list[str]
+    laws: list[str]  # names of the invariants
+    bound: BoundInvariants | None  # of the first trajectory; None: they jump, or there are no functions
+    args: Any  # of all, or of each
+    rtol: Numbers
+    atol: Numbers
+
+    @classmethod
+    def unknown(cls, events: int, invariants: int) -> Trajectories:
+        """Of a result without its functions."""
+        laws = [f"g{i}" for i in range(invariants)]
+        return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), 1e-3, 1e-6)
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        return type(None), ()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Trajectories:
+        return self
+
+    def invariants(self, i: int, value: Array) -> BoundInvariants:
+        """Those of a trajectory, at its values."""
+        if self.bound is None or not np.isfinite(value).all():
+            return BoundInvariants([], np.zeros(0), [], (), np.zeros(0), None)
+        args = self.args if isinstance(self.args, tuple) else tuple(self.args[i])
+        functions = [f for spec in self.bound.specs for f in (spec.fun, spec.jac)]
+        native = any(hasattr(f, "address") for f in functions)
+        p = (
+            np.concatenate([np.zeros(0), *(np.ravel(np.asarray(a, dtype=float)) for a in args)])
+            if native
+            else np.zeros(0)
+        )
+        return dataclasses.replace(self.bound, value=value, args=args, parameters=p)
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class EnsembleEvents(Record):
+    """All occurrences of one event, those of a trajectory one after the other.
+
+    Attributes
+    ----------
+    trajectory : ndarray of int, (k,)
+        In which trajectory each occurred; sorted.
+    t : ndarray, (k,)
+        When.
+    y : ndarray, (k, n)
+        The states there.
+    """
+
+    trajectory: Array
+    t: Array
+    y: Array
+
+    def __repr__(self) -> str:
+        return f"EnsembleEvents({len(self.t)} occurrences in {len(np.unique(self.trajectory))} trajectories)"
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class EnsembleStats(Record):
+    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve."""
+
+    steps: Array
+    failed: Array
+    nfev: Array
+    nfev_check: Array
+    njev: Array
+    nlu: Array
+    nsolve: Array
+    projections: Array
+    skipped: Array
+    clipped: Array
+    ng: Array
+    ngjac: Array
+    ngdiff: Array
+    clipped_amount: Array
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class EnsembleSolution:
+    """Result of `solve_ensemble`: N trajectories of n components.
+
+    ``len(m)`` is N, ``m[i]`` is trajectory i as a `Solution`, and a loop over m goes over these. Fields are items too:
+    ``m["y"]`` is ``m.y``.
+
+    Attributes
+    ----------
+    t : ndarray, (n_t,)
+        `t_eval`; without it the end of the interval.
+    y : ndarray, (N, n, n_t)
+        The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, wherever the
+        trajectory ended: see `t_end`.
+    t_end : ndarray, (N,)
+        Where each trajectory ended.
+    y_end : ndarray, (N, n)
+        The state there.
+    status : ndarray of int, (N,)
+        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
+        invariant is not conserved, -3 a limit was reached, -4 what ends a single solve with an exception: the initial
+        value is off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function
+        raised.
+    success : ndarray of bool, (N,)
+        status >= 0.
+    messages : dict of int to str
+        Why, for each trajectory without success.
+    events : list of EnsembleEvents
+        One for each event function.
+    stats : EnsembleStats
+        Counts of each trajectory.
+    value : ndarray, (N, m)
+        At what the invariants were held (at first, if events with actions changed it). NaN where there was no start.
+    residual_before : ndarray, (N, m)
+        Largest ``|g - value|`` of the accepted candidates before projection.
+    residual_after : ndarray, (N, m)
+        The same at the outputs and the end.
+    correction : ndarray, (N,)
+        Largest correction by projection of a step, in units of rtol.
+    """
+
+    t: Array
+    y: Array
+    t_end: Array
+    y_end: Array
+    status: Array
+    success: Array
+    messages: dict[int, str]
+    events: list[EnsembleEvents]
+    stats: EnsembleStats
+    value: Array
+    residual_before: Array
+    residual_after: Array
+    correction: Array
+    _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
+
+    def _repr_html_(self) -> str:
+        return html_of_ensemble(self)
+
+    def __repr__(self) -> str:
+        size, n = self.y_end.shape
+        counted = ((0, "reached the end"), (1, "had a terminal event"), (2, "were stopped by callback"))
+        parts = [f"{k} {what}" for status, what in counted if (k := int((self.status == status).sum()))]
+        text = (
+            f"EnsembleSolution of {size} trajectories, {n} components, {len(self.t)} times: {', '.join(parts) or '-'}"
+        )
+        if self.messages:
+            first = min(self.messages)
+            text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
+        return text
+
+    def keys(self) -> list[str]:
+        """The names of the fields."""
+        return [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.keys()
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __iter__(self) -> Iterator[Solution]:
+        return (self[i] for i in range(len(self)))
+
+    @overload
+    def __getitem__(self, key: str) -> Any: ...
+    @overload
+    def __getitem__(self, key: int) -> Solution: ...
+    def __getitem__(self, key: str | int) -> Any:
+        if isinstance(key, str):
+            if key in self:
+                return getattr(self, key)
+            raise KeyError(key)
+        i = operator.index(key)
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"there is no trajectory {i}: choose from 0 to {len(self) - 1}")
+        return self._trajectory(i % len(self))
+
+    def _trajectory(self, i: int) -> Solution:
+        """One trajectory as the result of a single solve: without steps and dense output, which are not kept."""
+        about = self._trajectories or Trajectories.unknown(len(self.events), self.value.shape[1])
+        reached = np.isfinite(self.y[i]).all(axis=0)
+        invariants = about.invariants(i, self.value[i])
+        status = int(self.status[i])
+        m = len(invariants)
+        stats = {name: int(counts[i]) for name, counts in self.stats.items()}
+        here = [event.trajectory == i for event in self.events]
+        t = np.array([self.t_end[i]]) if self._final else self.t[reached]
+        return Solution(
+            t=t,
+            y=self.y[i][:, reached],
+            sol=None,
+            t_events=[event.t[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
+            y_events=[event.y[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
+            nfev=stats["nfev"],
+            njev=stats["njev"],
+            nlu=stats["nlu"],
+            status=status,
+            message=self.messages.get(i) or next(text for code, text in MESSAGES.values() if code == status),
+            success=status >= 0,
+            stats=Stats(**stats, derivatives=None, projected_start=False),
+            steps=None,
+            t_end=float(self.t_end[i]),
+            _invariants=invariants,
+            _rtol=about.rtol,
+            _atol=about.atol,
+            _drift=BeforeProjection(self.residual_before[i, :m], np.full(m, np.nan), float(self.correction[i])),
+            _names=Names(f"{about.name} {i}", None, None, self.y.shape[1], about.events),
+        )
+
+    @property
+    def _final(self) -> bool:
+        """Whether there are final states only."""
+        return self.y.shape[2] == 1 and np.array_equal(self.y[:, :, 0], self.y_end, equal_nan=True)
+
+    def plot(
+        self,
+        kind: Literal["bands", "quantiles", "spaghetti"] = "bands",
+        *,
+        ax: Axes | None = None,
+        components: Any = None,
+        **line: Any,
+    ) -> Axes:
+        """Draws components of all trajectories over t.
+
+        Parameters
+        ----------
+        kind : {'bands', 'quantiles', 'spaghetti'}, default 'bands'
+            The median with the ranges that hold the middle 50 % and 90 % of the trajectories; lines at the quantiles
+            5, 25, 50, 75 and 95 %; or a thin line for each trajectory, of more than 500 for 500 of them.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. Default: a new figure.
+        components : int, or sequence of int, optional
+            Default: all, of more than six the first six.
+        **line
+            Properties of the lines, as for ``Axes.plot``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            The ensemble was solved without `t_eval`; there is no such component or kind.
+        """
+        return draw_ensemble(self, choice("kind", kind, ("bands", "quantiles", "spaghetti")), ax, components, line)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The trajectories as a labelled data set of xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            `y` (trajectory, component, t), `y_end`, `t_end`, `status` and `correction`, the counts of `stats`, with
+            invariants their `value`, `residual_before` and `residual_after` (trajectory, invariant).
+
+        Raises
+        ------
+        ModuleNotFoundError
+            xarray, of the extra `data`, is not installed.
+        """
+        return ensemble_to_xarray(self)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The trajectories as a table of pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each trajectory and time, with the index (`trajectory`, `t`), and a column for each component.
+            Times that a trajectory did not reach are left out.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            pandas, of the extra `data`, is not installed.
+        """
+        return ensemble_to_dataframe(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes all arrays to one file, from which `EnsembleSolution.load` makes an equal result.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        fields = {name: self[name] for name in self.keys() if name not in ("events", "stats", "messages")}
+        arrays = {**fields, **{f"stats.{name}": counts for name, counts in self.stats.items()}}
+        for i, event in enumerate(self.events):
+            arrays |= {f"events.{i}.{name}": event[name] for name in event}
+        about = {"format": _FORMAT, "messages": self.messages, "events": len(self.events)}
+        write_arrays({**arrays, "about": np.array(json.dumps(about))}, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> EnsembleSolution:
+        """The result that `save` wrote to a file. Its trajectories have no invariants: functions are not in files.
+
+        Raises
+        ------
+        ValueError
+            The file was not written by `EnsembleSolution.save`, or is damaged.
+        OSError
+            It cannot be read.
+        """
+        with open(path, "rb") as file:
+            try:
+                with np.load(file, allow_pickle=False) as archive:
+                    arrays = dict(archive)
+                about = json.loads(str(arrays.pop("about")))
+                if about["format"] != _FORMAT:
+                    raise ValueError(f"it holds {about['format']}")
+                parts: dict[str, dict[str, Any]] = {}
+                for name in [name for name in arrays if "." in name]:
+                    room, _, field = name.rpartition(".")
+                    parts.setdefault(room, {})[field] = arrays.pop(name)
+                return cls(
+                    **arrays,
+                    stats=EnsembleStats(**parts["stats"]),
+                    events=[EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])],
+                    messages={int(i): text for i, text in about["messages"].items()},
+                )
+            except Exception as wrong:  # whatever it is: the file is the only input
+                raise ValueError(
+                    f"the file {os.fspath(path)} was not written by EnsembleSolution.save, or is damaged: {wrong}"
+                ) from None

@@ -1,0 +1,427 @@
+"""Bounds: no step and no output is outside of them, in any method, and with invariants both hold."""
+
+from __future__ import annotations
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+from scipy.optimize import Bounds
+
+import invariode as iv
+from problems import PROBLEMS
+
+IMPLICIT = [name for name, method in iv.METHODS.items() if "jac" in method.options]
+
+
+def sink(t, y):
+    return [-abs(y[0])]
+
+
+def total(t, y):
+    return y.sum()
+
+
+def robertson(t, y):
+    slow, fast, back = 0.04 * y[0], 3e7 * y[1] ** 2, 1e4 * y[1] * y[2]
+    return [back - slow, slow - back - fast, fast]
+
+
+def plankton(t, y):
+    """Nutrients, phytoplankton, zooplankton, detritus (Burchard, Deleersnijder and Meister 2003, simplified)."""
+    n, p, z, d = y
+    light = max(0.0, np.sin(2 * np.pi * t))
+    uptake, grazing = light * n / (0.3 + n) * p, 0.5 * (1 - np.exp(-(1.1 * p**2))) * z
+    return [
+        -uptake + 0.01 * p + 0.01 * z + 0.003 * d,
+        uptake - grazing - 0.01 * p - 0.05 * p,
+        grazing - 0.01 * z - 0.02 * z,
+        0.05 * p + 0.02 * z - 0.003 * d,
+    ]
+
+
+AIR, DAY = 8.120e16, 86400.0
+
+
+def stratosphere(t, y):
+    """O(1D), O, O3, O2, NO, NO2 by day and night (Sandu, J. Comput. Phys. 170 (2001) 589-602)."""
+    o1d, o, o3, o2, no, no2 = y
+    hour = t / 3600 % 24
+    s = np.clip((hour - 4.5) / 15, 0, 1)
+    sun = 0.5 + 0.5 * np.cos(np.pi * abs(2 * s - 1) * (2 * s - 1)) if 4.5 < hour < 19.5 else 0.0
+    r = [
+        2.643e-10 * sun**3 * o2,
+        8.018e-17 * o * o2,
+        6.120e-4 * sun * o3,
+        1.576e-15 * o * o3,
+        1.070e-3 * sun**2 * o3,
+        7.110e-11 * AIR * o1d,
+        1.200e-10 * o1d * o3,
+        6.062e-15 * no * o3,
+        1.069e-11 * no2 * o,
+        1.289e-2 * sun * no2,
+    ]
+    return [
+        r[4] - r[5] - r[6],
+        2 * r[0] - r[1] + r[2] - r[3] + r[5] - r[8] + r[9],
+        r[1] - r[2] - r[3] - r[4] - r[6] - r[7],
+        -r[0] - r[1] + r[2] + 2 * r[3] + r[4] + 2 * r[6] + r[7] + r[8],
+        -r[7] + r[8] + r[9],
+        r[7] - r[8] - r[9],
+    ]
+
+
+OXYGEN, NITROGEN = np.array([[1, 1, 3, 2, 1, 2], [0, 0, 0, 0, 1, 1.0]])
+
+
+def atoms(t, y):
+    return [OXYGEN @ y, NITROGEN @ y]
+
+
+def kinase(t, y):
+    """Two phosphorylations of a substrate by one kinase, and back by one phosphatase: mass action."""
+    s0, s1, s2, e, f, c1, c2, d1, d2 = y
+    a1, a2, b1, b2 = 20 * s0 * e - 5 * c1, 30 * s1 * e - 3 * c2, 30 * s2 * f - 3 * d1, 20 * s1 * f - 5 * d2
+    p1, p2, q1, q2 = 2.0 * c1, 15.0 * c2, 1.0 * d1, 10.0 * d2
+    return [
+        q2 - a1,
+        p1 + q1 - a2 - b2,
+        p2 - b1,
+        p1 + p2 - a1 - a2,
+        q1 + q2 - b1 - b2,
+        a1 - p1,
+        a2 - p2,
+        b1 - q1,
+        b2 - q2,
+    ]
+
+
+def enzymes(t, y):
+    s0, s1, s2, e, f, c1, c2, d1, d2 = y
+    return [s0 + s1 + s2 + c1 + c2 + d1 + d2, e + c1 + c2, f + d1 + d2]
+
+
+KINETICS = {
+    "robertson": (robertson, (0, 4e11), [1.0, 0, 0], total, 1e-4, 1e-8, IMPLICIT),
+    "plankton": (plankton, (0, 30), [6.0, 0.1, 0.2, 0.01], total, 1e-4, 1e-6, list(iv.METHODS)),
+    "stratosphere": (
+        stratosphere,
+        (12 * 3600.0, 36 * 3600.0),
+        [99.06, 6.624e8, 5.326e11, 1.697e16, 4e6, 1.093e9],
+        atoms,
+        1e-3,
+        1.0,
+        IMPLICIT,
+    ),
+    "kinase": (kinase, (0, 100), [1.0, 0, 0, 0.2, 0.1, 0, 0, 0, 0], enzymes, 1e-3, 1e-6, list(iv.METHODS)),
+}
+
+
+def between(sol, points=7):
+    """Times in all steps."""
+    t = sol.t
+    return np.sort(np.concatenate([t[:-1] + np.diff(t) * part for part in np.linspace(0, 1, points)]))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Signs
+
+
+def test_an_asymptote_at_the_bound_is_stable(method):
+    sol = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, dense_output=True)
+    assert sol.success
+    t = np.linspace(0, 40, 4001)
+    y = sol.sol(t)[0]
+    assert sol.y.min() >= 0
+    assert y.min() >= 0
+    assert np.abs(y - np.exp(-t)).max() < 2e-3
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_the_knee(method):
+    def knee(t, y):
+        return [((1 - t) * y[0] - y[0] ** 2) / 1e-6]
+
+    plain = iv.solve_ivp(knee, (0, 2), [1.0], method)
+    kept = iv.solve_ivp(knee, (0, 2), [1.0], method, nonnegative=True)
+    assert kept.success
+    assert kept.y.min() >= 0
+    assert abs(kept.y[0, -1]) < 1e-3
+    if method == "ode15s":  # stays on the branch 1 - t, which is unstable beyond t = 1
+        assert plain.y[0, -1] == pytest.approx(-1, abs=1e-3)
+
+
+def test_both_bounds_are_kept(method):
+    """A logistic overshoot: y' = 5 cos t, held within [-1, 2]."""
+    sol = iv.solve_ivp(lambda t, y: [5 * np.cos(t)], (0, 12), [0.0], method, bounds=(-1, 2), dense_output=True)
+    y = sol.sol(between(sol))[0]
+    assert sol.success
+    assert y.min() >= -1
+    assert y.max() <= 2
+    assert y.max() == 2
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Signs and conservation together
+
+
+@pytest.mark.parametrize(("name", "method"), [(k, m) for k, row in KINETICS.items() for m in row[-1]])
+def test_mass_and_signs_are_kept_in_steps_and_between(name, method):
+    fun, t_span, y0, law, rtol, atol, _ = KINETICS[name]
+    sol = iv.solve_ivp(
+        fun, t_span, y0, method, rtol=rtol, atol=atol, nonnegative=True, invariants=law, dense_output=True
+    )
+    assert sol.success, sol.message
+    t = between(sol)
+    y = sol.sol(t)
+    start = np.atleast_1d(law(t_span[0], np.array(y0, dtype=float)))
+    assert sol.y.min() >= 0
+    assert y.min() >= 0
+    for points in (sol.y, y):
+        kept = np.array([np.atleast_1d(law(0.0, one)) for one in points.T])
+        assert np.abs(kept / start - 1).max() < 1e-13
+
+
+@pytest.mark.parametrize(("rtol", "atol"), [(1e-4, 1e-8), (1e-3, 1e-6), (1e-2, 1e-4)])
+def test_robertson_is_as_accurate_as_without_bounds(rtol, atol):
+    """And where the plain run is lost, below 0, it is not."""
+    exact = iv.solve_ivp(robertson, (0, 4e11), [1, 0, 0], "ode15s", rtol=1e-9, atol=1e-18).y[:, -1]
+    runs = [
+        iv.solve_ivp(robertson, (0, 4e11), [1, 0, 0], "ode15s", rtol=rtol, atol=atol, **more)
+        for more in ({}, {"nonnegative": True}, {"nonnegative": True, "invariants": total})
+    ]
+    errors = [np.abs((run.y[:, -1] - exact) / np.maximum(np.abs(exact), atol / rtol)).max() / rtol for run in runs]
+    assert max(errors[1:]) <= max(1.01 * errors[0], 1)
+    assert runs[2].y.min() >= 0
+    assert np.abs(runs[2].y.sum(axis=0) - 1).max() < 1e-13
+
+
+def test_algebraic_equations_and_bounds():
+    def equations(t, y):
+        return [*robertson(t, y)[:2], y.sum() - 1]
+
+    for rtol, atol in ((1e-3, 1e-6), (1e-2, 1e-4)):
+        sol = iv.solve_ivp(
+            equations, (0, 4e11), [1, 0, 0], "ode15s", mass=np.diag([1, 1, 0]), rtol=rtol, atol=atol, nonnegative=True
+        )
+        assert sol.success
+        assert sol.y.min() >= 0
+        assert np.abs(sol.y.sum(axis=0) - 1).max() < 0.1 * rtol
+
+
+def test_the_mass_that_clipping_moves_is_told(method):
+    sol = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, max_step=np.inf)
+    assert sol.stats.clipped >= 0
+    assert (sol.stats.clipped_amount > 0) == (sol.stats.clipped > 0)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Laws
+
+
+def test_bounds_that_are_never_reached_change_nothing(problem, method):
+    options = {"rtol": 1e-4, "atol": 1e-6, "dense_output": True}
+    plain = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, **options)
+    far = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, bounds=(-1e9, 1e9), **options)
+    np.testing.assert_array_equal(plain.t, far.t)
+    np.testing.assert_array_equal(plain.y, far.y)
+    assert plain.nfev == far.nfev
+    t = between(plain, 3)
+    np.testing.assert_array_equal(plain.sol(t), far.sol(t))
+
+
+def test_a_mirrored_problem_has_the_mirrored_solution(method):
+    down = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
+    up = iv.solve_ivp(lambda t, y: [abs(y[0])], (0, 40), [-1.0], method, bounds=(None, 0))
+    np.testing.assert_array_equal(down.t, up.t)
+    np.testing.assert_array_equal(down.y, -up.y)
+
+
+def test_a_reversed_problem_has_the_reversed_solution(method):
+    forwards = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
+    backwards = iv.solve_ivp(lambda t, y: [abs(y[0])], (0, -40), [1.0], method, nonnegative=True)
+    np.testing.assert_array_equal(forwards.t, -backwards.t)
+    np.testing.assert_array_equal(forwards.y, backwards.y)
+
+
+def test_units_by_powers_of_two_change_nothing(method):
+    unit = 2.0**40
+    here = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
+    there = iv.solve_ivp(sink, (0, 40), [unit], method, nonnegative=True, atol=1e-6 * unit)
+    np.testing.assert_array_equal(here.y * unit, there.y)
+
+
+def test_the_same_by_index_label_mask_and_bounds(method):
+    def decay(t, y):
+        return [-abs(y[0]), abs(y[0])]
+
+    problem = iv.Problem(decay, (0, 30), [1.0, 0.0], labels=["fuel", "ash"])
+    ways = [
+        {"nonnegative": [0]},
+        {"nonnegative": -2},
+        {"nonnegative": "fuel"},
+        {"nonnegative": ["fuel"]},
+        {"nonnegative": np.flatnonzero([True, False])},
+        {"bounds": ([0, -np.inf], None)},
+        {"bounds": Bounds([0, -np.inf], np.inf)},
+    ]
+    solutions = [problem.replace(**way).solve(method).y for way in ways]
+    for y in solutions[1:]:
+        np.testing.assert_array_equal(y, solutions[0])
+
+
+def test_the_whole_is_the_sum_of_its_parts(method):
+    whole = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
+    parts = iv.solve_ivp(sink, (0, 20), [1.0], method, nonnegative=True).extend(40)
+    assert parts.success
+    assert parts.y.min() >= 0
+    assert abs(parts.y[0, -1] - whole.y[0, -1]) < 1e-5
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# With the rest of the package
+
+
+def test_events_see_values_within_the_bounds(method):
+    seen = []
+
+    def empty(t, y):
+        seen.append(y[0])
+        return y[0] - 1e-3
+
+    iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, events=empty)
+    assert min(seen) >= 0
+
+
+def test_continuous_solutions_travel_with_their_bounds(tmp_path, method):
+    problem = iv.Problem(sink, (0, 40), [1.0], nonnegative=True)
+    sol = problem.solve(method, dense_output=True)
+    t = np.linspace(0, 40, 997)
+    sol.save(tmp_path / "sink.npz")
+    for again in (pickle.loads(pickle.dumps(sol.sol)), iv.load(tmp_path / "sink.npz").sol, sol.extend(41).sol):
+        np.testing.assert_array_equal(again(t), sol.sol(t))
+
+
+def test_ensembles_are_as_single_solves(method):
+    starts = np.array([[1.0], [0.3], [-1.0]])
+    options = {"nonnegative": True, "t_eval": [10.0, 40.0]}
+    many = iv.solve_ensemble(sink, (0, 40), starts, method, workers=1, **options)
+    assert many.status.tolist() == [0, 0, -3]
+    assert "bounds" in many.messages[2]
+    for i in (0, 1):
+        one = iv.solve_ivp(sink, (0, 40), starts[i], method, **options)
+        np.testing.assert_array_equal(many.y[i], one.y)
+        assert many.stats.clipped[i] == one.stats.clipped
+        assert many.stats.clipped_amount[i] == one.stats.clipped_amount
+
+
+def test_ensembles_on_threads_too(method):
+    pytest.importorskip("numba")
+
+    @iv.compile
+    def drain(t, y):
+        return (-abs(y[0]),)
+
+    starts = np.linspace(0.5, 2, 16)[:, None]
+    many = iv.solve_ensemble(drain, (0, 40), starts, method, workers=os.cpu_count(), nonnegative=True)
+    assert many.success.all()
+    assert many.y_end.min() >= 0
+    one = iv.solve_ivp(drain, (0, 40), starts[3], method, nonnegative=True)
+    np.testing.assert_array_equal(many.y_end[3], one.y[:, -1])
+    assert many.stats.clipped_amount[3] == one.stats.clipped_amount
+
+
+def test_the_plugin_takes_bounds():
+    from scipy.integrate import solve_ivp
+
+    from invariode.scipy import ODE45
+
+    sol = solve_ivp(sink, (0, 40), [1.0], method=ODE45, nonnegative=True)
+    assert sol.success
+    assert sol.y.min() >= 0
+
+
+def test_an_action_must_stay_within_the_bounds(method):
+    def low(t, y):
+        return y[0] - 0.5
+
+    inside = iv.Event(low, action=lambda t, y: [1.0])
+    outside = iv.Event(low, action=lambda t, y: [-1.0])
+    assert iv.solve_ivp(sink, (0, 2), [1.0], method, nonnegative=True, events=inside).success
+    failed = iv.solve_ivp(sink, (0, 2), [1.0], method, nonnegative=True, events=outside)
+    assert failed.status == -1
+    assert "bounds" in failed.message
+
+
+def test_f_that_drives_out_of_a_bound_without_tolerance_is_told():
+    """With atol = 0 nothing may be outside, and with a mass matrix f is not changed: the run ends and says where."""
+    sol = iv.solve_ivp(lambda t, y: [-1.0], (0, 2), [1.0], "ode15s", mass=[[1.0]], nonnegative=True, atol=0)
+    assert sol.status == -1
+    assert "Component 0 of y leaves its bounds" in sol.message
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Bad input
+
+
+def square(t, y):
+    return [-y[0], y[0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "text"),
+    [
+        ({"nonnegative": [0, 0]}, ValueError, "twice"),
+        ({"nonnegative": [0, -2]}, ValueError, "twice"),
+        ({"nonnegative": 2}, ValueError, "no component 2"),
+        ({"nonnegative": "A"}, ValueError, "has none"),
+        ({"nonnegative": [True, False]}, TypeError, "flatnonzero"),
+        ({"nonnegative": 0.5}, TypeError, "indices or labels"),
+        ({"bounds": (1, 0)}, ValueError, "no value"),
+        ({"bounds": (np.nan, 1)}, ValueError, "NaN"),
+        ({"bounds": (0, [1, 2, 3])}, ValueError, "shape"),
+        ({"bounds": 0}, TypeError, "lower, upper"),
+        ({"bounds": (lambda t: 0, 1)}, TypeError, "depend on t"),
+        ({"bounds": lambda t: (0, 1)}, TypeError, "depend on t"),
+        ({"bounds": ("x", 1)}, TypeError, "numbers"),
+        ({"nonnegative": True, "bounds": (None, -1)}, ValueError, "no value"),
+        ({"bounds": (0, 0.5)}, ValueError, "outside of its bounds"),
+    ],
+)
+def test_wrong_bounds_are_refused(given, error, text):
+    with pytest.raises(error, match=text):
+        iv.solve_ivp(square, (0, 1), [1.0, 0.0], **given)
+
+
+def test_complex_states_have_no_bounds():
+    with pytest.raises(ValueError, match="complex"):
+        iv.solve_ivp(square, (0, 1), [1j, 0.0], nonnegative=True)
+
+
+def test_unknown_labels_are_refused():
+    with pytest.raises(ValueError, match="no component is called 'C'"):
+        iv.Problem(square, (0, 1), [1.0, 0.0], labels=["A", "B"], nonnegative="C")
+
+
+def test_a_bound_that_contradicts_an_invariant_is_refused():
+    held = iv.Invariants(total, value=1.0005)
+    with pytest.raises(iv.InvariantError, match="within the bounds"):
+        iv.solve_ivp(square, (0, 1), [1.0, 0.0], bounds=(None, [1.0, 0.0]), invariants=held)
+
+
+def test_a_start_outside_by_less_than_the_tolerance_is_moved(method):
+    sol = iv.solve_ivp(square, (0, 1), [1.0, -1e-7], method, nonnegative=True)
+    assert sol.y[1, 0] == 0
+    assert sol.y.min() >= 0
+
+
+def test_problems_of_the_registry_reach_their_ends_within_bounds_that_they_keep(method):
+    """Bounds that the exact solution touches: the circle within [-1, 1]."""
+    circle = PROBLEMS["harmonic"] if "harmonic" in PROBLEMS else next(iter(PROBLEMS.values()))
+    largest = np.abs(
+        iv.solve_ivp(circle.fun, circle.t_span, circle.y0, "dop853", rtol=1e-10, atol=1e-12, max_step=0.01).y
+    ).max(axis=1)
+    sol = iv.solve_ivp(circle.fun, circle.t_span, circle.y0, method, rtol=1e-5, atol=1e-7, bounds=(-largest, largest))
+    assert sol.success, sol.message
+    assert (np.abs(sol.y) <= largest[:, None]).all()

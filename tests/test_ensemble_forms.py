@@ -1,0 +1,154 @@
+"""An ensemble as single results, pictures, labelled arrays, tables and files: as single solves give them."""
+
+from __future__ import annotations
+
+import pickle
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import invariode as iv
+
+
+def rotation(t, y, w):
+    return [w * y[1], -w * y[0]]
+
+
+def radius(t, y, w):
+    return y[0] ** 2 + y[1] ** 2
+
+
+def crossing(t, y, w):
+    return y[0]
+
+
+STARTS, RATES, TIMES = [[1.0, 0.0], [2.0, 0.0], [0.0, 3.0]], [[1.0], [2.0], [0.5]], np.linspace(0, 4, 9)
+
+
+def ensemble(**options):
+    given = {"t_eval": TIMES, "invariants": radius, "events": crossing, **options}
+    return iv.solve_ensemble(rotation, (0, 4), STARTS, args=RATES, workers=1, **given)
+
+
+def single(i, **options):
+    given = {"t_eval": TIMES, "invariants": radius, "events": crossing, **options}
+    return iv.solve_ivp(rotation, (0, 4), STARTS[i], args=tuple(RATES[i]), **given)
+
+
+@pytest.fixture(autouse=True)
+def _figures_are_closed():
+    yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize("options", [{}, {"t_eval": None}, {"events": None}, {"invariants": None}])
+def test_a_trajectory_is_the_result_of_a_single_solve(options):
+    m = ensemble(**options)
+    for i, one in enumerate(m):
+        alone = single(i, **{**options, **({"keep": "end"} if "t_eval" in options else {})})
+        assert isinstance(one, iv.Solution)
+        np.testing.assert_array_equal(one.t, alone.t)
+        np.testing.assert_array_equal(one.y, alone.y)
+        for name in ("nfev", "status", "message", "success", "t_end"):
+            assert one[name] == alone[name], name
+        assert {**one.stats, "derivatives": None} == {**alone.stats, "derivatives": None}
+        for name in ("t_events", "y_events"):
+            assert (one[name] is None) == (alone[name] is None)
+            for ours, theirs in zip(one[name] or (), alone[name] or (), strict=True):
+                np.testing.assert_array_equal(ours, theirs)
+        assert one.drift().names == alone.drift().names
+        np.testing.assert_array_equal(one.residual, alone.residual)
+        np.testing.assert_array_equal(one.drift().residual_before, alone.drift().residual_before)
+
+
+def test_it_is_a_sequence_of_trajectories_with_fields():
+    m = ensemble()
+    assert len(m) == len(list(m)) == 3
+    np.testing.assert_array_equal(m[-1].y, m[2].y)
+    assert m["y"] is m.y
+    assert "y" in m
+    assert "nothing" not in m
+    assert dict(m)["status"] is m.status
+    with pytest.raises(IndexError, match="there is no trajectory 3: choose from 0 to 2"):
+        m[3]
+    with pytest.raises(KeyError):
+        m["nothing"]
+
+
+def test_one_that_failed_says_why_and_has_what_it_reached():
+    m = iv.solve_ensemble(lambda t, y: y**2, (0, 2), [[0.1], [1.0]], t_eval=[0, 0.5, 2], workers=1)
+    assert m[0].success
+    assert not m[1].success
+    assert m[1].message == m.messages[1]
+    assert m[1].t.tolist() == [0, 0.5]
+
+
+@pytest.mark.parametrize("kind", ["bands", "quantiles", "spaghetti"])
+def test_pictures_have_the_quantiles_of_the_trajectories(kind):
+    starts = np.linspace(0, 1, 21)[:, None]
+    m = iv.solve_ensemble(lambda t, y: 0 * y, (0, 1), starts, t_eval=[0, 0.5, 1], workers=1)
+    ax = Figure().add_subplot()
+    assert m.plot(kind, ax=ax) is ax
+    levels = sorted({round(float(line.get_ydata()[0]), 9) for line in ax.lines})
+    assert levels == {"bands": [0.5], "quantiles": [0.05, 0.25, 0.5, 0.75, 0.95]}.get(
+        kind, starts.ravel().round(9).tolist()
+    )
+    if kind == "bands":
+        extents = [area.get_paths()[0].vertices[:, 1] for area in ax.collections]
+        np.testing.assert_allclose([(y.min(), y.max()) for y in extents], [(0.05, 0.95), (0.25, 0.75)])
+    assert ax.get_ylabel() == "y0"
+    assert len(plt.get_fignums()) == 0
+    m.plot(kind)
+    assert len(plt.get_fignums()) == 1
+
+
+def test_pictures_need_times_and_known_kinds():
+    with pytest.raises(ValueError, match="has final states only: for a picture solve it with times in t_eval"):
+        ensemble(t_eval=None).plot()
+    with pytest.raises(ValueError, match="kind must be one of 'bands', 'quantiles', 'spaghetti', got 'lines'"):
+        ensemble().plot("lines")
+
+
+def test_labelled_arrays_and_tables():
+    pytest.importorskip("xarray")
+    m = ensemble()
+    data, table = m.to_xarray(), m.to_dataframe()
+    np.testing.assert_array_equal(data.y.sel(trajectory=1, component="y1"), m.y[1, 1])
+    np.testing.assert_array_equal(data.residual_after, m.residual_after)
+    np.testing.assert_array_equal(data.nfev, m.stats.nfev)
+    np.testing.assert_array_equal(table.loc[2, "y0"], m.y[2, 0])
+    failed = iv.solve_ensemble(lambda t, y: y**2, (0, 2), [[0.1], [1.0]], t_eval=[0, 0.5, 2], workers=1)
+    assert len(failed.to_dataframe()) == 5
+
+
+def test_files_and_pickles_give_back_every_value(tmp_path):
+    m = ensemble()
+    m.save(tmp_path / "m.npz")
+    for again in (iv.EnsembleSolution.load(tmp_path / "m.npz"), pickle.loads(pickle.dumps(m))):
+        for name in m.keys():  # noqa: SIM118 - m is no dict: a loop goes over trajectories
+            if name not in ("events", "stats", "messages"):
+                np.testing.assert_array_equal(again[name], m[name])
+                assert again[name].dtype == m[name].dtype
+        assert again.messages == m.messages
+        for a, b in zip(again.events, m.events, strict=True):
+            np.testing.assert_array_equal(a.t, b.t)
+        np.testing.assert_array_equal(again.stats.nfev, m.stats.nfev)
+        np.testing.assert_array_equal(again[1].y, m[1].y)
+        assert len(again[1].drift().names) == 0
+    (tmp_path / "other.npz").write_bytes(b"PK nothing")
+    single(0).save(tmp_path / "single.npz")
+    for name in ("other", "single"):
+        with pytest.raises(ValueError, match=r"was not written by EnsembleSolution.save, or is damaged"):
+            iv.EnsembleSolution.load(tmp_path / f"{name}.npz")
+
+
+def test_native_trajectories_know_their_invariants_too():
+    pytest.importorskip("numba")
+    f = iv.compile(lambda t, y, p: (p[0] * y[1], -p[0] * y[0]))
+    g = iv.compile(lambda t, y, p: y[0] ** 2 + y[1] ** 2)
+    invariant = iv.Invariants(g, names="radius")
+    m = iv.solve_ensemble(f, (0, 4), STARTS, args=np.array(RATES), t_eval=TIMES, invariants=invariant)
+    alone = iv.solve_ivp(f, (0, 4), STARTS[2], args=tuple(RATES[2]), t_eval=TIMES, invariants=invariant)
+    np.testing.assert_array_equal(m[2].residual, alone.residual)

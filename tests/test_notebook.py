@@ -1,0 +1,94 @@
+"""What notebooks show: well-formed HTML with the numbers of the text form, and nothing of the user's as markup."""
+
+from __future__ import annotations
+
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import invariode as iv
+
+
+class Parsed(HTMLParser):
+    """The text, and whether every element is closed."""
+
+    def __init__(self, source):
+        super().__init__()
+        self.open, self.text, self.tags = [], "", []
+        self.feed(source)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag != "img":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data + " "
+
+
+def rotation(t, y):
+    return [y[1], -y[0]]
+
+
+def problem(**described):
+    radius = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2, names="<radius>")
+    given = {"invariants": radius, "events": lambda t, y: y[0], "labels": ["a&b", "c"], "name": "x < y", **described}
+    return iv.Problem(rotation, (0, 10), [1.0, 0.0], **given)
+
+
+def test_a_problem_shows_what_is_known_of_it():
+    shown = Parsed(problem(args=())._repr_html_())
+    for text in ("x < y", "0 to 10", "a&b = 1, c = 0", "<radius>", "event", "return [y[1], -y[0]]"):
+        assert text in shown.text
+    assert "mass" not in shown.text
+    assert "(40 components)" in Parsed(iv.Problem(lambda t, y: -y, (0, 1), np.ones(40))._repr_html_()).text
+
+
+def test_a_solution_shows_how_it_went_and_a_picture(monkeypatch):
+    sol = problem().solve()
+    shown = Parsed(sol._repr_html_())
+    for text in (sol.message, f"{sol.stats.steps}, ", f"{sol.nfev} of f", "<radius>", "3 events, first at t = 1.57"):
+        assert text in shown.text
+    assert f"{sol.drift().residual_after[0]:.1e}" in shown.text
+    assert "img" in shown.tags
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert "img" not in Parsed(sol._repr_html_()).tags
+
+
+@pytest.mark.parametrize("options", [{"keep": "end"}, {"t_eval": []}, {"t_eval": [1.0]}])
+def test_so_does_one_of_few_points(options):
+    assert "img" not in Parsed(problem().solve(**options)._repr_html_()).tags
+
+
+def test_one_that_failed():
+    sol = iv.solve_ivp(lambda t, y: y**2, (0, 2), [1.0])
+    assert f"✗ {sol.message}" in Parsed(sol._repr_html_()).text
+
+
+def test_an_ensemble_counts_how_trajectories_ended():
+    m = iv.solve_ensemble(lambda t, y: y**2, (0, 2), [[0.1], [1.0]], workers=1)
+    shown = Parsed(m._repr_html_())
+    for text in ("2 trajectories of 1 components", "reached the end", "trajectory 1 failed", m.messages[1]):
+        assert text in shown.text
+
+
+def test_a_report_shows_its_findings():
+    report = iv.check_invariants(rotation, lambda t, y: y[0] ** 2 + 1.1 * y[1] ** 2, 0, [1.0, 0.5])
+    shown = Parsed(report._repr_html_())
+    assert "NO" in shown.text
+    assert report.findings[0] in shown.text
+
+
+def test_found_invariants_are_formulas():
+    (found,) = iv.find_invariants(rotation, (0, 5), [1.0, 0.3])
+    assert found._repr_latex_() == "$y_{0}^{2}+y_{1}^{2}$"
+    from fractions import Fraction
+
+    made = iv.PolynomialInvariant({(1, 2): Fraction(-1, 2), (0, 1): 0.25, (0, 0): Fraction(3)}, ["x", "speed"])
+    assert made._repr_latex_() == r"$-\tfrac{1}{2}\,x\,\mathrm{speed}^{2}+0.25\,\mathrm{speed}+3$"
