@@ -299,7 +299,7 @@ class Run {
     Invariants* g = invariants ? &*invariants : nullptr;
     integration.emplace(make_step(method, f, weights, options.fsal), weights,
                         Integration::Manifold{.steps = g, .between = g, .slope = &slope}, std::move(options.events),
-                        options.callback, std::move(settings));
+                        Integration::Breaks{}, options.callback, std::move(settings));
   }
   Run(const Run&) = delete;
 
