@@ -51,7 +51,7 @@ def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
         assert (sol.status, sol.stats.steps) == (-3, 10 * parts)
     sol = sol.extend(END, max_steps=None)
     assert (sol.status, sol.t[-1]) == (0, END)
-    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(END), atol=2e-5)
+    np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(END), atol=5e-4)  # of ode23s
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
 
 

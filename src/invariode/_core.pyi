@@ -23,9 +23,6 @@ class Native:
 
     def __init__(self, *, address: int, event: bool, owner: object | None, inputs: Sequence[PiecewisePolynomial] = []) -> None: ...
 
-    @property
-    def address(self) -> int: ...
-
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
 

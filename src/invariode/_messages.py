@@ -63,7 +63,7 @@ def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tup
         )
     if run.state == "action_out_of_bounds":
         return -1, (
-            f"After the action of an event at t = {run.t:.6g} component {run.component} is outside of its bounds by "
+            f"After the action at t = {run.t:.6g} component {run.component} is outside of its bounds by "
             "more than the tolerance. Let the action return a point within them."
         )
     if run.state == "restart_inconsistent":

@@ -208,7 +208,7 @@ class LimitOptions(TypedDict, total=False):
             None,
             "int",
             "Most accepted steps. Where this or one of the next two limits is reached, the run ends with status -3, a "
-            "message that says how far it came and how fast, and everything up to there; `Solution.extend` goes on. "
+            "message that says how far it came and how fast, and everything up to there; ``Solution.extend`` goes on. "
             "Default: no limit.",
             count,
             command=True,

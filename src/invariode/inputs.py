@@ -27,7 +27,7 @@ class Input:
         What u is then: a number, or m numbers.
     kind : {'previous', 'linear', 'cubic'}
         Between the times: the value of the last one, which holds from its time on and after the last time for ever;
-        straight lines; or the cubic spline that SciPy's `CubicSpline` makes (not-a-knot), for k of at least 2.
+        straight lines; or the cubic spline of `scipy.interpolate.CubicSpline` (not-a-knot), for k of at least 2.
     breakpoints : bool, default True
         Whether runs start anew at each of the times, where the values, the slopes or (of a spline) third derivatives
         jump. False saves evaluations of f where the table is dense and smooth; the error control then has to find out.
