@@ -44,10 +44,6 @@ class Event:
         Default: as many as the degree of the method's continuous extension, at least 3. 'adaptive': as many as it takes
         to resolve `fun` along the step, by Chebyshev interpolation, from which all of its roots follow: from 9 for a
         smooth function, hundreds around a kink.
-    at_start : bool, default False
-        Whether an event that is exactly zero at t0 occurs there, as in SciPy: then it is the first in `t_events`,
-        counts for `terminal`, and has the direction in which the first step leaves zero. False: it does not occur until
-        it has left zero, so that a run that starts at an event does not find this event again. Not with an `action`.
 
     Notes
     -----
