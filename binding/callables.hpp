@@ -93,6 +93,7 @@ class Functions {
   /// f(t, y), or f(t), without args, -> what `read_matrix` takes
   MatrixFunction matrix(nb::handle f);
 
+  [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Any other function of t and one vector or two.
   Callback of_motion(nb::handle f, const std::string& name, const Takes& takes, const Returns& returns);
 
@@ -100,7 +101,6 @@ class Functions {
   Motion& motion(const nb::object& mechanics);
   /// Those motions.
   [[nodiscard]] std::span<OwnedMotion* const> motions() const { return motions_; }
-  [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Whether no function needs the interpreter.
   [[nodiscard]] bool native() const { return native_; }
   /// What native functions read: it may be written between their calls.

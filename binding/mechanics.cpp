@@ -240,14 +240,10 @@ class BoundMotion {
 };
 
 constexpr std::pair<const char*, Motion::Part> parts[] = {
-    {"slope", Motion::Part::slope},
-    {"positions", Motion::Part::positions},
-    {"positions_jacobian", Motion::Part::positions_jacobian},
-    {"rates", Motion::Part::rates},
-    {"rates_jacobian", Motion::Part::rates_jacobian},
-    {"velocities", Motion::Part::velocities},
-    {"velocities_jacobian", Motion::Part::velocities_jacobian},
-    {"mass_matrix", Motion::Part::mass_matrix},
+    {"slope", Motion::Part::slope},           {"mass", Motion::Part::mass},
+    {"positions", Motion::Part::positions},   {"positions_jacobian", Motion::Part::positions_jacobian},
+    {"rates", Motion::Part::rates},           {"rates_jacobian", Motion::Part::rates_jacobian},
+    {"velocities", Motion::Part::velocities}, {"velocities_jacobian", Motion::Part::velocities_jacobian},
 };
 
 Motion::Part part_named(const std::string& name) {
@@ -258,11 +254,11 @@ Motion::Part part_named(const std::string& name) {
 
 Vector BoundMotion::evaluate(const std::string& part, double t, const ConstVector& y) {
   std::size_t size = motion_.size();
+  if (part == "mass") size = motion_.mass_size();
   if (part == "positions" || part == "rates") size = motion_.m_phi();
   if (part == "velocities") size = motion_.m_psi();
   if (part == "positions_jacobian" || part == "rates_jacobian") size *= motion_.m_phi();
   if (part == "velocities_jacobian") size *= motion_.m_psi();
-  if (part == "mass_matrix") size = motion_.n_v() * motion_.n_v();
   std::vector<double> out(size);
   require(motion_.callback(part_named(part))(t, state(y), out.data()));
   return to_array<Vector>(std::move(out), size);

@@ -37,9 +37,9 @@ constexpr Named<Derivative> substitutes[] = {{choose_derivative, Derivative::com
 
 Metric make_metric(const InvariantSpec& spec, Functions& functions) {
   if (spec.metric.is_none()) return {};
-  const bool of_core = nb::isinstance<Native>(spec.metric) || nb::isinstance<MotionPart>(spec.metric);
-  if (!of_core && PyCallable_Check(spec.metric.ptr()) == 0)
-    return {.function = {}, .values = to_vector(nb::cast<ConstVector>(spec.metric))};
+  const bool function = nb::isinstance<Native>(spec.metric) || nb::isinstance<MotionPart>(spec.metric) ||
+                        PyCallable_Check(spec.metric.ptr()) != 0;
+  if (!function) return {.function = {}, .values = to_vector(nb::cast<ConstVector>(spec.metric))};
   const std::string name = "the metric of invariant " + spec.name;
   const std::size_t k = spec.moves.empty() ? functions.state_size() : spec.moves.size();
   const bool diagonal = spec.metric_size == k;
@@ -56,6 +56,14 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.level = spec.level;
   block.moves = spec.moves;
   block.metric = make_metric(spec, functions);
+  if (nb::isinstance<MotionPart>(spec.jac)) {
+    const auto& [mechanics, part] = nb::cast<const MotionPart&>(spec.jac);
+    if (Motion& motion = functions.motion(mechanics); motion.sparse()) {
+      block.jacobian = motion.entries(part);
+      block.pattern = motion.pattern(part);
+      return block;
+    }
+  }
   if (!nb::isinstance<nb::str>(spec.jac)) {
     block.jacobian = functions.rows(spec.jac, "the Jacobian of " + name, spec.m);
     return block;

@@ -1,5 +1,5 @@
 """An arm that hits a wall
-========================
+=======================
 
 Two links swing from a pivot until the tip meets a wall. The impact reverses the velocity of the tip and knows nothing
 of the links: that would tear the joints apart. `consistent` puts the velocities onto the constraints again, by the

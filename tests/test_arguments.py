@@ -214,6 +214,18 @@ def test_no_equations_have_a_solution_at_all_times_asked_for():
     assert dense.extend(2).sol([0.5, 1.5]).shape == (0, 2)
 
 
+def test_an_empty_state_may_have_a_jacobian():
+    asked = []
+
+    def jac(t, y):
+        asked.append(len(y))
+        return np.zeros((0, 0))
+
+    for given in ({"jac": jac}, {"jac": np.zeros((0, 0))}, {"lband": 0, "uband": 0}, {"mass": np.zeros((0, 0))}):
+        assert iv.solve_ivp(lambda t, y: y, (0, 1), [], "ode15s", **given).t.tolist() == [0, 1]
+    assert set(asked) == {0}
+
+
 EVENTS = {
     "terminal 2⁶³": (dict(terminal=2**63), ValueError, r"terminal of event must be .* below 2\*\*53"),
     "terminal inf": (dict(terminal=np.inf), ValueError, "terminal of event must be a boolean or a positive integer"),

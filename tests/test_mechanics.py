@@ -600,6 +600,93 @@ def test_a_rotating_body_of_compiled_functions():
     np.testing.assert_allclose(ours.y[:, -1], expected.y[:, -1], atol=1e-9)
 
 
+def test_multipliers_belong_to_the_arguments_of_the_solution():
+    """At rest the rod carries the weight, m g, with Φ = 2 q: λ = -m / (2 L)."""
+    system = MechanicalSystem(
+        lambda t, q, m, length: [m, m],
+        lambda t, q, v, m, length: [0, -m],
+        lambda t, q, m, length: q[0] ** 2 + q[1] ** 2 - length**2,
+        args=(1.0, 1.0),
+    )
+    first = system.problem((0, 1), [0, -1], [0, 0])
+    heavy = first.replace(args=(3.0, 2.0), y0=[0, -2, 0, 0]).solve()
+    np.testing.assert_allclose(system.multipliers(heavy)[0], -3 / 4, rtol=1e-12)
+    alone = type("Points", (), {"t": heavy.t, "y": heavy.y})
+    np.testing.assert_allclose(system.multipliers(alone, args=(3.0, 2.0)), system.multipliers(heavy))
+    np.testing.assert_allclose(system.reactions(heavy)[1], 3, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("constraints", "kind"),
+    [(circle, "complex step"), (lambda t, q: abs(q[0] ** 2 + q[1] ** 2) - 1, "differences")],
+)
+def test_stats_tell_kinds_and_cost_of_derivatives(constraints, kind):
+    calls = {"constraints": 0, "force": 0}
+
+    def counted(t, q):
+        calls["constraints"] += 1
+        return constraints(t, q)
+
+    def weight(t, q, v):
+        calls["force"] += 1
+        return gravity(t, q, v)
+
+    problem = MechanicalSystem([1, 1], weight, counted).problem((0, 1), [1, 0], [0, 0])
+    calls.update(constraints=0, force=0)
+    sol = problem.solve("ode23")
+    told = sol.stats.mechanics
+    assert told["derivatives"] == {"constraints": kind}
+    assert told["dense"] == told["force"] == calls["force"] >= sol.nfev
+    assert 0 <= calls["constraints"] - told["constraints"] <= 5  # values at the start: of φ, and of φ' by differences
+    assert told["sparse"] == told["mass"] == told["jacobian"] == 0
+    assert sol.extend(2).stats.mechanics["force"] > told["force"]
+    assert iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0]).stats.mechanics is None
+
+
+COMPILED_BAD = {
+    "contradiction": {"constraints": lambda t, q: (q[0] ** 2 + q[1] ** 2 - 1, q[0] ** 2 + q[1] ** 2 - 4)},
+    "no positions": {"constraints": lambda t, q: (q[0] - 1, 0 * t)},
+    "square of v": {"velocity_constraints": lambda t, q, v: v[0] ** 2 - v[1]},
+    "force of another size": {"force": lambda t, q, v: (0.0, 0.0, 0.0)},
+    "constraint NaN": {"constraints": lambda t, q: np.nan * q[0]},
+    "kinematics of another size": {"kinematics": lambda t, q, v: v[:1]},
+    "jacobian of another size": {"jacobian": lambda t, q: (1.0, 2.0, 3.0), "constraints": circle},
+}
+
+
+@pytest.mark.parametrize("name", COMPILED_BAD)
+def test_bad_input_of_compiled_functions_is_refused_in_words(name):
+    pytest.importorskip("numba")
+    error, message, _ = BAD[name]
+    if name in ("force of another size", "jacobian of another size"):
+        error, message = TypeError, "returns 3 values, expected 2"  # as everywhere that `compile` is used
+    given = {part: iv.compile(function) for part, function in COMPILED_BAD[name].items()}
+    arguments = {"mass": [1, 1], "force": iv.compile(lambda t, q, v: (0.0, -1.0))} | given
+    with pytest.raises(error, match=message):
+        MechanicalSystem(**arguments).problem((0, 1), [1, 0], [0, 1])
+
+
+@pytest.mark.parametrize(
+    "constraints",
+    [lambda t, q: abs(q[0] ** 2 + q[1] ** 2) - 1, lambda t, q: max(q[0] ** 2 + q[1] ** 2, 0.25) - 1],
+    ids=["abs", "max"],
+)
+def test_compiled_constraints_with_corners_are_differentiated_rightly(constraints):
+    pytest.importorskip("numba")
+    sol = swing(iv.compile(constraints)).problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    expected = swing().problem((0, 3), [1, 0], [0, 0]).solve(**OPTIONS)
+    np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-6)
+
+
+def test_a_singular_position_on_the_way_of_compiled_functions():
+    pytest.importorskip("numba")
+    crank = iv.compile(lambda t, q: math.sin(q[0]) - math.sin(q[1]))
+    system = MechanicalSystem([1, 1], iv.compile(lambda t, q, v: (0.0, 0.0)), crank)
+    sol = system.problem((0, 3), [0, 0], [1, 1]).solve("ode45", rtol=1e-6, atol=1e-8)
+    assert np.abs(np.sin(sol.y[0]) - np.sin(sol.y[1])).max() < 1e-12
+    assert sol.success or (sol.status == -1 and "at t = 1.5" in sol.message)
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # Large systems
 

@@ -571,6 +571,7 @@ def test_systems_show_their_equations():
         r"$\displaystyle\begin{aligned} x' &= - y \\ y' &= x \end{aligned}$"
     )
     assert repr(rod()).startswith("Lagrangian(L = -y(t) + Derivative")
+    assert repr(sy.from_mechanics(kanes_pendulum(), parameters={K: 1})) == "Multibody(x' = u(t), y' = v(t))"
     assert r"\frac{\mu}{\sqrt{x^{2} + y^{2}}}" in kepler()._repr_latex_()
 
 
@@ -614,6 +615,9 @@ def test_systems_show_their_equations():
             ValueError,
             r"forces has p\(t\), which is not one of",
         ),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q, Q]), ValueError, r"q\(t\) is there twice"),
+        (lambda: sy.hamiltonian(X, [X], [X]), ValueError, "x is there twice"),
+        (lambda: sy.from_mechanics(kanes_pendulum()), ValueError, "has k, which is neither a state nor a parameter"),
         (lambda: sy.lagrangian(Q.diff() ** 2, [Q], forces=[1, 2]), ValueError, "forces must have 1 entries"),
         (lambda: rod().problem((0, 1), [2, 0], [0, 0], compiled=False).solve(), iv.InvariantError, "constraint 1"),
     ],

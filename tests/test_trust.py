@@ -118,10 +118,16 @@ def test_the_guard_knows_no_unit_of_the_state(method, size):
             assert sol.status == (-2 if found else 0), sol.message
 
 
-def test_the_search_knows_no_unit_of_the_state():
-    for size in (1e-12, 1e12):
-        (found,) = iv.find_invariants(lambda t, y: [y[1], -4 * y[0]], (0, 10), [size, 0.5 * size], labels=["x", "v"])
-        assert found.formula == "x**2 + 1/4*v**2"
+@pytest.mark.parametrize("size", [1e-100, 1e-12, 1e12, 1e100])
+def test_the_search_knows_no_unit_of_the_state(size):
+    (found,) = iv.find_invariants(lambda t, y: [y[1], -4 * y[0]], (0, 10), [size, 0.5 * size], labels=["x", "v"])
+    assert found.formula == "x**2 + 1/4*v**2"
+    (found,) = iv.find_invariants(
+        lambda t, y: [y[1], -(y[0] ** 3) / size**2], (0, 10), [size, 0.5 * size], degree=4, labels=["x", "v"]
+    )
+    assert found.coefficients.keys() == {(0, 2), (4, 0)}
+    assert found.coefficients[0, 2] == 1
+    assert float(found.coefficients[4, 0]) * size**2 == pytest.approx(0.5, rel=1e-9)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -172,6 +178,45 @@ def test_projection_does_not_leave_the_domain_of_an_invariant(method, g, y0):
     sol = iv.solve_ivp(lambda t, y: [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])], (0, 50), y0, method, invariants=g)
     assert sol.success, sol.message
     assert sol.y.min() > 0
+
+
+def root(t, y):
+    return np.sqrt(y[0]) * np.exp(-y[0] / 2) * y[1] * np.exp(-y[1])
+
+
+@pytest.mark.filterwarnings("ignore:(invalid value|divide by zero):RuntimeWarning")
+@pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
+@pytest.mark.parametrize("g", [pole, logarithm, root])
+@pytest.mark.parametrize(("end", "other"), [(1, 0), (1, -1), (10, 3)], ids=str)
+def test_nor_a_domain_that_ends_elsewhere(method, g, end, other):
+    """The same populations, counted down from one number and up from another: log(1 - y), sqrt(10 - y), 1 / (y - 3)."""
+    rtol = (1e-5 if method == "ode23" else 1e-6) / end  # the absolute accuracy of a problem that is not shifted
+
+    def moved(t, y):
+        x, z = end - y[0], y[1] - other
+        return [-2 * x * (1 - z), -z * (1 - x)]
+
+    for x, z in [(1e-6, 0.5), (1e-6, 3), (1e-4, 1)]:
+        sol = iv.solve_ivp(
+            moved,
+            (0, 30),
+            [end - x, z + other],
+            method,
+            rtol=rtol,
+            invariants=lambda t, y: g(t, [end - y[0], y[1] - other]),
+        )
+        assert sol.success, sol.message
+        assert sol.y[0].max() < end
+        assert sol.y[1].min() > other
+
+
+@pytest.mark.filterwarnings("ignore:(invalid value|divide by zero):RuntimeWarning")
+@pytest.mark.parametrize("jac", [None, "3-point", "2-point"])
+def test_a_right_jacobian_beside_a_pole_is_not_called_wrong(jac):
+    """Differences reach over the pole, or to where the logarithm is not defined."""
+    for near in (1e-5, 1e-6, 1e-7, 1e-8):
+        for g in (lambda t, y: 1 / (1 - y[0]) - y[1], lambda t, y: np.log(1 - y[0]) + y[1]):
+            assert iv.check_invariants(lambda t, y: [0, 0], iv.Invariants(g, jac), 0, [1 - near, 2])
 
 
 @pytest.mark.parametrize("when", ["always", "needed"])

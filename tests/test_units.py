@@ -203,20 +203,27 @@ def test_the_check_of_invariants_knows_no_units(name, units, jac):
     assert scaled.conserved.all(), scaled.findings
 
 
-@pytest.mark.parametrize(
-    "units",
-    [
-        *(Units(time=c) for c in (2.0**-40, 2.0**40)),
-        Units(state=2.0**-40),
-        Units(state=2.0**40),
-    ],
-    ids=str,
-)
-def test_the_search_for_invariants_knows_no_units(units):
-    problem = PROBLEMS["rigid body"]
-    y0 = units.state * np.array(problem.y0, dtype=float)
-    found = iv.find_invariants(units.fun(problem.fun), units.span((0, 10)), y0)
-    assert len(found) == 2
+#: Around 1e-100, 1e-12, 1e12 and 1e100.
+SIZES = (2.0**-332, 2.0**-40, 2.0**40, 2.0**332)
+
+
+@pytest.mark.parametrize("units", [Units(time=c) for c in SIZES] + [Units(state=c) for c in SIZES], ids=str)
+@pytest.mark.parametrize(("name", "degree"), [("rigid body", 2), ("Henon-Heiles", 3), ("Kepler", 2)])
+def test_the_search_for_invariants_knows_no_units(name, degree, units):
+    problem = PROBLEMS[name]
+
+    def search(units: Units) -> list[iv.PolynomialInvariant]:
+        y0 = units.state * np.array(problem.y0, dtype=float)
+        return iv.find_invariants(units.fun(problem.fun), units.span((0, 10)), y0, degree)
+
+    plain, scaled = search(Units()), search(units)
+    assert plain
+    assert [set(one.coefficients) for one in scaled] == [set(one.coefficients) for one in plain]
+    for one, other in zip(plain, scaled, strict=True):
+        first = sum(next(iter(one.coefficients)))
+        for exponents, c in one.coefficients.items():
+            expected = float(c) * units.state ** (first - sum(exponents))
+            assert float(other.coefficients[exponents]) == pytest.approx(expected, rel=1e-8)
 
 
 def test_no_absolute_tolerance_means_no_unit(method):

@@ -47,7 +47,11 @@ void Jacobian::group_columns() {
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
   switch (kind_) {
     case Kind::constant: return Status::ok;
-    case Kind::function: ++count_; return function_(t, y, matrix_);
+    case Kind::function: {
+      ++count_;
+      constexpr double nowhere = 0;  // the state of no components, which may have no address: M(t) alone is without one
+      return function_(t, y != nullptr ? y : &nowhere, matrix_);
+    }
     case Kind::differences: ++count_; return difference(f, t, y, slope);
   }
   return Status::ok;

@@ -15,13 +15,6 @@ using Eigen::Index;
 constexpr double dependent = 1000 * eps;  // pivots of a matrix of ones on the diagonal: what roundoff leaves of 0
 constexpr double accurate = 1e-13;        // residuals, as a part of their terms
 
-bool diagonal(const Sparse& M) {
-  for (Index j = 0; j < M.outerSize(); ++j)
-    for (Sparse::InnerIterator it(M, j); it; ++it)
-      if (it.row() != j) return false;
-  return true;
-}
-
 /// The residual is at most `part` of its terms, row by row.
 bool small(const Vector& residual, const Vector& terms, double part) {
   return (residual.array().abs() <= part * terms.array()).all();
@@ -29,10 +22,17 @@ bool small(const Vector& residual, const Vector& terms, double part) {
 
 }  // namespace
 
+bool is_diagonal(const Sparse& M) {
+  for (Index j = 0; j < M.outerSize(); ++j)
+    for (Sparse::InnerIterator it(M, j); it; ++it)
+      if (it.row() != j) return false;
+  return true;
+}
+
 bool SparseSaddle::solve(const Sparse& M, const Sparse& A, const VectorView& Q, const VectorView& gamma,
                          ConstrainedSolution& found) {
   const Index n = M.rows();
-  if (!analyzed_) diagonal_ = diagonal(M);
+  if (!analyzed_) diagonal_ = is_diagonal(M);
   if (diagonal_) {
     inverse_mass_ = M.diagonal();
     diagonal_ = (inverse_mass_.array() > 0).all();

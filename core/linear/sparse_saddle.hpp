@@ -9,6 +9,9 @@
 
 namespace invariode {
 
+/// Whether M has entries on its diagonal only.
+bool is_diagonal(const Eigen::SparseMatrix<double>& M);
+
 /// Solves the system of `ConstrainedSolution` with sparse M and A, of patterns that stay: with a diagonal positive M by
 /// the Schur complement A M⁻¹ Aᵀ, else by LU factors of the whole. What the square of a condition number costs is
 /// brought back by one step of refinement, and looked at.

@@ -13,7 +13,6 @@ constexpr int rounds_of_all = 10;                 // in which all components cha
 constexpr int most_rounds = 100;                  // then none is released any more
 constexpr int output_rounds = 4;                  // between steps: as in the steps at their ends, mostly
 
-using Row = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 using Vector = Eigen::Map<const Eigen::VectorXd>;
 
 Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
@@ -82,10 +81,12 @@ void ActiveSet::note_outside(const double* y) {
 void ActiveSet::note_unwilling(const double* y) {
   const Linearization at = projector_.linearization();
   const std::size_t n = at.n(), m = at.m();
-  const Row J(at.jacobian.data(), index(m), index(n));
   const Vector w(at.weights.data(), index(n));
   const Eigen::VectorXd b = (Vector(y, index(n)) - Vector(candidate_.data(), index(n))).cwiseQuotient(w);
-  Eigen::MatrixXd columns = w.asDiagonal() * J.transpose();
+  Eigen::MatrixXd scaled = Eigen::MatrixXd::Zero(index(n), index(m));  // W Jᵀ
+  for (std::size_t i = 0; i < m; ++i)
+    at.gradient(i).for_each([&](std::size_t j, double value) { scaled(index(j), index(i)) = value * w[index(j)]; });
+  Eigen::MatrixXd columns = scaled;
   Eigen::VectorXd wanted = -b;
   for (std::size_t j = 0; j < n; ++j) {
     if (!projector_.fixed(j)) continue;
@@ -93,7 +94,7 @@ void ActiveSet::note_unwilling(const double* y) {
     wanted[index(j)] = 0;
   }
   const Eigen::VectorXd lambda = columns.colPivHouseholderQr().solve(wanted);
-  const Eigen::VectorXd force = w.asDiagonal() * (J.transpose() * lambda);
+  const Eigen::VectorXd force = scaled * lambda;
   for (const Bounds::Interval& one : bounds_.intervals()) {
     const auto& [i, lower, upper] = one;
     if (!projector_.fixed(i) || lower == upper) continue;

@@ -21,6 +21,7 @@ constexpr double suspicious_correction = 10;  // in units of rtol
 // The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
 // much.
 constexpr double jacobian_tolerance = 1e-4;
+constexpr double factors_of_increments[] = {1, 1.0 / 16, 1.0 / 256};  // with which an entry must be wrong
 // A difference quotient tells nothing below this multiple of what halving its increment changes.
 constexpr double uncertainty = 10;
 // A rate is no roundoff if at so many points this far away, in units of the components' sizes, it is of the same sign
@@ -51,12 +52,6 @@ double weighted_norm(const double* v, const double* w, std::size_t n) {
   return std::sqrt(sum);
 }
 
-double dot(const double* a, const double* b, std::size_t n) {
-  double sum = 0;
-  for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i];
-  return sum;
-}
-
 Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
@@ -74,9 +69,7 @@ Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, doubl
       f_value_(invariants.n()),
       gt_(invariants.m()),
       plus_(invariants.m()),
-      minus_(invariants.m()),
-      differences_(invariants.m() * invariants.n()),
-      halved_(invariants.m() * invariants.n()) {}
+      minus_(invariants.m()) {}
 
 Finding Guard::start_value(double t, double* y) {
   const Linearization at = projector_.linearization();
@@ -109,9 +102,10 @@ Finding Guard::start_value(double t, double* y) {
 
 Finding Guard::undefined(double t) const {
   const Linearization at = projector_.linearization();
-  const std::size_t n = invariants_.n();
   std::size_t i = 0;
-  while (i + 1 < invariants_.m() && std::isfinite(at.residual[i]) && all_finite(at.gradient(i), n)) ++i;
+  while (i + 1 < invariants_.m() && std::isfinite(at.residual[i]) &&
+         all_finite(at.gradient(i).values, at.gradient(i).size))
+    ++i;
   return {.kind = Finding::Kind::undefined, .invariant = static_cast<int>(i), .t = t};
 }
 
@@ -128,11 +122,11 @@ Finding Guard::start_jacobian(double t, const double* y) {
   for (std::size_t i = 0; i < m; ++i) {
     if (invariants_.by_differences(i) || invariants_.certain(i)) continue;
     double expected = 0, terms = 0;
-    for (std::size_t j = 0; j < n; ++j) {
-      const double term = J[i * n + j] * size[j] * direction(j);
+    at.gradient(i).for_each([&](std::size_t j, double value) {
+      const double term = value * size[j] * direction(j);
       expected += term;
       terms += std::abs(term);
-    }
+    });
     const double quotient = (plus_[i] - minus_[i]) / (2 * cbrt_eps);
     const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
     if (std::abs(quotient - expected) > jacobian_tolerance * std::max(terms, std::abs(quotient)) + noise)
@@ -141,12 +135,24 @@ Finding Guard::start_jacobian(double t, const double* y) {
   return {};
 }
 
-/// The directional test failed somewhere: which entry is farthest off, in units of its row's terms?
+/// The directional test failed somewhere: which entry is farthest off, in units of its row's terms? With smaller
+/// increments too: the first ones may reach over a pole.
 Finding Guard::worst_entry(double t, const double* y) {
+  Finding worst;
+  for (const double factor : factors_of_increments) {
+    worst = worst_entry(t, y, factor);
+    if (worst.kind != Finding::Kind::wrong_jacobian) break;
+  }
+  return worst;
+}
+
+Finding Guard::worst_entry(double t, const double* y, double factor) {
   const Linearization at = projector_.linearization();
   const std::size_t n = invariants_.n(), m = invariants_.m();
-  if (invariants_.difference_jacobian(t, y, differences_.data(), true) == Status::stop) return stopped();
-  if (invariants_.difference_jacobian(t, y, halved_.data(), true, 0.5) == Status::stop) return stopped();
+  differences_.resize(m * n);
+  halved_.resize(m * n);
+  if (invariants_.difference_jacobian(t, y, differences_.data(), factor) == Status::stop) return stopped();
+  if (invariants_.difference_jacobian(t, y, halved_.data(), factor / 2) == Status::stop) return stopped();
   const double* J = at.jacobian.data();
   const double* size = invariants_.sizes(y);
   Finding worst;
@@ -155,10 +161,11 @@ Finding Guard::worst_entry(double t, const double* y) {
     if (invariants_.certain(i)) continue;
     double terms = 0;
     for (std::size_t j = 0; j < n; ++j)
-      terms = std::max({terms, std::abs(J[i * n + j] * size[j]), std::abs(differences_[i * n + j] * size[j])});
-    const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
+      terms =
+          std::max({terms, std::abs(at.gradient(i).entry(j) * size[j]), std::abs(differences_[i * n + j] * size[j])});
+    const double noise = invariants_.roundoff(i, y, J) / (factor * cbrt_eps);
     for (std::size_t j = 0; j < n; ++j) {
-      const double given = J[i * n + j], quotient = halved_[i * n + j];
+      const double given = at.gradient(i).entry(j), quotient = halved_[i * n + j];
       const double off = std::abs(given - quotient) * size[j];
       const double doubt = uncertainty * std::abs(quotient - differences_[i * n + j]) * size[j];
       if (!(off > jacobian_tolerance * terms + noise + doubt) || off / terms <= largest) continue;
@@ -282,7 +289,7 @@ Outcome Guard::evaluate_rates(double t, double h) {
 }
 
 double Guard::rate_here(std::size_t i) const {
-  return gt_[i] + dot(projector_.linearization().gradient(i), f_value_.data(), invariants_.n());
+  return gt_[i] + projector_.linearization().gradient(i).dot(f_value_.data());
 }
 
 /// A time in which the solution through (t, y) changes as its components' sizes tell, where no step does.
@@ -344,14 +351,14 @@ Outcome Guard::flow_difference(std::size_t i, double t, const double* y, const d
   return std::isfinite(quotient) ? Outcome::ok : Outcome::not_finite;
 }
 
-/// Richardson's extrapolation of central differences. They begin long, for less roundoff: with up to 32 h, but no
-/// longer than the time in which a component changes by a tenth of its size. An entry of the table is never better than
-/// the roundoff of its shortest difference.
+/// Richardson's extrapolation of central differences. They begin long, for less roundoff: with the time in which a
+/// component changes by a tenth of its size, between h / 32 and 32 h, so that no population becomes negative. An entry
+/// of the table is never better than the roundoff of its shortest difference.
 Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const double* J, const double* f, double h) {
   double row[extrapolations] = {};
   FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
   const double roundoff = invariants_.roundoff(i, y, J);
-  double s = std::clamp(scale_of_time(t, y, f), std::abs(h), longest_flow * std::abs(h));
+  double s = std::clamp(scale_of_time(t, y, f), std::abs(h) / longest_flow, longest_flow * std::abs(h));
   for (int k = 0, shorter = 0; k < extrapolations && (k < fewest_extrapolations || s > std::abs(h) / longest_flow);
        s /= 2) {
     double next = 0;
@@ -512,7 +519,7 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
-    const double rate = gt_[i] + dot(J + i * n, f, n);
+    const double rate = gt_[i] + at.gradient(i).dot(f);
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
     const bool drifts = this->drifts(at, i, rate, h);
     const bool suspicious = angle > limit(i) && drifts && angle > worst.distance;

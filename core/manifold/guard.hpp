@@ -76,6 +76,7 @@ class Guard {
   Finding acquitted_here(const Linearization& at, double t, double h, bool& acquitted);
   Finding confirm_at_point(double t, double h);
   Finding worst_entry(double t, const double* y);
+  Finding worst_entry(double t, const double* y, double factor);
   Finding unless_uncertain(const Finding& finding, double t, double h);
   Outcome evaluate_rates(double t, double h);
   [[nodiscard]] double rate_here(std::size_t i) const;

@@ -10,7 +10,9 @@ namespace {
 const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a central difference
 const double sqrt_eps = std::sqrt(eps);      // and of a forward one
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
-constexpr double roundoff_units = 10;        // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
+constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
+constexpr double smaller_increment = 10;
+constexpr double roundoff_units = 10;  // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
 
 }  // namespace
 
@@ -20,14 +22,17 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
       blocks_(std::move(blocks)),
       value_(std::move(value)),
       weights_(weights),
+      layout_(n),
       point_(n),
       plus_(value_.size()),
       minus_(value_.size()),
       sizes_(n),
       complex_point_(2 * n),
       complex_value_(2 * value_.size()) {
-  for (InvariantBlock& block : blocks_)
+  for (InvariantBlock& block : blocks_) {
     if (block.jacobian) block.derivative = Derivative::given;
+    layout_.add(block.m, block.pattern);
+  }
   note_kinds();
 }
 
@@ -94,9 +99,9 @@ Status Invariants::residual(double t, const double* y, double* r) {
 }
 
 Status Invariants::jacobian(double t, const double* y, double* J) {
-  bool central = false;
-  double* rows = J;
+  std::size_t first = 0;
   for (InvariantBlock& block : blocks_) {
+    double* rows = J + layout_.start(first);
     bool finite = true;
     Status status = Status::ok;
     if (block.derivative == Derivative::given) status = block.jacobian(t, y, rows);
@@ -107,10 +112,11 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
       block.derivative = Derivative::central;
       note_kinds();
     }
-    central |= block.derivative == Derivative::central;
-    rows += block.m * n_;
+    if (block.derivative == Derivative::central) status = difference_block(block, t, y, 1, rows);
+    if (status == Status::stop) return status;
+    first += block.m;
   }
-  return central ? difference_jacobian(t, y, J, false) : Status::ok;
+  return Status::ok;
 }
 
 const double* Invariants::sizes(const double* y) {
@@ -147,34 +153,46 @@ Status Invariants::forward_differences(InvariantBlock& block, double t, const do
   derivative_calls_ += static_cast<std::int64_t>(n_) + 1;
   if (block.g(t, y, minus_.data()) == Status::stop) return Status::stop;
   for (std::size_t j = 0; j < n_; ++j) {
-    point_[j] = y[j] + sqrt_eps * size[j];
-    if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+    for (const double side : {1, -1}) {  // backwards where g is not defined ahead
+      point_[j] = y[j] + side * sqrt_eps * size[j];
+      if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
+      if (side < 0 || all_finite(plus_.data(), block.m)) break;
+      ++derivative_calls_;
+    }
     for (std::size_t i = 0; i < block.m; ++i) rows[i * n_ + j] = (plus_[i] - minus_[i]) / (point_[j] - y[j]);
     point_[j] = y[j];
   }
   return Status::ok;
 }
 
-Status Invariants::difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor) {
-  sizes(y);
-  std::copy(y, y + n_, point_.begin());
-  std::size_t first = 0;
+Status Invariants::difference_jacobian(double t, const double* y, double* J, double factor) {
   for (InvariantBlock& block : blocks_) {
-    if (all_rows || block.derivative == Derivative::central)
-      for (std::size_t j = 0; j < n_; ++j)
-        if (difference_column(block, t, y, j, factor, J + first * n_ + j) == Status::stop) return Status::stop;
-    first += block.m;
+    if (difference_block(block, t, y, factor, J) == Status::stop) return Status::stop;
+    J += block.m * n_;
   }
   return Status::ok;
 }
 
+Status Invariants::difference_block(InvariantBlock& block, double t, const double* y, double factor, double* rows) {
+  sizes(y);
+  std::copy(y, y + n_, point_.begin());
+  for (std::size_t j = 0; j < n_; ++j)
+    if (difference_column(block, t, y, j, factor, rows + j) == Status::stop) return Status::stop;
+  return Status::ok;
+}
+
 /// Column j of a block's Jacobian, into entries n apart. Where g is not defined that far away (log y_j, with y_j below
-/// its thr_j), the increment is taken relative to y_j itself.
+/// its thr_j), the increment is taken relative to y_j itself, then ever smaller: the end of the domain need not be at
+/// 0.
 Status Invariants::difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
                                      double* column) {
-  for (const double delta : {factor * cbrt_eps * sizes_[j], factor * cbrt_eps * std::abs(y[j])}) {
-    if (delta == 0) break;
+  double delta = factor * cbrt_eps * sizes_[j];
+  const double relative = factor * cbrt_eps * std::abs(y[j]);
+  for (int smaller = 0; smaller <= smaller_increments; ++smaller) {
+    if (smaller == 1 && relative > 0) delta = std::min(delta, relative);
+    if (smaller > 1) delta /= smaller_increment;
     const double up = y[j] + delta, down = y[j] - delta;
+    if (up == down) break;
     point_[j] = up;
     derivative_calls_ += 2;
     if (block.g(t, point_.data(), plus_.data()) == Status::stop) return Status::stop;
@@ -214,13 +232,13 @@ double Invariants::roundoff_of_rate(std::size_t i, const double* y, const double
 double Invariants::resolution(std::size_t i, const double* y, const double* J) {
   const double* size = sizes(y);
   double change = 0;
-  for (std::size_t j = 0; j < n_; ++j) change += std::abs(J[i * n_ + j]) * size[j];
+  row(i, J).for_each([&](std::size_t j, double value) { change += std::abs(value) * size[j]; });
   return roundoff_units * eps * change;
 }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {
   double size = std::abs(value_[i]);
-  for (std::size_t j = 0; j < n_; ++j) size += std::abs(J[i * n_ + j] * y[j]);
+  row(i, J).for_each([&](std::size_t j, double value) { size += std::abs(value * y[j]); });
   return roundoff_units * eps * size;
 }
 

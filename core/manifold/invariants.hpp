@@ -7,6 +7,7 @@
 
 #include "callback.hpp"
 #include "manifold/metric.hpp"
+#include "manifold/rows.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -14,13 +15,14 @@ namespace invariode {
 /// Where ∂g/∂y comes from: a user function; Im g(t, y + i h e_j) / h, to roundoff; differences on both sides or on one.
 enum class Derivative { given, complex_step, central, forward };
 
-/// m invariants that one user function computes: g(t, y) -> (m,), its Jacobian -> (m, n) row-major if given, and
-/// g of a complex y, pairs of reals in and out, for the complex step.
+/// m invariants that one user function computes: g(t, y) -> (m,), its Jacobian -> (m, n) row-major, or the entries of
+/// its pattern, if given, and g of a complex y, pairs of reals in and out, for the complex step.
 struct InvariantBlock {
   Callback g;
   Callback jacobian;
   Callback complex_g;
   Derivative derivative = Derivative::central;  ///< where there is no `jacobian`
+  RowPattern pattern;                           ///< of the Jacobian that is given; none: it is full
   std::size_t m = 0;
   bool held = false;               ///< its value is what g was, not one that is demanded
   bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
@@ -58,10 +60,12 @@ class Invariants {
   Status evaluate(double t, const double* y, double* g);
   /// g(t, y) − value
   Status residual(double t, const double* y, double* r);
+  /// The gradients, in their layout.
   Status jacobian(double t, const double* y, double* J);
-  /// Central differences, increments ε^{1/3} `sizes` times `factor`. Fills the rows that come from differences, or
-  /// all.
-  Status difference_jacobian(double t, const double* y, double* J, bool all_rows, double factor = 1);
+  [[nodiscard]] const RowLayout& layout() const { return layout_; }
+  [[nodiscard]] Row row(std::size_t i, const double* J) const { return layout_.row(i, J); }
+  /// Central differences, increments ε^{1/3} `sizes` times `factor`, of all invariants: (m, n).
+  Status difference_jacobian(double t, const double* y, double* J, double factor = 1);
   /// Central differences with `time_increment`; what is below their roundoff counts as 0. J and y tell the size of the
   /// terms that g sums.
   Status time_derivative(double t, double h, const double* y, const double* J, double* gt, double factor = 1);
@@ -80,6 +84,7 @@ class Invariants {
 
  private:
   void note_kinds();
+  Status difference_block(InvariantBlock& block, double t, const double* y, double factor, double* rows);
   Status complex_step(InvariantBlock& block, double t, const double* y, double* rows, bool& finite);
   Status forward_differences(InvariantBlock& block, double t, const double* y, double* rows);
   Status difference_column(InvariantBlock& block, double t, const double* y, std::size_t j, double factor,
@@ -89,6 +94,7 @@ class Invariants {
   std::vector<InvariantBlock> blocks_;
   std::vector<double> value_;
   const Weights& weights_;
+  RowLayout layout_;
   double derivative_error_ = 0;
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
   std::vector<char> certain_;

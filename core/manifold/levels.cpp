@@ -31,13 +31,16 @@ bool Levels::needed(const Invariants& invariants) {
 }
 
 Levels::Levels(const Invariants& invariants)
-    : n_(invariants.n()),
+    : layout_(invariants.layout()),
+      n_(invariants.n()),
       m_(invariants.m()),
       scaled_(index(n_), index(m_)),
       R_(index(m_), index(m_)),
       norm_(m_),
       z_(m_),
       delta_l_(n_),
+      gradient_(n_),
+      scale_(n_),
       left_out_(m_) {
   std::size_t row = 0;
   for (const InvariantBlock& block : invariants.blocks()) {
@@ -61,7 +64,7 @@ Levels::Level& Levels::level_of(const InvariantBlock& block) {
     if (known.moves != mask) throw std::invalid_argument("invariants of one level may move different components");
     return known;
   }
-  Level& level = levels_.emplace_back(Level{block.level, std::move(mask), {}, {}});
+  Level& level = levels_.emplace_back(Level{block.level, std::move(mask), {}, {}, {}});
   if (block.metric) level.metric.emplace(block.metric, std::move(components));
   return level;
 }
@@ -73,8 +76,40 @@ Status Levels::update(double t, const double* y) {
 }
 
 std::size_t Levels::solve(const double* J, const double* r, const double* w, double threshold, double* delta) {
-  std::fill(delta, delta + n_, 0);
   std::fill(left_out_.begin(), left_out_.end(), 0);
+  if (layout_.sparse() && solve_sparse(J, r, w, threshold, delta)) return m_;
+  return solve_dense(J, r, w, threshold, delta);
+}
+
+/// The same with sparse factors of the equations (0, …, 0, r_l) of the levels up to l. False: some depend on others, or
+/// a metric is not diagonal.
+bool Levels::solve_sparse(const double* J, const double* r, const double* w, double threshold, double* delta) {
+  std::fill(delta, delta + n_, 0);
+  std::vector<std::size_t> rows;
+  std::vector<double> rest;
+  for (Level& level : levels_) {
+    if (!scales(level, w)) return false;
+    rest.assign(rows.size(), 0);
+    rows.insert(rows.end(), level.rows.begin(), level.rows.end());
+    for (const std::size_t i : level.rows) rest.push_back(r[i] - layout_.row(i, J).dot(delta));
+    if (!level.sparse.least_norm(layout_, J, rows, scale_, rest, threshold, delta_l_)) return false;
+    for (std::size_t j = 0; j < n_; ++j) delta[j] += delta_l_[j];
+  }
+  return true;
+}
+
+/// W of the components that the level may move, or G^(-1/2) of its metric. False: that is not diagonal.
+bool Levels::scales(Level& level, const double* w) {
+  for (std::size_t j = 0; j < n_; ++j) scale_[j] = level.moves[j] != 0 ? w[j] : 0;
+  if (!level.by_metric()) return true;
+  if (!level.metric->diagonal()) return false;
+  for (std::size_t j = 0; j < n_; ++j) gradient_[j] = level.moves[j] != 0 ? 1 : 0;
+  level.metric->divide(gradient_.data(), scale_.data());
+  return true;
+}
+
+std::size_t Levels::solve_dense(const double* J, const double* r, const double* w, double threshold, double* delta) {
+  std::fill(delta, delta + n_, 0);
   std::size_t rank = 0;
   for (std::size_t l = 0; l < levels_.size(); ++l) {
     take_rows(J, w, levels_[l]);
@@ -105,11 +140,12 @@ void Levels::take_rows(const double* J, const double* w, Level& level) {
   for (std::size_t i = 0; i < m_; ++i) {
     double* row = &scaled_(0, index(i));
     double all = 0;
-    for (std::size_t j = 0; j < n_; ++j) {
-      row[j] = J[i * n_ + j] * w[j];
+    std::fill(row, row + n_, 0);
+    layout_.row(i, J).for_each([&](std::size_t j, double value) {
+      row[j] = value * w[j];
       all = std::max(all, std::abs(row[j]));
       if (level.moves[j] == 0) row[j] = 0;
-    }
+    });
     norm_[i] = scaled_.col(index(i)).stableNorm();
     if (norm_[i] <= least_share * all) norm_[i] = 0;
     if (norm_[i] > 0 && level.by_metric()) apply_metric(J, i, level);
@@ -118,7 +154,9 @@ void Levels::take_rows(const double* J, const double* w, Level& level) {
 }
 
 void Levels::apply_metric(const double* J, std::size_t row, Level& level) {
-  level.metric->divide(J + row * n_, &scaled_(0, index(row)));
+  std::fill(gradient_.begin(), gradient_.end(), 0);
+  layout_.row(row, J).for_each([&](std::size_t j, double value) { gradient_[j] = value; });
+  level.metric->divide(gradient_.data(), &scaled_(0, index(row)));
   norm_[row] = scaled_.col(index(row)).stableNorm();
 }
 
@@ -158,7 +196,7 @@ void Levels::correct(Level& level, std::size_t first, const double* J, const dou
   for (std::size_t k = first; k < basis_.size(); ++k) {
     const std::size_t i = basis_[k];
     double rest = r[i];  // r_i − J_i δ of the levels before
-    for (std::size_t j = 0; j < n_; ++j) rest -= J[i * n_ + j] * delta[j];
+    layout_.row(i, J).for_each([&](std::size_t j, double value) { rest -= value * delta[j]; });
     double sum = rest / norm_[i];
     for (std::size_t l = first; l < k; ++l) sum -= R_(index(basis_[l]), index(i)) * z_[l];
     z_[k] = sum / R_(index(i), index(i));

@@ -9,6 +9,7 @@
 
 #include "manifold/invariants.hpp"
 #include "manifold/metric.hpp"
+#include "manifold/sparse_rows.hpp"
 
 namespace invariode {
 
@@ -41,17 +42,22 @@ class Levels {
     std::vector<char> moves;  // of each component
     std::vector<std::size_t> rows;
     std::optional<MetricFactor> metric;
+    SparseRows sparse;
 
     [[nodiscard]] bool by_metric() const { return metric && metric->regular(); }
   };
 
   Level& level_of(const InvariantBlock& block);
+  bool solve_sparse(const double* J, const double* r, const double* w, double threshold, double* delta);
+  std::size_t solve_dense(const double* J, const double* r, const double* w, double threshold, double* delta);
+  bool scales(Level& level, const double* w);
   void take_rows(const double* J, const double* w, Level& level);
   void apply_metric(const double* J, std::size_t row, Level& level);
   void orthonormalize(std::vector<std::size_t>& rows, double threshold);
   void remove_component(std::size_t row, std::size_t basis_row);
   void correct(Level& level, std::size_t first, const double* J, const double* r, const double* w, double* delta);
 
+  const RowLayout& layout_;
   std::size_t n_, m_;
   std::vector<Level> levels_;
   Eigen::MatrixXd scaled_;  // (n, m): rows of J W, or J L⁻ᵀ, as columns, cut to what moves, of norm 1; becomes a basis
@@ -59,7 +65,7 @@ class Levels {
   std::vector<double> norm_;          // of the rows before they were scaled
   std::vector<std::size_t> basis_;    // rows in whose place there is a basis vector, in their order
   std::vector<std::size_t> waiting_;  // rows to be orthonormalized
-  std::vector<double> z_, delta_l_;
+  std::vector<double> z_, delta_l_, gradient_, scale_;
   std::vector<char> left_out_;
 };
 

@@ -28,6 +28,7 @@ class MetricFactor {
   Status update(double t, const double* y);
   /// Whether G is positive definite there.
   [[nodiscard]] bool regular() const { return regular_; }
+  [[nodiscard]] bool diagonal() const { return diagonal_.size() > 0; }
   /// x = L⁻¹ a in the components of G; the other entries are left alone.
   void divide(const double* a, double* x);
   /// x ← L⁻ᵀ x in these components.

@@ -15,6 +15,9 @@ constexpr double least_pivot = 1e-10;
 constexpr double largest_pivot = 0.1;
 constexpr double derivative_errors = 100;  // in units of ε^{2/3}, ε^{1/2}: rows are sums of several entries
 constexpr double large_residual = 0.1;     // of the terms of an invariant
+// Relative changes of a gradient: of a step, and at most of its correction, where that may leave the domain of g. Less
+// than the slight one is not looked at.
+constexpr double sharp_bend = 1, bend_of_correction = 0.2, slight_bend = 0.05;
 // Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
 // it runs away from a pole.
 constexpr double slowest_newton = 0.45;
@@ -49,7 +52,7 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       distance_before_(invariants.m()),
       residual_after_(invariants.m()),
       r_(invariants.m()),
-      J_(invariants.m() * invariants.n()),
+      J_(invariants.layout().size()),
       norm_(invariants.m()),
       w_(invariants.n()),
       point_(invariants.n()),
@@ -82,6 +85,7 @@ Projected Projector::project(double t, const double* from, double* y) {
       doubtful = far_off(y);
     }
     did.rank = solve(t);
+    doubtful = doubtful || bends(from, y);
     for (std::size_t i = 0; i < w_.size(); ++i) y[i] -= delta_[i];
     if (levels_ && settled()) break;
   }
@@ -183,10 +187,9 @@ double Projector::largest_before(std::size_t i) const {
 
 /// Whether a residual is of the size of its terms, so that the correction changes some of them by as much.
 bool Projector::far_off(const double* y) const {
-  const std::size_t n = w_.size();
   for (std::size_t i = 0; i < r_.size(); ++i) {
     double terms = std::abs(invariants_.value()[i]);
-    for (std::size_t j = 0; j < n; ++j) terms += std::abs(J_[i * n + j] * y[j]);
+    invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) { terms += std::abs(value * y[j]); });
     if (std::abs(r_[i]) > large_residual * terms) return true;
   }
   return false;
@@ -197,6 +200,16 @@ bool Projector::defined(const double* r) {
   for (std::size_t i = r_.size(); i-- > 0;)
     if (!std::isfinite(r[i])) undefined_ = static_cast<int>(i);
   return undefined_ < 0;
+}
+
+/// Whether the gradients of the invariants may change in the correction by as much as they are, as near the end of a
+/// domain, judged by how they have changed in the step.
+bool Projector::bends(const double* from, const double* y) const {
+  if (!(bent_ > slight_bend)) return false;
+  if (bent_ > sharp_bend) return true;
+  for (std::size_t j = 0; j < w_.size(); ++j)
+    if (bent_ * std::abs(delta_[j]) > bend_of_correction * std::abs(y[j] - from[j])) return true;
+  return false;
 }
 
 /// Whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
@@ -239,23 +252,38 @@ Outcome Projector::linearize_known(double t, const double* y) {
   if (levels_ && levels_->update(t, y) == Status::stop) return Outcome::stop;
   if (!defined(r_.data())) return Outcome::not_finite;
   for (std::size_t i = 0; i < m; ++i)
-    if (!all_finite(&J_[i * n], n)) {
+    if (const Row row = invariants_.row(i, J_.data()); !all_finite(row.values, row.size)) {
       undefined_ = static_cast<int>(i);
       return Outcome::not_finite;
     }
-  linearized_ = true;
+  bent_ = 0;
   if (negligible_ > 0) linearized_w_ = w_;
   for (std::size_t i = 0; i < m; ++i) {
-    double* row = &scaled_(0, index(i));
-    for (std::size_t j = 0; j < n; ++j) row[j] = J_[i * n + j] * w_[j];
-    if (any_fixed())
-      for (std::size_t j = 0; j < n; ++j)
-        if (fixed(j)) row[j] = 0;
-    norm_[i] = norm2(row, n);
-    if (norm_[i] > 0)
-      for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
+    const double before = norm_[i];
+    scale_row(i);
+    if (linearized_) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
   }
+  linearized_ = true;
   return Outcome::ok;
+}
+
+/// The norm of row i of J W and, where the correction is that of all together, the row itself with norm 1. (Levels
+/// scale rows themselves.)
+void Projector::scale_row(std::size_t i) {
+  const std::size_t n = w_.size();
+  const Row gradient = invariants_.row(i, J_.data());
+  if (levels_) {
+    std::size_t k = 0;
+    gradient.for_each([&](std::size_t j, double value) { delta_[k++] = fixed(j) ? 0 : value * w_[j]; });
+    norm_[i] = norm2(delta_.data(), k);
+    return;
+  }
+  double* row = &scaled_(0, index(i));
+  if (gradient.columns != nullptr) std::fill(row, row + n, 0.0);
+  gradient.for_each([&](std::size_t j, double value) { row[j] = fixed(j) ? 0 : value * w_[j]; });
+  norm_[i] = norm2(row, n);
+  if (norm_[i] > 0)
+    for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
 }
 
 /// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.

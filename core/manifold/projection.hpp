@@ -20,11 +20,12 @@ namespace invariode {
 /// latest.
 struct Linearization {
   std::span<const double> y, residual, jacobian, weights, row_norm;
+  const RowLayout* layout;  ///< of the Jacobian
 
   [[nodiscard]] std::size_t n() const { return y.size(); }
   [[nodiscard]] std::size_t m() const { return residual.size(); }
   /// The gradient of invariant i.
-  [[nodiscard]] const double* gradient(std::size_t i) const { return jacobian.data() + i * n(); }
+  [[nodiscard]] Row gradient(std::size_t i) const { return layout->row(i, jacobian.data()); }
   /// How far the level set of invariant i is, in units of the weights; 0 where the gradient vanishes.
   [[nodiscard]] double distance(std::size_t i) const {
     return row_norm[i] > 0 ? std::abs(residual[i]) / row_norm[i] : 0;
@@ -75,7 +76,7 @@ class Projector {
   /// Takes r, J and the rows' norms at (t, y) with the weights W = max(|y|, thr), without moving y.
   Outcome linearize_at(double t, const double* y);
   /// The latest one.
-  [[nodiscard]] Linearization linearization() const { return {point_, r_, J_, w_, norm_}; }
+  [[nodiscard]] Linearization linearization() const { return {point_, r_, J_, w_, norm_, &invariants_.layout()}; }
 
   [[nodiscard]] Invariants& invariants() const { return invariants_; }
   /// The invariant that was not finite, or whose gradient was not, where a projection failed for that; -1: none was.
@@ -100,6 +101,7 @@ class Projector {
  private:
   Outcome linearize(double t, const double* y);
   Outcome linearize_known(double t, const double* y);
+  void scale_row(std::size_t i);
   Outcome measure(double t, const double* y);
   Outcome measure_after(double t, const double* y);
   bool defined(const double* r);
@@ -107,6 +109,7 @@ class Projector {
   [[nodiscard]] double doubt(const double* y) const;
   [[nodiscard]] double largest_before(std::size_t i) const;
   [[nodiscard]] bool far_off(const double* y) const;
+  [[nodiscard]] bool bends(const double* from, const double* y) const;
   [[nodiscard]] bool crossed_zero(const double* y) const;
   std::size_t solve(double t);
   void count_correction(double t, std::size_t rank);
@@ -126,6 +129,7 @@ class Projector {
   int iterations_;
   double negligible_;
   bool linearized_ = false;  // norm_ is of some earlier point, at least
+  double bent_ = 0;          // relative change of the length of a gradient since the linearization before
   std::vector<double> residual_before_, distance_before_, residual_after_;
   std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
   Eigen::MatrixXd scaled_;             // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q

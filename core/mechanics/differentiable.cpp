@@ -32,6 +32,10 @@ bool moves(const double* dx, std::size_t n) {
 SparseColumns::SparseColumns(const SparseMatrix& pattern, std::size_t first_component)
     : matrix(pattern), first(first_component) {
   matrix.makeCompressed();
+  if (matrix.nonZeros() == matrix.rows() * matrix.cols()) {  // each column by itself
+    for (Eigen::Index j = 0; j < matrix.cols(); ++j) groups.push_back({static_cast<std::size_t>(j)});
+    return;
+  }
   groups = group_columns(static_cast<std::size_t>(matrix.rows()), static_cast<std::size_t>(matrix.cols()),
                          matrix.outerIndexPtr(), matrix.innerIndexPtr());
 }

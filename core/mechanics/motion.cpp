@@ -37,16 +37,31 @@ std::vector<std::size_t> indices(const char* kept, std::size_t count) {
   return found;
 }
 
-/// Writes the rows of a sparse matrix that are kept into rows of `width` columns, from column `first` on.
-void write_rows(const SparseMatrix& from, const std::vector<int>& place, std::size_t offset, std::size_t width,
-                std::size_t first, double factor, double* J) {
-  for (Index j = 0; j < from.outerSize(); ++j)
-    for (SparseMatrix::InnerIterator it(from, j); it; ++it) {
-      const int row = place[static_cast<std::size_t>(it.row())];
-      if (row < 0) continue;
-      const std::size_t i = static_cast<std::size_t>(row) - offset;
-      J[i * width + first + static_cast<std::size_t>(j)] += factor * it.value();
-    }
+/// A among zeros, in a matrix of `width` columns, from column `first` on.
+SparseMatrix placed(const SparseMatrix& A, Index first, Index width) {
+  SparseMatrix wide(A.rows(), width);
+  for (Index j = 0; j < width; ++j) {
+    wide.startVec(j);
+    if (j < first || j >= first + A.cols()) continue;
+    for (SparseMatrix::InnerIterator it(A, j - first); it; ++it) wide.insertBack(it.row(), j) = it.value();
+  }
+  wide.finalize();
+  return wide;
+}
+
+/// The rows of a matrix that are kept, dense, row-major.
+void write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, double* out) {
+  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  Eigen::Map<Rows> rows(out, index(kept.size()), from.cols());
+  const Eigen::MatrixXd all(from);
+  for (std::size_t i = 0; i < kept.size(); ++i) rows.row(index(i)) = all.row(index(kept[i]));
+}
+
+/// Their entries row by row.
+void write_entries(const SparseMatrix& from, const std::vector<std::size_t>& kept, double* out) {
+  const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(from);
+  for (const std::size_t i : kept)
+    for (int p = rows.outerIndexPtr()[i]; p < rows.outerIndexPtr()[i + 1]; ++p) *out++ = rows.valuePtr()[p];
 }
 
 }  // namespace
@@ -83,6 +98,7 @@ Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
 
 void Motion::choose_patterns() {
   terms_.mass.matrix.makeCompressed();
+  diagonal_mass_ = is_diagonal(terms_.mass.matrix);
   phi_ = SparseColumns(terms_.phi_pattern, 0);
   psi_ = SparseColumns(terms_.psi_pattern, 0);
   psi_by_v_ = SparseColumns(columns_from(terms_.psi_pattern, terms_.n_q), terms_.n_q);
@@ -92,6 +108,8 @@ void Motion::choose_patterns() {
     kinematics_by_v_ = SparseColumns(columns_from(terms_.kinematics_pattern, terms_.n_q), terms_.n_q);
     phi_by_v_ = pattern_of_product(phi_.matrix, kinematics_by_v_.matrix);
   }
+  phi_by_time_ = phi_.matrix;
+  combine_rates();
   A_.resize(index(kept_phi_.size() + kept_psi_.size()), index(terms_.n_v));
   assemble();
   const auto all = static_cast<double>(A_.rows() * A_.cols());
@@ -103,13 +121,13 @@ void Motion::choose_patterns() {
 Callback Motion::callback(Part part) {
   switch (part) {
     case Part::slope: return {&entry<&Motion::slope>, this};
+    case Part::mass: return {&entry<&Motion::mass_values>, this};
     case Part::positions: return {&entry<&Motion::positions>, this};
     case Part::positions_jacobian: return {&entry<&Motion::positions_jacobian>, this};
     case Part::rates: return {&entry<&Motion::rates>, this};
     case Part::rates_jacobian: return {&entry<&Motion::rates_jacobian>, this};
     case Part::velocities: return {&entry<&Motion::velocities>, this};
     case Part::velocities_jacobian: return {&entry<&Motion::velocities_jacobian>, this};
-    case Part::mass_matrix: return {&entry<&Motion::mass_matrix>, this};
   }
   return {};
 }
@@ -137,12 +155,6 @@ void Motion::read_entries(SparseMatrix& into, bool entries) const {
       const auto k = static_cast<std::size_t>(p), i = static_cast<std::size_t>(into.innerIndexPtr()[p]);
       value[p] = entries_[entries ? k : i * width + static_cast<std::size_t>(j)];
     }
-}
-
-Status Motion::mass_matrix(double t, const double* y, double* out) {
-  if (mass(t, y) == Status::stop) return Status::stop;
-  Eigen::Map<Eigen::MatrixXd>(out, index(terms_.n_v), index(terms_.n_v)) = terms_.mass.matrix;
-  return Status::ok;
 }
 
 Status Motion::mass(double t, const double* q) {
@@ -274,6 +286,19 @@ Status Motion::curvatures(double t, const double* y) {
 // ---------------------------------------------------------------------------------------------------------------------
 // The laws
 
+Status Motion::mass_values(double t, const double* y, double* out) {
+  if (mass(t, y) == Status::stop) return Status::stop;
+  const std::size_t n = terms_.n_v;
+  std::fill(out, out + mass_size(), 0.0);
+  for (Index j = 0; j < M().outerSize(); ++j)
+    for (SparseMatrix::InnerIterator it(M(), j); it; ++it) {
+      const auto row = static_cast<std::size_t>(it.row()), column = static_cast<std::size_t>(j);
+      if (!diagonal_mass_) out[row * n + column] = it.value();
+      if (diagonal_mass_ && row == column) out[row] = it.value();
+    }
+  return Status::ok;
+}
+
 Status Motion::positions(double t, const double* y, double* out) {
   if (terms_.constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
@@ -282,8 +307,13 @@ Status Motion::positions(double t, const double* y, double* out) {
 
 Status Motion::positions_jacobian(double t, const double* y, double* J) {
   if (phi_jacobian(t, y) == Status::stop) return Status::stop;
-  std::fill(J, J + m_phi() * size(), 0.0);
-  write_rows(phi_.matrix, place_phi_, 0, size(), 0, 1, J);
+  write_rows(placed(phi_.matrix, 0, index(size())), kept_phi_, J);
+  return Status::ok;
+}
+
+Status Motion::positions_entries(double t, const double* y, double* values) {
+  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
+  write_entries(phi_.matrix, kept_phi_, values);
   return Status::ok;
 }
 
@@ -296,24 +326,44 @@ Status Motion::rates(double t, const double* y, double* out) {
 }
 
 /// ∂φ'/∂(q, v). By the symmetry of second derivatives ∂/∂q (Φ K + φ_t) = dΦ/dt along the motion + Φ K_q.
-Status Motion::rates_jacobian(double t, const double* y, double* J) {
+Status Motion::differentiate_rates(double t, const double* y) {
   const std::size_t n_q = terms_.n_q;
   if (q_dot(t, y, q_dot_.data()) == Status::stop) return Status::stop;
   const double h = along_increment * reach(t, y, n_q, 1, q_dot_.data());
-  std::fill(J, J + m_phi() * size(), 0.0);
   for (const double side : {1.0, -1.0}) {
     for (std::size_t j = 0; j < n_q; ++j) beside_[j] = y[j] + side * h * q_dot_[j];
     if (phi_jacobian(t + side * h, beside_.data()) == Status::stop) return Status::stop;
-    write_rows(phi_.matrix, place_phi_, 0, size(), 0, side / (2 * h), J);
+    double* value = phi_by_time_.valuePtr();
+    for (Index p = 0; p < phi_.matrix.nonZeros(); ++p)
+      value[p] = side > 0 ? phi_.matrix.valuePtr()[p] : (value[p] - phi_.matrix.valuePtr()[p]) / (2 * h);
   }
   if (phi_jacobian(t, y) == Status::stop) return Status::stop;
-  if (terms_.kinematics.m() == 0) {
-    write_rows(phi_.matrix, place_phi_, 0, size(), n_q, 1, J);
-    return Status::ok;
+  if (terms_.kinematics.m() > 0) {
+    fill_sizes(y, size(), size_.data());
+    if (terms_.kinematics.jacobian(t, y, size_.data(), kinematics_) == Status::stop) return Status::stop;
   }
-  fill_sizes(y, size(), size_.data());
-  if (terms_.kinematics.jacobian(t, y, size_.data(), kinematics_) == Status::stop) return Status::stop;
-  write_rows(SparseMatrix(phi_.matrix * kinematics_.matrix), place_phi_, 0, size(), 0, 1, J);
+  combine_rates();
+  return Status::ok;
+}
+
+/// (dΦ/dt, Φ), or (dΦ/dt, 0) + Φ K_(q, v).
+void Motion::combine_rates() {
+  const SparseMatrix by_time = placed(phi_by_time_, 0, index(size()));
+  if (terms_.kinematics.m() == 0)
+    rates_ = by_time + placed(phi_.matrix, index(terms_.n_q), index(size()));
+  else
+    rates_ = by_time + SparseMatrix(phi_.matrix * kinematics_.matrix);
+}
+
+Status Motion::rates_jacobian(double t, const double* y, double* J) {
+  if (differentiate_rates(t, y) == Status::stop) return Status::stop;
+  write_rows(rates_, kept_phi_, J);
+  return Status::ok;
+}
+
+Status Motion::rates_entries(double t, const double* y, double* values) {
+  if (differentiate_rates(t, y) == Status::stop) return Status::stop;
+  write_entries(rates_, kept_phi_, values);
   return Status::ok;
 }
 
@@ -323,12 +373,44 @@ Status Motion::velocities(double t, const double* y, double* out) {
   return Status::ok;
 }
 
-Status Motion::velocities_jacobian(double t, const double* y, double* J) {
+Status Motion::differentiate_velocities(double t, const double* y) {
   fill_sizes(y, size(), size_.data());
-  if (terms_.velocity_constraints.jacobian(t, y, size_.data(), psi_) == Status::stop) return Status::stop;
-  std::fill(J, J + m_psi() * size(), 0.0);
-  write_rows(psi_.matrix, place_psi_, m_phi(), size(), 0, 1, J);
+  return terms_.velocity_constraints.jacobian(t, y, size_.data(), psi_);
+}
+
+Status Motion::velocities_jacobian(double t, const double* y, double* J) {
+  if (differentiate_velocities(t, y) == Status::stop) return Status::stop;
+  write_rows(psi_.matrix, kept_psi_, J);
   return Status::ok;
+}
+
+Status Motion::velocities_entries(double t, const double* y, double* values) {
+  if (differentiate_velocities(t, y) == Status::stop) return Status::stop;
+  write_entries(psi_.matrix, kept_psi_, values);
+  return Status::ok;
+}
+
+RowPattern Motion::pattern(Part jacobian) const {
+  const bool velocities = jacobian == Part::velocities_jacobian;
+  const SparseMatrix& of_positions = jacobian == Part::positions_jacobian ? phi_.matrix : rates_;
+  const Eigen::SparseMatrix<double, Eigen::RowMajor> all(velocities ? psi_.matrix : of_positions);
+  RowPattern pattern{.starts = {0}, .columns = {}};
+  for (const std::size_t i : velocities ? kept_psi_ : kept_phi_) {
+    const int* columns = all.innerIndexPtr();
+    pattern.columns.insert(pattern.columns.end(), columns + all.outerIndexPtr()[i],
+                           columns + all.outerIndexPtr()[i + 1]);
+    pattern.starts.push_back(pattern.columns.size());
+  }
+  return pattern;
+}
+
+Callback Motion::entries(Part jacobian) {
+  switch (jacobian) {
+    case Part::positions_jacobian: return {&entry<&Motion::positions_entries>, this};
+    case Part::rates_jacobian: return {&entry<&Motion::rates_entries>, this};
+    case Part::velocities_jacobian: return {&entry<&Motion::velocities_entries>, this};
+    default: return {};
+  }
 }
 
 }  // namespace invariode

@@ -9,6 +9,7 @@
 #include "callback.hpp"
 #include "linear/saddle.hpp"
 #include "linear/sparse_saddle.hpp"
+#include "manifold/rows.hpp"
 #include "mechanics/differentiable.hpp"
 
 namespace invariode {
@@ -58,18 +59,24 @@ class Motion {
   Motion& operator=(const Motion&) = delete;
 
   /// Its functions of (t, y), those of the laws with the values that are kept; Jacobians are (…, n_q + n_v), row-major.
-  /// M is (n_v, n_v).
+  /// The mass is its diagonal, where it has no other entries, else (n_v, n_v).
+  /// Jacobians also as the entries of their patterns, row by row.
   enum class Part {
     slope,
+    mass,
     positions,
     positions_jacobian,
     rates,
     rates_jacobian,
     velocities,
-    velocities_jacobian,
-    mass_matrix
+    velocities_jacobian
   };
   [[nodiscard]] Callback callback(Part part);
+
+  /// Where the Jacobian of that law can have entries.
+  [[nodiscard]] RowPattern pattern(Part jacobian) const;
+  /// It as a function of (t, y) that writes these entries.
+  [[nodiscard]] Callback entries(Part jacobian);
 
   Status slope(double t, const double* y, double* out);
   /// v' and λ; what is not finite makes both NaN.
@@ -90,6 +97,8 @@ class Motion {
   /// How many values of φ and of ψ are kept.
   [[nodiscard]] std::size_t m_phi() const { return kept_phi_.size(); }
   [[nodiscard]] std::size_t m_psi() const { return kept_psi_.size(); }
+  /// How many values the mass has as a part.
+  [[nodiscard]] std::size_t mass_size() const { return diagonal_mass_ ? n_v() : n_v() * n_v(); }
   /// Whether sparse factors are tried before dense ones.
   [[nodiscard]] bool sparse() const { return sparse_; }
   [[nodiscard]] MotionWork work() const;
@@ -100,16 +109,21 @@ class Motion {
     return (static_cast<Motion*>(self)->*function)(t, y, out);
   }
 
+  Status mass_values(double t, const double* y, double* out);
   Status positions(double t, const double* y, double* out);
   Status positions_jacobian(double t, const double* y, double* J);
+  Status positions_entries(double t, const double* y, double* values);
   Status rates(double t, const double* y, double* out);
   Status rates_jacobian(double t, const double* y, double* J);
+  Status rates_entries(double t, const double* y, double* values);
+  Status differentiate_rates(double t, const double* y);
   Status velocities(double t, const double* y, double* out);
   Status velocities_jacobian(double t, const double* y, double* J);
-
-  Status mass_matrix(double t, const double* y, double* out);
+  Status velocities_entries(double t, const double* y, double* values);
+  Status differentiate_velocities(double t, const double* y);
 
   void choose_patterns();
+  void combine_rates();
   Status phi_jacobian(double t, const double* q);
   Status curvatures(double t, const double* y);
   void assemble();
@@ -120,7 +134,9 @@ class Motion {
   std::vector<int> place_phi_, place_psi_;  // of each value of φ, ψ: its row in A; -1: not kept
   SparseColumns phi_, psi_, psi_by_v_, kinematics_, kinematics_by_v_;
   SparseMatrix phi_by_v_, A_;
-  bool sparse_ = false;
+  SparseMatrix phi_by_time_;  // dΦ/dt along the motion
+  SparseMatrix rates_;        // the Jacobian of φ' with respect to y
+  bool sparse_ = false, diagonal_mass_ = false;
   SparseSaddle saddle_;
   ConstrainedSolution solution_;
   Eigen::VectorXd force_, gamma_;

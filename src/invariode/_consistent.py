@@ -22,6 +22,11 @@ _ROUNDOFF = 1e-11
 _BESIDE = 0.01
 #: What is left of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
+#: Sparse factors are faster from so many velocities on, where at most this part of the entries is other than 0.
+_LARGE = 100
+_SPARSE = 0.1
+#: What is left of rows that are surely no roundoff, though the factors lose half of the digits.
+_FAR = 1e-4
 _GOLDEN = 0.6180339887498949
 
 
@@ -51,7 +56,8 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
     return after
 
 
-def _consistent_positions(motion: Motion, start: Point, names: list[str]) -> Array:
+def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
+    """The q of `consistent_state`; without `nearest` some consistent q, the first of the iteration."""
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
@@ -61,13 +67,15 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str]) -> Arr
         residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
         if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
             break
+        if not nearest and not _off(residual, rows, q, q0).any():
+            break
         after = q0 + _least_change(weight, rows, rows @ (q - q0) - residual)
         moved = np.abs(after - q).max(initial=0.0)
         q = after
         if moved <= _SETTLED * sizes(q).max(initial=0.0):
             break
     residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
-    off = ~(np.abs(residual) <= _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0)))
+    off = _off(residual, rows, q, q0)
     if off.any():
         i = int(np.argmax(np.abs(residual) * off))
         raise InvariantError(
@@ -77,9 +85,20 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str]) -> Arr
     return q
 
 
+def _off(residual: Array, rows: Array, q: Array, q0: Array) -> Array:
+    """Which residuals are no roundoff."""
+    roundoff: Array = _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0))
+    off: Array = ~(np.abs(residual) <= roundoff)
+    return off
+
+
 def _least_change(weight: Array, rows: Array, right: Array) -> Array:
     """The x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
     n = len(weight)
+    if n >= _LARGE and np.count_nonzero(rows) <= _SPARSE * rows.size and np.count_nonzero(weight) <= _SPARSE * n * n:
+        found = _sparse_least_change(weight, rows, right)
+        if found is not None:
+            return found
     for metric in (weight, np.eye(n)):
         solution = _core.solve_saddle(
             np.ascontiguousarray(metric), np.ascontiguousarray(rows), np.zeros(n), right, DEPENDENT
@@ -90,19 +109,49 @@ def _least_change(weight: Array, rows: Array, right: Array) -> Array:
     return change
 
 
+def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | None:
+    """The same by sparse factors of (W, -Aᵀ; A, 0); None: it is not determined, or not to roundoff."""
+    from scipy.sparse import block_array, csc_array  # takes longer to import than all the rest
+    from scipy.sparse.linalg import splu
+
+    W, A = csc_array(weight), csc_array(rows)
+    try:
+        factors = splu(block_array([[W, -A.T], [A, None]], format="csc"))
+    except RuntimeError:  # singular
+        return None
+    change: Array = factors.solve(np.concatenate([np.zeros(len(weight)), right]))[: len(weight)]
+    off = np.abs(A @ change - right) > _ROUNDOFF * (abs(A) @ np.abs(change) + np.abs(right))
+    return change if np.isfinite(change).all() and not off.any() else None
+
+
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
     """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
     golden = np.modf(_GOLDEN * np.arange(1, motion.n_q + 1))[0]
     step = _BESIDE * sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
     try:
-        return at._replace(q=_consistent_positions(motion, at._replace(q=at.q + step), names))
+        return at._replace(q=_consistent_positions(motion, at._replace(q=at.q + step), names, nearest=False))
     except InvariantError:
         return at
+
+
+def _surely_independent(rows: Array) -> bool:
+    """Whether Cholesky's factors of A Aᵀ, rows of norm 1, show each row far from those before it."""
+    lengths = np.linalg.norm(rows, axis=1)
+    if not lengths.all():
+        return False
+    unit = rows / lengths[:, None]
+    try:
+        pivots = np.diag(np.linalg.cholesky(unit @ unit.T))
+    except np.linalg.LinAlgError:
+        return False
+    return bool((pivots > _FAR).all())
 
 
 def dependent_rows(rows: Array) -> Array:
     """Which rows depend on those before them."""
     dependent = np.zeros(len(rows), dtype=bool)
+    if len(rows) >= _LARGE and _surely_independent(rows):
+        return dependent
     basis = np.zeros((0, rows.shape[1]))
     for i, row in enumerate(rows):
         length = float(np.linalg.norm(row))

@@ -287,9 +287,11 @@ def _bands(lband: Any, uband: Any, n: int) -> tuple[int, int] | None:
         try:
             value = 0 if width is None else operator.index(width)
         except TypeError:
-            raise TypeError(f"{name} must be a bandwidth, an integer from 0 to {n - 1}, got {width!r}") from None
+            raise TypeError(
+                f"{name} must be a bandwidth, an integer from 0 to {max(n - 1, 0)}, got {width!r}"
+            ) from None
         if not 0 <= value < max(n, 1):
-            raise ValueError(f"{name} must be a bandwidth, an integer from 0 to {n - 1}, got {width!r}")
+            raise ValueError(f"{name} must be a bandwidth, an integer from 0 to {max(n - 1, 0)}, got {width!r}")
         widths.append(value)
     return widths[0], widths[1]
 

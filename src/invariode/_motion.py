@@ -103,10 +103,11 @@ class Motion:
             self._take_jacobian(functions.jacobian, start, p)
         self._kept = np.ones(self.m, dtype=bool)
         self._specs: dict[bytes, _core.Mechanics] = {}
+        self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
         self._idle: list[tuple[tuple[Any, ...], bytes, _core.Motion]] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_specs": {}, "_idle": []}  # what belongs to the core is made again
+        return {**self.__dict__, "_specs": {}, "_parts": {}, "_idle": []}  # what belongs to the core is made again
 
     # ------------------------------------------------------------------------------------------------------------------
     # The user's functions
@@ -208,6 +209,13 @@ class Motion:
             )
         return self._specs[key]
 
+    def part(self, name: str) -> _core.MotionPart:
+        """One of its functions for the core, always the same object."""
+        key = (self.kept.tobytes(), name)
+        if key not in self._parts:
+            self._parts[key] = _core.MotionPart(self.spec(), name)
+        return self._parts[key]
+
     @contextmanager
     def bound(self, args: tuple[Any, ...], kept: Array | None = None) -> Iterator[_core.Motion]:
         """The motion with these arguments, for evaluations here; nobody else has it meanwhile."""
@@ -232,12 +240,22 @@ class Motion:
             return _dense(motion.mass(at.t, at.x), self.n_v)
 
     def metric(self) -> Any:
-        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v)."""
+        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v).
+
+        None where M has off-diagonal entries and is sparse: what is least in it costs more than it gains.
+        """
+        starts, rows, values = self._mass
+        diagonal = np.array_equal(rows, np.arange(self.n_v)) and np.array_equal(starts, np.arange(self.n_v + 1))
+        if not diagonal and self.is_sparse:
+            return None
         if self._mass_writes != "nothing":
-            return MotionFunction(self, "mass_matrix")
-        mass = _dense(self._mass, self.n_v)
-        diagonal: Array = np.diag(mass)
-        return diagonal.copy() if np.array_equal(np.diag(diagonal), mass) else mass
+            return MotionFunction(self, "mass")
+        return values.copy() if diagonal else _dense(self._mass, self.n_v)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether the core tries sparse factors first."""
+        return _core.Motion(self.spec(), (), []).sparse
 
     def slope(self, at: Point) -> Array:
         """(q', v')."""
@@ -280,11 +298,7 @@ class MotionFunction(CoreFunction):
 
     def __init__(self, motion: Motion, part: str) -> None:
         self._motion, self._part = motion, part
-        self._known: tuple[_core.Mechanics, _core.MotionPart] | None = None
         self.__name__ = self.__qualname__ = part
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_known": None}  # belongs to the core
 
     def __repr__(self) -> str:
         return f"<the {self._part.replace('_', ' ')} of a mechanical system>"
@@ -294,7 +308,7 @@ class MotionFunction(CoreFunction):
             raise TypeError(f"the {self._part} of a mechanical system is a function of real states")
         with self._motion.bound(args) as motion:
             values = motion.evaluate(self._part, float(t), np.ascontiguousarray(y, dtype=float))
-        if self._part == "mass_matrix":
+        if self._part == "mass" and len(values) > self._motion.n_v:
             return values.reshape(self._motion.n_v, -1)
         return values.reshape(-1, self._motion.n_q + self._motion.n_v) if self._part.endswith("jacobian") else values
 
@@ -303,15 +317,12 @@ class MotionFunction(CoreFunction):
         return self._motion.native
 
     @property
-    def derivatives(self) -> dict[str, str]:
+    def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
         """How the derivatives of the constraints are had."""
         return self._motion.derivatives
 
     def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
-        spec = self._motion.spec()
-        if self._known is None or self._known[0] is not spec:
-            self._known = spec, _core.MotionPart(spec, self._part)
-        return self._known[1]
+        return self._motion.part(self._part)
 
 
 class FunctionOfState(CoreFunction):

@@ -20,9 +20,9 @@ import math
 import sys
 import threading
 from _ctypes import CFuncPtr
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
-from types import BuiltinFunctionType, FunctionType
+from types import BuiltinFunctionType, FunctionType, MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +44,8 @@ class CoreFunction:
 
     #: Whether it calls machine code of the user's, which takes the arguments as numbers.
     native = False
+    #: How its derivatives are had, by the name of the function.
+    derivatives: Mapping[str, str] = MappingProxyType({})
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
         """What the core takes in its place, for n components and `size` values."""
@@ -142,7 +144,7 @@ class CompiledFunction:
         """
         try:
             return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True))
-        except AttributeError as error:  # a function of math that cmath does not have
+        except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
 
     def _machine_code(self, shape: _Shape) -> _core.Native:

@@ -218,7 +218,7 @@ class EnsembleSolution:
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
         m = len(invariants)
-        stats = {name: int(counts[i]) for name, counts in self.stats.items()}
+        stats: dict[str, Any] = {name: counts[i].item() for name, counts in self.stats.items()}
         here = [event.trajectory == i for event in self.events]
         t = np.array([self.t_end[i]]) if self._final else self.t[reached]
         return Solution(

@@ -211,6 +211,7 @@ def _identifier(name: str) -> str:
 
 def _attributes(solution: Result) -> dict[str, Any]:
     """What is one value for the whole solution; Python's own types, so that netCDF and JSON take them."""
+    known = {name: value for name, value in solution.stats.items() if value is not None}
     return {
         "name": solution._names.problem,
         "message": solution.message,
@@ -218,7 +219,7 @@ def _attributes(solution: Result) -> dict[str, Any]:
         "success": solution.success,
         "rtol": _tolerance(solution._rtol),
         "atol": _tolerance(solution._atol),
-        **{name: value for name, value in solution.stats.items() if value is not None},
+        **{name: json.dumps(value) if isinstance(value, dict) else value for name, value in known.items()},
         "invariode_version": version("invariode"),
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from math import comb
@@ -30,6 +31,7 @@ _NULL = 1e-10  # singular values below, in units of the largest, are zero,
 _GAP = 1e3  # if none stands within this factor above the largest of these
 _NEGLIGIBLE = 1e-8  # coefficients below, in units of the largest term, are zero
 _DENOMINATOR = 1000
+_NUMERATOR = 10**6
 _RATIONAL = 1e-8  # relative distance from a fraction
 _CONSERVED = 1e-9  # rate, in units of its terms
 _DRIFT = 1e-6  # over a fresh trajectory of relative accuracy 1e-9
@@ -158,19 +160,28 @@ def find_invariants(
     names = [f"y[{i}]" for i in range(n)] if labels is None else distinct_labels(labels, n)
     search = _Search(fun, (t0, tf), start, extra)
     found: list[PolynomialInvariant] = []
+    in_units: list[PolynomialInvariant] = []
     for d in range(1, degree + 1):
         for candidate in search.null_polynomials(_monomials(n, d)):
-            polynomial = PolynomialInvariant(candidate, names)
-            if search.independent([*found, polynomial]) and search.verified(polynomial):
-                found.append(polynomial)
+            polynomial = PolynomialInvariant(search.in_units(candidate), names)
+            if search.independent([*in_units, polynomial]) and search.verified(polynomial):
+                in_units.append(polynomial)
+                found.append(PolynomialInvariant(candidate, names))
     return found
 
 
 class _Search:
-    """Sample points of a problem, and what polynomials do there."""
+    """Sample points of a problem, and what polynomials do there.
+
+    The unit of y is a power of two of the size of y0: powers of components of any size neither overflow nor underflow,
+    and nothing else changes.
+    """
 
     def __init__(self, fun: Callable[..., Any], t_span: tuple[float, float], y0: Array, args: tuple[Any, ...]) -> None:
-        self._fun, self._t_span, self._args = fun, t_span, args
+        self._exponent = math.frexp(np.abs(y0).max(initial=0) or 1.0)[1] - 1
+        self._unit = math.ldexp(1.0, self._exponent)
+        y0 = y0 / self._unit
+        self._users_fun, self._t_span, self._args = fun, t_span, args
         self._random = np.random.default_rng(20260)
         self._largest = np.abs(y0).max(initial=0) or 1.0
         first = self._trajectory(y0, 1e-6)
@@ -179,6 +190,10 @@ class _Search:
         self._y0 = y0
         runs = [first, *(self._trajectory(self._near(y0), 1e-6) for _ in range(_TRAJECTORIES - 1))]
         self._runs = [run for run in runs if run]
+
+    def _fun(self, t: float, y: Array, *args: Any) -> Array:
+        slope: Array = np.asarray(self._users_fun(t, self._unit * y, *args), dtype=float)
+        return slope / self._unit
 
     def _near(self, y: Array) -> Array:
         near: Array = y + _SPREAD * self._size * self._random.uniform(-1, 1, y.shape)
@@ -245,17 +260,29 @@ class _Search:
         basis = right[len(singular) - int(null.sum()) :] / norms  # coefficients of the scaled monomials
         scale = np.prod(self._size[None, :] ** exponents, axis=1)
         found = [self._tidy(row, monomials, scale) for row in _echelon(basis)]
-        return sorted(found, key=lambda p: (max(map(sum, p)), len(p)))
+        return sorted(filter(None, found), key=lambda p: (max(map(sum, p)), len(p)))
 
-    @staticmethod
-    def _tidy(row: Array, monomials: list[Exponents], scale: Array) -> dict[Exponents, Number]:
-        """Coefficients in the units of y, the first one 1, fractions if all of them are."""
+    def in_units(self, coefficients: dict[Exponents, Number]) -> dict[Exponents, Number]:
+        """A polynomial of the user's y as one of y in units, with the same first coefficient."""
+        first = sum(next(iter(coefficients)))
+        return {e: math.ldexp(float(c), self._exponent * (sum(e) - first)) for e, c in coefficients.items()}
+
+    def _tidy(self, row: Array, monomials: list[Exponents], scale: Array) -> dict[Exponents, Number]:
+        """Coefficients for the user's y, the first one 1, fractions if all of them are simple ones. Empty: some are
+        beyond doubles."""
         row = np.where(np.abs(row) <= _NEGLIGIBLE * np.abs(row).max(), 0, row)
         kept = np.flatnonzero(row)
+        degrees = np.array([sum(monomials[k]) for k in kept])
         values = row[kept] / scale[kept]
-        values = values / values[0]
+        with np.errstate(over="ignore", under="ignore"):
+            values = np.ldexp(values / values[0], self._exponent * (degrees[0] - degrees))
+        if not np.isfinite(values).all() or (values == 0).any():
+            return {}
         fractions = [Fraction(float(v)).limit_denominator(_DENOMINATOR) for v in values]
-        close = all(abs(float(q) - v) <= _RATIONAL * abs(v) for q, v in zip(fractions, values, strict=True))
+        close = all(
+            abs(float(q) - v) <= _RATIONAL * abs(v) and abs(q.numerator) <= _NUMERATOR
+            for q, v in zip(fractions, values, strict=True)
+        )
         numbers: list[Number] = [*fractions] if close else [float(v) for v in values]
         return {monomials[k]: number for k, number in zip(kept, numbers, strict=True)}
 

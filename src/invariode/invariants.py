@@ -420,7 +420,7 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     if y.dtype.kind == "c":
         raise ValueError(f"metric of invariant {name} is for real problems, and y0 is complex")
     k = len(one.moves or y)
-    if is_native(metric) or isinstance(metric, CoreFunction):
+    if is_native(metric) and not isinstance(metric, CoreFunction):
         return to_native(f"the metric of invariant {name}", metric, len(y), k * k, p), k * k
     what = f"metric of invariant {name}"
     constant = not callable(metric)
@@ -428,7 +428,9 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     if at_start.shape not in ((k,), (k, k)):
         told = "must have shape" if constant else "returned another shape than"
         raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), as {k} components move: {at_start.shape}")
-    return (np.ascontiguousarray(metric, dtype=float).ravel() if constant else metric), at_start.size
+    if constant:
+        return np.ascontiguousarray(metric, dtype=float).ravel(), at_start.size
+    return to_native(what, metric, len(y), at_start.size, p), at_start.size
 
 
 def _in_levels(specs: list[InvariantSpec]) -> bool:
@@ -468,6 +470,10 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     return fun, at_start
 
 
+#: Parts of the components' sizes in which g is looked at where it is not defined farther away.
+_NEARER = (1e-2, 1e-4, 1e-6)
+
+
 class _Probe:
     """Does g take complex y, and is the derivative that this gives the one that differences give?"""
 
@@ -484,7 +490,15 @@ class _Probe:
         golden = np.modf(0.6180339887498949 * np.arange(1, len(self._y) + 1))[0]
         direction = self._sizes() * (0.5 + golden) * np.where(np.arange(len(self._y)) % 2, -1, 1)
         verdict = self._agrees(self._y + 0.1 * direction, direction)  # what is not analytic may not show at y itself
-        return bool(self._agrees(self._y, direction) if verdict is None else verdict)
+        if verdict is None:
+            verdict = self._agrees(self._y, direction)
+        for nearer in _NEARER:
+            if verdict is not None:
+                break
+            for side in (1, -1):
+                if verdict is None:
+                    verdict = self._agrees(self._y + side * 0.1 * nearer * direction, nearer * direction)
+        return bool(verdict)
 
     def _sizes(self) -> Array:
         """Of the components, for increments, as the core takes them."""

@@ -262,13 +262,16 @@ class MechanicalSystem:
         motion = self._motion(start)
         return consistent_state(motion, start, self._names(motion)).x
 
-    def multipliers(self, sol: _Points) -> Array:
+    def multipliers(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
         """The multipliers λ at the points of a solution.
 
         Parameters
         ----------
         sol : Solution
             Of a problem of this system.
+        args : tuple, optional
+            The arguments that the solution belongs to. Default: those of its problem, where the solution knows it, else
+            those of the system. Give them for trajectories of ensembles and for solutions that were loaded.
 
         Returns
         -------
@@ -276,16 +279,18 @@ class MechanicalSystem:
             Those of the constraints, then those of the velocity constraints; of least norm where constraints are
             redundant.
         """
-        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)]
+        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
         return np.array(columns).T
 
-    def reactions(self, sol: _Points) -> Array:
+    def reactions(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
         """The forces of all constraints at the points of a solution: Aᵀ λ, where the rows of A are Φ and ∂ψ/∂v.
 
         Parameters
         ----------
         sol : Solution
             Of a problem of this system.
+        args : tuple, optional
+            As for ``multipliers``.
 
         Returns
         -------
@@ -293,7 +298,8 @@ class MechanicalSystem:
             In the directions of v.
         """
         columns = [
-            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol)
+            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers
+            for motion, at in self._along(sol, args)
         ]
         return np.array(columns).T
 
@@ -322,9 +328,12 @@ class MechanicalSystem:
         film: Film = sol.animate(lambda t, y: place(t, y[:n], *args), **options)
         return film
 
-    def _along(self, sol: _Points) -> list[tuple[Motion, Point]]:
+    def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
-        points = [Point(float(t), y[:n], y[n:], self.args) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
+        origin = getattr(sol, "_origin", None)
+        known = self.args if origin is None else origin.source.problem.args
+        used = known if args is None else extra_arguments(args)
+        points = [Point(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
         motion = self._motion(points[0]) if points else None
         return [(motion, at) for at in points if motion is not None]
 

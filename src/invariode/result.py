@@ -83,6 +83,10 @@ class Stats(Record):
     clipped_amount : float
         What moving steps onto `bounds` has added to the sum of the components; with invariants, before these were
         imposed again.
+    mechanics : dict or None
+        Of a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were had
+        ('complex step', 'differences', 'given'), and how often each function was called and matrices of accelerations
+        were factorised, 'sparse' and 'dense', in the whole run.
     """
 
     steps: int
@@ -101,6 +105,7 @@ class Stats(Record):
     derivatives: str | None
     projected_start: bool
     clipped_amount: float = 0.0
+    mechanics: dict[str, Any] | None = None
 
 
 class Steps(Record):

@@ -17,7 +17,7 @@ from ._messages import MESSAGES, harmful_projection
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._types import MethodName
-from .compiled import values_of
+from .compiled import CoreFunction, values_of
 from .description import Description
 from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
@@ -149,6 +149,9 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
     sol = _solution(run, plan, source)
+    work: Any = core.motion_work
+    if work is not None and isinstance(source.problem.fun, CoreFunction):
+        sol.stats.mechanics = {"derivatives": dict(source.problem.fun.derivatives)} | work
     if dropped:
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
@@ -334,5 +337,15 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
 
 def _summed(a: Stats, b: Stats) -> Stats:
     ways = {way for one in (a, b) if one.derivatives for way in one.derivatives.split(" and ")}
-    counts = {name: a[name] + b[name] for name in a if name not in ("derivatives", "projected_start")}
-    return Stats(**counts, derivatives=" and ".join(sorted(ways)) or None, projected_start=a.projected_start)
+    counts = {name: a[name] + b[name] for name in a if name not in ("derivatives", "projected_start", "mechanics")}
+    mechanics = (
+        a.mechanics
+        and b.mechanics
+        and {name: of if name == "derivatives" else of + b.mechanics[name] for name, of in a.mechanics.items()}
+    )
+    return Stats(
+        **counts,
+        derivatives=" and ".join(sorted(ways)) or None,
+        projected_start=a.projected_start,
+        mechanics=mechanics,
+    )

@@ -156,7 +156,7 @@ def functions(system: System, pieces: Iterable[Piece], compiled: bool, parameter
     if solved:
         motion = {"motion": text.formula(at)[0]}
         sources["f"] = _Source(_solved(system), motion, (n,))
-        change = {"change": cache(lambda: _Text([_derived(system)]).formula(0)[0]())}
+        change = {"change": cache(lambda: _derived(system).formula(0)[0]())}
         sources["jac"] = _Source(_solved_jacobian(system), motion | change, (n, n))
     else:
         sources["f"] = _plain(Piece("f", system.explicit, (n,)), *text.formula(at))
@@ -256,15 +256,40 @@ def _rates(system: System) -> list[Any]:
     return [slope for e in system.explicit for slope in _gradient([e], system.y)]
 
 
-def _derived(system: System) -> list[Any]:
-    """These, then those of ∂force/∂y - (∂mass/∂y) a with the accelerations a as symbols."""
-    k = len(system.force)
+def _derived(system: System) -> _Text:
+    """Lines for these, then for ∂force/∂y - (∂mass/∂y) a with the accelerations a as symbols.
+
+    The common subexpressions come first, then their derivatives, by the chain rule: each is small, and depends on few.
+    """
+    k, n = len(system.force), len(system.y)
     a = [sympy.Symbol(f"{_ACCELERATION}[{i}]", real=True) for i in range(k)]
-    rows = _rates(system)
-    for i, force in enumerate(system.force):
-        inertia = [-system.mass[i, j] * a[j] for j in range(k)]
-        rows += _gradient([*sympy.Add.make_args(force), *inertia], system.y)
-    return rows
+    left = [
+        sympy.Add(force, *(-system.mass[i, j] * a[j] for j in range(k) if system.mass[i, j] != 0))
+        for i, force in enumerate(system.force)
+    ]
+    primal = _Text([[*system.explicit, *left]])
+    slopes = {one: {j: sympy.S.One} for j, one in enumerate(system.y)}
+    found: dict[Any, Any] = {}
+    for name, expression in primal.found.items():
+        found[name] = expression
+        slopes[name] = {}
+        for j, slope in _chained(expression, slopes).items():
+            derivative = sympy.Symbol(f"{name}_{j}", real=True)
+            found[derivative] = slope
+            slopes[name][j] = slope if slope.is_Atom else derivative
+    rows = [_chained(e, slopes) for e in primal.groups[0]]
+    return _Text([[row.get(j, sympy.S.Zero) for row in rows for j in range(n)]], found)
+
+
+def _chained(expression: Any, slopes: Mapping[Any, Mapping[int, Any]]) -> dict[int, Any]:
+    """The derivatives of an expression with respect to the y that it depends on, of which its symbols have `slopes`."""
+    parts: dict[int, list[Any]] = {}
+    for one in sorted(expression.free_symbols & slopes.keys(), key=str):
+        outer = expression.diff(one)
+        for j, inner in slopes[one].items():
+            parts.setdefault(j, []).append(outer * inner)
+    sums = {j: sympy.Add(*terms) for j, terms in parts.items()}
+    return {j: total for j, total in sums.items() if total != 0}
 
 
 def _gradient(terms: Sequence[Any], y: Sequence[Any]) -> list[Any]:
@@ -291,19 +316,20 @@ def _column(pattern: Pattern, j: int) -> list[int]:
 
 
 class _Text:
-    """The text of groups of expressions with common subexpressions."""
+    """The text of groups of expressions with common subexpressions: those of `found`, or by a pass over all."""
 
-    def __init__(self, groups: list[list[Any]]) -> None:
-        names = sympy.numbered_symbols("x", real=True)
-        found, reduced = sympy.cse([e for group in groups for e in group], symbols=names, order="none")
-        ends = np.cumsum([0, *map(len, groups)])
-        self._groups = [reduced[a:b] for a, b in pairwise(ends)]
-        self._found: dict[Any, Any] = dict(found)
+    def __init__(self, groups: list[list[Any]], found: dict[Any, Any] | None = None) -> None:
+        self.groups, self.found = groups, found or {}
+        if found is None:
+            names = sympy.numbered_symbols("x", real=True)
+            pairs, reduced = sympy.cse([e for group in groups for e in group], symbols=names, order="none")
+            ends = np.cumsum([0, *map(len, groups)])
+            self.groups, self.found = [reduced[a:b] for a, b in pairwise(ends)], dict(pairs)
         self._printer = _Printer()
 
     def formula(self, group: int, kept: list[int] | None = None) -> tuple[Callable[[], list[str]], bool]:
         """Lines that store what is not zero, of all values or of those that are kept; and whether that is all."""
-        values = self._groups[group] if kept is None else [self._groups[group][i] for i in kept]
+        values = self.groups[group] if kept is None else [self.groups[group][i] for i in kept]
         stored = [f"out[{i}] = {self._print(e)}" for i, e in enumerate(values) if e != 0]
         lines = [*self._assigned(values), *stored]
         return lambda: lines, len(stored) == len(values)
@@ -311,12 +337,12 @@ class _Text:
     def _assigned(self, values: Sequence[Any]) -> list[str]:
         """The subexpressions that the values need, in the order of the pass, in which each follows those it needs."""
         needed: set[Any] = set()
-        waiting = [s for e in values for s in e.free_symbols if s in self._found]
+        waiting = [s for e in values for s in e.free_symbols if s in self.found]
         while waiting:
             if (one := waiting.pop()) not in needed:
                 needed.add(one)
-                waiting.extend(s for s in self._found[one].free_symbols if s in self._found)
-        return [f"{one} = {self._print(e)}" for one, e in self._found.items() if one in needed]
+                waiting.extend(s for s in self.found[one].free_symbols if s in self.found)
+        return [f"{one} = {self._print(e)}" for one, e in self.found.items() if one in needed]
 
     def _print(self, expression: Any) -> str:
         try:

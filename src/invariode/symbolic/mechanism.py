@@ -57,11 +57,14 @@ class Mechanism(NamedTuple):
     def _system(self, v0: Array) -> MechanicalSystem:
         n, m = self.n, len(self.positions)
         slopes = [one.diff(x) for one in self.positions for x in self.words.y[:n]]
-        jacobian = self._function(slopes)
+        rows = self._function(slopes)
         matrix = self._function(list(self.mass))
 
         def mass(t: float, q: Array, *args: float) -> Array:
             return np.reshape(matrix(t, q, v0, *args), (n, n))
+
+        def jacobian(t: float, q: Array, *args: float) -> Array:
+            return np.reshape(rows(t, q, *args), (m, n))
 
         holonomic: dict[str, Any] = {"constraints": self._function(self.positions), "jacobian": jacobian} if m else {}
         system = _Named(

@@ -1,0 +1,37 @@
+#pragma once
+// Solutions of least norm of a few entries per equation.
+
+#include <Eigen/SparseCholesky>
+#include <Eigen/SparseCore>
+#include <cstddef>
+#include <memory>
+#include <vector>
+
+#include "manifold/rows.hpp"
+
+namespace invariode {
+
+/// Equations a_i x = r_i with sparse rows, of a pattern that stays: with rows b_i of norm 1 in the scaled unknowns, by
+/// the factors L D Lᵀ of B Bᵀ, ordered once. What that loses, the square of a condition number, the next iteration of
+/// Newton's brings back.
+class SparseRows {
+ public:
+  /// Writes x = S z of least norm ‖z‖ for the rows named, S the diagonal matrix `scale`; 0: that unknown does not move.
+  /// Equations in which nothing moves are left out. False: rows depend on each other to within `threshold`.
+  bool least_norm(const RowLayout& layout, const double* values, const std::vector<std::size_t>& rows,
+                  const std::vector<double>& scale, const std::vector<double>& right, double threshold,
+                  std::vector<double>& x);
+
+ private:
+  using Matrix = Eigen::SparseMatrix<double>;
+
+  bool take(const RowLayout& layout, const double* values, const std::vector<std::size_t>& rows,
+            const std::vector<double>& scale, const std::vector<double>& right);
+
+  Matrix transposed_;      // (n, k): the scaled rows
+  Eigen::VectorXd right_;  // (k)
+  std::unique_ptr<Eigen::SimplicialLDLT<Matrix>> factors_ = std::make_unique<Eigen::SimplicialLDLT<Matrix>>();
+  Eigen::Index analyzed_ = -1;  // entries of the pattern that the order is for
+};
+
+}  // namespace invariode
