@@ -17,11 +17,12 @@ namespace invariode {
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
 
 /// Jacobians, factorisations and solves so far; whether the last attempt met a singular iteration matrix, or a Jacobian
-/// that is not finite.
+/// or a mass matrix that is not finite.
 struct LinearWork {
   std::int64_t jacobians = 0, factorizations = 0, solves = 0;
   bool singular = false;
   bool undefined_jacobian = false;
+  bool undefined_mass = false;
 };
 
 /// Why an attempt was rejected.

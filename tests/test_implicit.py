@@ -555,3 +555,13 @@ def test_a_ragged_matrix_is_refused_by_name(name):
     if name == "jac":
         with pytest.raises(ValueError, match=r"jac\(t, y\) must be .* with rows of equal length"):
             iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], jac=lambda t, y: [[1], [1, 2]])
+
+
+def test_a_mass_matrix_that_is_nan_from_some_time_on_is_told(algebraic_code):
+    def mass(t):
+        return np.diag([1.0, 1.0 if t < 1 else np.nan])
+
+    sol = algebraic_code(lambda t, y: -y, (0, 3), [1.0, 1.0], mass=mass)
+    assert sol.status == -1
+    assert sol.t[-1] == pytest.approx(1)
+    assert "mass matrix becomes NaN" in sol.message

@@ -119,6 +119,13 @@ void AgingJacobian::step_accepted() {
   ++age_;
 }
 
+/// Whether the values of M(t) are finite, which are looked at where M is a function.
+bool AgingJacobian::defined_mass() {
+  work_.undefined_mass =
+      mass_ && !mass_->constant() && !all_finite(mass_->matrix().values.data(), mass_->matrix().values.size());
+  return !work_.undefined_mass;
+}
+
 /// Forgets the factors at hand if they are not those for c.
 bool AgingJacobian::needs_factors(double c) {
   if (c == factored_) return false;

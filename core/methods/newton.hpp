@@ -95,6 +95,7 @@ class AgingJacobian {
   void note_singular() { work_.singular = true; }
 
  private:
+  bool defined_mass();
   bool needs_factors(double c);
   Outcome factored(double c, bool regular);
 
@@ -116,6 +117,7 @@ class AgingJacobian {
 template <class Factor>
 Outcome AgingJacobian::prepare(double c, double t1, Factor&& factor) {
   if (mass_ && mass_->evaluate(t1) == Status::stop) return Outcome::stop;
+  if (!defined_mass()) return Outcome::not_finite;
   return needs_factors(c) ? factored(c, factor()) : Outcome::ok;
 }
 

@@ -23,6 +23,9 @@ class Native:
 
     def __init__(self, *, address: int, event: bool, owner: object | None, inputs: Sequence[PiecewisePolynomial] = []) -> None: ...
 
+    @property
+    def address(self) -> int: ...
+
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
 
@@ -262,6 +265,9 @@ class Run:
 
     @property
     def singular(self) -> bool: ...
+
+    @property
+    def undefined_mass(self) -> bool: ...
 
     @property
     def undefined_jacobian(self) -> bool: ...

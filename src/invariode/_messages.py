@@ -142,6 +142,8 @@ _NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the so
 
 
 def _newton_failed(run: Run, pairs: bool) -> str:
+    if run.undefined_mass:
+        return "The mass matrix becomes NaN or infinite, also with the smallest step,"
     if run.undefined_jacobian:
         return "The Jacobian of fun is NaN or infinite, also with the smallest step,"
     if run.singular:
