@@ -605,7 +605,8 @@ void define_callables(nb::module_& module) {
             new (self) Native{address, event, std::move(owner), std::move(inputs)};
           },
           nb::kw_only(), nb::arg("address"), nb::arg("event"), nb::arg("owner").none(),
-          nb::arg("inputs") = std::vector<PiecewisePolynomial>{});
+          nb::arg("inputs") = std::vector<PiecewisePolynomial>{})
+      .def_prop_ro("address", [](const Native& self) { return self.address; });
   module.def(
       "capsule_address",
       [](const nb::object& capsule) {

@@ -24,6 +24,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       weights_(weights),
       invariants_(manifold.steps),
       bounds_(manifold.bounds),
+      bounded_slope_(manifold.bounded_slope),
       off_bounds_only_(manifold.off_bounds_only),
       settings_(std::move(settings)),
       callback_(callback),
@@ -178,7 +179,7 @@ State Integration::run() {
 
 State Integration::advance() {
   if (state_ != State::running) return state_;
-  begin_step();
+  if (!begin_step()) return state_;
   for (;;) {
     if (!std::isfinite(attempt_.t1)) {
       explain_failure(Cause::not_finite);
@@ -199,7 +200,7 @@ State Integration::advance() {
 
 /// |h| ≤ hmax but never below hmin, and a step that comes close to the target is stretched or cut to land on it
 /// exactly.
-void Integration::begin_step() {
+bool Integration::begin_step() {
   const double t = step_->t();
   interpolant_->start_at(t, step_->y());
   attempt_ = {.hmin = hmin_ulps * ulp(t)};
@@ -208,6 +209,8 @@ void Integration::begin_step() {
   attempt_.landing = stretch * size >= std::abs(target_ - t);
   attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
   attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
+  if (bounded_slope_ && bounded_slope_->begin_step(t, step_->y()) == Status::stop) return end(State::interrupted);
+  return true;
 }
 
 Integration::Verdict Integration::attempt() {

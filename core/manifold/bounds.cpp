@@ -54,17 +54,56 @@ double Bounds::clip(double* y) const {
   return added;
 }
 
+bool Bounds::leads_out(const Interval& one, const double* y, double forward, const double* slope) {
+  const auto& [i, lower, upper] = one;
+  const double s = forward * slope[i];  // NaN leads nowhere
+  return (s < 0 && y[i] <= lower) || (s > 0 && y[i] >= upper);
+}
+
 void Bounds::remove_outward(const double* y, double forward, double* slope) const {
-  for (const auto& [i, lower, upper] : intervals_) {
-    const bool leaves = forward * slope[i] < 0 ? y[i] <= lower : y[i] >= upper;
-    if (leaves && slope[i] != 0) slope[i] = 0;  // NaN stays: neither comparison holds for it
+  for (const Interval& one : intervals_)
+    if (leads_out(one, y, forward, slope)) slope[one.component] = 0;
+}
+
+BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method)
+    : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method) {
+  if (!by_step_) return;
+  rests_.resize(bounds.intervals().size());
+  slope_.resize(bounds.n());
+}
+
+Status BoundedSlope::begin_step(double t, const double* y) {
+  if (!by_step_) return Status::ok;
+  bool any = false;
+  for (std::size_t k = 0; k < rests_.size(); ++k) {
+    const auto& [i, lower, upper] = bounds_.intervals()[k];
+    // Which bound: −1, the lower; 1, the upper; of both at once, the lower.
+    rests_[k] = y[i] <= lower ? -1 : y[i] >= upper ? 1 : 0;
+    any = any || rests_[k] != 0;
+  }
+  if (!any) return Status::ok;
+  ++evaluations_;
+  if (f_(t, y, slope_.data()) == Status::stop) return Status::stop;
+  for (std::size_t k = 0; k < rests_.size(); ++k)
+    if (!Bounds::leads_out(bounds_.intervals()[k], y, forward_, slope_.data())) rests_[k] = 0;
+  return Status::ok;
+}
+
+void BoundedSlope::hold_what_rests(double* slope) const {
+  for (std::size_t k = 0; k < rests_.size(); ++k) {
+    const auto& [i, lower, upper] = bounds_.intervals()[k];
+    if (rests_[k] != 0 && (rests_[k] * forward_ * slope[i] > 0 || lower == upper)) slope[i] = 0;
   }
 }
 
 Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   auto& bounded = *static_cast<BoundedSlope*>(self);
   const Status status = bounded.f_(t, y, out);
-  if (status == Status::ok) bounded.bounds_.remove_outward(y, bounded.forward_, out);
+  if (status != Status::ok) return status;
+  if (bounded.by_step_)
+    bounded.hold_what_rests(out);
+  else
+    bounded.bounds_.remove_outward(y, bounded.forward_, out);
   return status;
 }
 

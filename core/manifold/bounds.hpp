@@ -3,6 +3,7 @@
 // Byrne, Appl. Math. Comput. 170 (2005) 556–569).
 
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "callback.hpp"
@@ -37,6 +38,8 @@ class Bounds {
   [[nodiscard]] Excess excess(const double* y, const Weights& weights) const;
   /// Moves what is outside onto its bound. Returns the sum of what it added to the components.
   double clip(double* y) const;
+  /// Whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
+  [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
   /// Of a slope at y, takes away what leads out of the bounds where y is at one or beyond. `forward`: +1 or −1, the
   /// direction of integration.
   void remove_outward(const double* y, double forward, double* slope) const;
@@ -47,21 +50,35 @@ class Bounds {
 };
 
 /// f without what leads out of the bounds: what a method integrates that keeps them. It refers to the bounds.
+///
+/// For explicit methods that depends on where y is: at or beyond a bound. It jumps there, and Newton's iteration would
+/// find no solution across the jump. So for implicit methods it depends on where the step starts: components that rest
+/// at a bound there, since f leads out, are not led out anywhere in the step; others are as f has them.
 class BoundedSlope {
  public:
-  BoundedSlope(const Callback& f, const Bounds& bounds, double forward) : f_(f), bounds_(bounds), forward_(forward) {}
+  BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method);
   BoundedSlope(const BoundedSlope&) = delete;
   BoundedSlope& operator=(const BoundedSlope&) = delete;
+
+  /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f.
+  Status begin_step(double t, const double* y);
+  /// How often it did.
+  [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
 
   /// Refers to this object.
   Callback callback() { return {&entry, this}; }
 
  private:
+  void hold_what_rests(double* slope) const;
   static Status entry(void* self, double t, const double* y, double* out);
 
   Callback f_;
   const Bounds& bounds_;
   double forward_;
+  bool by_step_;
+  std::vector<char> rests_;  // of the bounded components, for implicit methods
+  std::vector<double> slope_;
+  std::int64_t evaluations_ = 0;
 };
 
 }  // namespace invariode

@@ -72,7 +72,8 @@ void Run::keep_within_bounds() {
   manifold_.bounds = &*problem.bounds;
   if (mass_) return;
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
-  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward).callback();
+  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, solver_.method().implicit()).callback();
+  manifold_.bounded_slope = &*bounded_slope_;
   method_f_ = &bounded_f_;
 }
 
@@ -145,7 +146,7 @@ Consistency Run::prepare(double t0, double* y0) {
 }
 
 void Run::count_evaluations(RunResult& result) const {
-  result.nfev = method_f_->calls();
+  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0);
   if (!steps_) return;
   result.nfev_check = slope_->evaluations();
   result.ng = steps_->calls();

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, distinct_labels, extra_arguments, function, interval, positive_integer, state
+from ._arguments import Array, distinct_labels, extra_arguments, function, interval, positive_integer, quietly, state
 from ._types import Span
 from .invariants import Invariants
 from .ivp import solve_ivp
@@ -212,9 +212,10 @@ class _Search:
             "atol": 1e-4 * rtol * np.maximum(np.abs(y0), 1e-4 * self._largest),
         }
         try:
-            sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
-            if not sol.success or sol.status == 2:
-                sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
+            with quietly():
+                sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
+                if not sol.success or sol.status == 2:
+                    sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
         except (ArithmeticError, ValueError):  # a perturbed start outside of the domain of f
             return None
         return (sol.t, sol.y) if len(sol.t) > 1 else None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import groupby
 from time import perf_counter
@@ -17,6 +19,7 @@ from ._matrices import null_basis
 from .invariants import InvariantError
 from .methods import METHODS, Method
 from .problem import Problem
+from .result import StiffnessWarning
 from .solution import Solution
 
 __all__ = ["WAYS", "Judgement", "NoReferenceError", "Reference", "Row", "Run", "able", "best", "compare_runs", "judge"]
@@ -138,6 +141,15 @@ def able(problem: Problem) -> list[Method]:
 # The reference
 
 
+@contextmanager
+def _stiffness_untold() -> Iterator[None]:
+    """Explicit methods are tried on stiff problems on purpose: the figures tell."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StiffnessWarning)
+        yield
+
+
+@_stiffness_untold()
 def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
     """The final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for stiff
     problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
@@ -163,6 +175,7 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
     raise NoReferenceError(f"No two methods reach the end with stringent tolerances. {first}")
 
 
+@_stiffness_untold()
 def _stiff(problem: Problem, seconds: float) -> bool:
     implicit = problem.solve("ode15s", callback=_Limit(seconds))
     if implicit.status not in (0, 1):
@@ -205,6 +218,7 @@ def compare_runs(
                 break
 
 
+@_stiffness_untold()
 def _measured(
     problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
 ) -> tuple[Run, Run | None]:

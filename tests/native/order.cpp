@@ -163,7 +163,9 @@ TEST(projection_removes_the_part_of_the_local_error_that_is_normal_to_the_manifo
       const double w = projector.linearization().weights[static_cast<std::size_t>(j)];
       before[j] = (proposal.y[j] - exact[j]) / w;
       after[j] = (y1[j] - exact[j]) / w;
-      for (int i = 0; i < 2; ++i) JW(i, j) = projector.linearization().gradient(static_cast<std::size_t>(i))[j] * w;
+      for (int i = 0; i < 2; ++i)
+        JW(i, j) =
+            projector.linearization().gradient(static_cast<std::size_t>(i)).entry(static_cast<std::size_t>(j)) * w;
     }
     const Eigen::Vector4d expected = before - JW.transpose() * (JW * JW.transpose()).inverse() * (JW * before);
     CHECK_CLOSE((after - expected).norm(), 0, 1e-3 * before.norm());
