@@ -316,14 +316,19 @@ void PythonFunction::complain(PyObject* returned) const {
 /// Machine code as a core callback, with the arguments it gets. It needs no interpreter.
 class NativeFunction final : public Callable {
  public:
-  NativeFunction(const Native& native, std::span<const double> parameters) : native_(native), parameters_(parameters) {
+  NativeFunction(const Native& native, std::span<const double> parameters)
+      : native_(native), parameters_(parameters), p_(parameters.empty() ? nullptr : parameters.data()) {
     std::size_t size = 0;
     for (const PiecewisePolynomial& input : native_.inputs) size += input.size();
-    if (size > 0) with_inputs_.resize(size + parameters.size());
+    if (size == 0) return;
+    with_inputs_.resize(size + parameters.size());
+    p_ = with_inputs_.data();
   }
 
-  [[nodiscard]] Callback callback() { return {native_.event ? &event_entry : &vector_entry, this}; }
-  [[nodiscard]] MatrixFunction matrix() { return {&matrix_entry, this}; }
+  [[nodiscard]] Callback callback() { return with_inputs_.empty() ? of_kind<false>() : of_kind<true>(); }
+  [[nodiscard]] MatrixFunction matrix() {
+    return {with_inputs_.empty() ? &matrix_entry<false> : &matrix_entry<true>, this};
+  }
   int visit(visitproc visit, void* arg) const override {
     Py_VISIT(native_.owner.ptr());
     return 0;
@@ -333,37 +338,44 @@ class NativeFunction final : public Callable {
   using VectorCode = void(double t, const double* y, double* out, const double* p);
   using EventCode = double(double t, const double* y, const double* p);
 
+  // Entries of their own for functions with inputs: the others cost no more than the call.
+  template <bool Inputs>
+  [[nodiscard]] Callback of_kind() {
+    return {native_.event ? &event_entry<Inputs> : &vector_entry<Inputs>, this};
+  }
+  template <bool Inputs>
   static Status vector_entry(void* self, double t, const double* y, double* out) noexcept {
     auto& me = *static_cast<NativeFunction*>(self);
-    const double* p = me.parameters(t);
-    in_python([&] { reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, p); });  // by ctypes
+    if constexpr (Inputs) me.evaluate_inputs(t);
+    in_python([&] { reinterpret_cast<VectorCode*>(me.native_.address)(t, y, out, me.p_); });  // by ctypes
     return Status::ok;
   }
+  template <bool Inputs>
   static Status event_entry(void* self, double t, const double* y, double* out) noexcept {
     auto& me = *static_cast<NativeFunction*>(self);
-    const double* p = me.parameters(t);
-    out[0] = in_python([&] { return reinterpret_cast<EventCode*>(me.native_.address)(t, y, p); });
+    if constexpr (Inputs) me.evaluate_inputs(t);
+    out[0] = in_python([&] { return reinterpret_cast<EventCode*>(me.native_.address)(t, y, me.p_); });
     return Status::ok;
   }
+  template <bool Inputs>
   static Status matrix_entry(void* self, double t, const double* y, Matrix& out) noexcept {
-    return vector_entry(self, t, y, out.values.data());
+    return vector_entry<Inputs>(self, t, y, out.values.data());
   }
 
-  /// p at t. The parameters may have been written since the last call.
-  const double* parameters(double t) {
-    if (with_inputs_.empty()) return parameters_.empty() ? nullptr : parameters_.data();
+  /// Inputs at t, and behind them the parameters, which may have been written since the last call.
+  void evaluate_inputs(double t) {
     double* p = with_inputs_.data();
     for (const PiecewisePolynomial& input : native_.inputs) {
       input.evaluate(t, p);
       p += input.size();
     }
     std::copy(parameters_.begin(), parameters_.end(), p);
-    return with_inputs_.data();
   }
 
   Native native_;
   std::span<const double> parameters_;
   std::vector<double> with_inputs_;
+  const double* p_;  // what the code gets: the parameters, or those behind the inputs; null: there are none
 };
 
 void require(bool right, const char* what) {

@@ -33,6 +33,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       stiffness_(weights),
       events_(std::move(events), n_, step_->max_degree()),
       breaks_(std::move(breaks)) {
+  pass_breakpoints(0);
   if (invariants_) {
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
@@ -223,9 +224,7 @@ Integration::Verdict Integration::attempt() {
   const double* y1 = proposal.y;
   if (bounds_)
     if (const Verdict verdict = stay_within_bounds(y1); verdict != Verdict::accepted) return verdict;
-  projected_ = {};
-  projected_.skipped = true;
-  if (projector_ && (attempt_.off_bounds || !off_bounds_only_)) {
+  if (projector_ && (!off_bounds_only_ || outside_.off_bounds)) {
     if (const Verdict verdict = project(proposal.y); verdict != Verdict::accepted) return verdict;
     if (harm_ && !at_bounds())
       harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
@@ -243,16 +242,14 @@ Integration::Verdict Integration::attempt() {
 /// them.
 Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
   const Bounds::Excess outside = bounds_->excess(y1, weights_);
-  attempt_.off_bounds = outside.component >= 0;
-  step_->moved_onto_bounds(attempt_.off_bounds);
-  attempt_.clipped = 0;
-  if (!attempt_.off_bounds) return Verdict::accepted;
-  if (outside.size > weights_.rtol()) {
-    attempt_.outside = outside.component;
-    return reject(Cause::bounds);
-  }
+  outside_ = {.off_bounds = outside.component >= 0, .component = outside.component};
+  step_->moved_onto_bounds(outside_.off_bounds);
+  projected_ = {};
+  projected_.skipped = true;  // until it is projected
+  if (!outside_.off_bounds) return Verdict::accepted;
+  if (outside.size > weights_.rtol()) return reject(Cause::bounds);
   std::copy(y1, y1 + n_, y1_.begin());
-  attempt_.clipped = bounds_->clip(y1_.data());
+  outside_.clipped = bounds_->clip(y1_.data());
   y1 = y1_.data();
   return Verdict::accepted;
 }
@@ -314,7 +311,7 @@ void Integration::explain_failure(Cause cause) {
   if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
   if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
-  if (cause == Cause::bounds) report_.component = attempt_.outside;
+  if (cause == Cause::bounds) report_.component = outside_.component;
   if (cause != Cause::error) return;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && interpolant_->start_y()[i] == 0) {
@@ -333,7 +330,8 @@ State Integration::finish_step() {
   if (!judge_invariants()) return state_;
   stiffness_.note(*step_, ++counts_.steps, interpolant_->start_t(), interpolant_->start_y());
   interpolant_->accept();
-  if (find_events() && record() && emit(!events_.terminal() && (events_.acts() || breaks_here())) && conclude())
+  if (find_events() && record() && emit(settings_.output_at_times && jumps_here()) && conclude() &&
+      counts_.steps >= next_look_)
     goes_on();
   return state_;
 }
@@ -344,8 +342,9 @@ void Integration::note_drift() {
     drift.distance[i] = std::max(drift.distance[i], projected_.distance[i] / weights_.rtol());
   }
   drift.correction = std::max(drift.correction, attempt_.correction / weights_.rtol());
-  clipped += attempt_.clipped;
-  counts_.clipped += attempt_.off_bounds ? 1 : 0;
+  if (!bounds_) return;
+  clipped += outside_.clipped;
+  counts_.clipped += outside_.off_bounds ? 1 : 0;
 }
 
 bool Integration::judge_invariants() {
@@ -369,6 +368,7 @@ bool Integration::find_events() {
       else if (interpolant_->value(occurrence.t, event_y_.data()) == Status::stop)
         return end(State::interrupted);
       occurrences[occurrence.event].add(occurrence.t, event_y_.data(), n_);
+      next_look_ = 0;
     }
   }
   const bool cut = events_.terminal() || events_.acts();
@@ -392,6 +392,9 @@ bool Integration::record() {
   dense->add(segment, t, y);
   return true;
 }
+
+/// Does the solution jump at the end of the step?
+bool Integration::jumps_here() const { return !events_.terminal() && (events_.acts() || breaks_here()); }
 
 /// Puts out what the step up to the point reached, or the start, contributes. `jumps_here`: the solution jumps there.
 bool Integration::emit(bool jumps_here) {
@@ -442,9 +445,9 @@ bool Integration::conclude() {
   if (events_.terminal()) return end(State::terminal_event);
   if (stop != 0) return emit_before_end() && end(State::stopped_by_callback);
   if (events_.acts() && !jump()) return false;
+  if (!attempt_.landing) return true;
   if (breaks_here() && !pass_breakpoint()) return false;
-  if (attempt_.landing && t == settings_.tf) return end(State::reached_end);
-  return true;
+  return t != settings_.tf || end(State::reached_end);
 }
 
 /// What is known of the step that has ended does not hold at (reached t, y), where the solution goes on.
@@ -504,14 +507,11 @@ bool Integration::go_on_from_jump(bool rehold) {
 
 // -------------------------------------------------------------------------------------------------------- breakpoints
 
-/// Does the step end at a breakpoint?
-bool Integration::at_breakpoint() const {
-  return attempt_.landing && next_break_ < breaks_.points.size() && breaks_.points[next_break_].t == attempt_.t1;
-}
-
-/// Is the point reached a breakpoint that has not been passed?
-bool Integration::breaks_here() const {
-  return next_break_ < breaks_.points.size() && breaks_.points[next_break_].t == reached_.t;
+/// `count` more have been passed.
+void Integration::pass_breakpoints(std::size_t count) {
+  next_break_ += count;
+  const bool none = next_break_ == breaks_.points.size();
+  break_t_ = none ? std::numeric_limits<double>::quiet_NaN() : breaks_.points[next_break_].t;
 }
 
 /// Steps go to the next breakpoint from now on, and functions see the piece up to there.
@@ -529,7 +529,7 @@ bool Integration::pass_breakpoint() {
   leave_step(reached_.y);
   aim();
   bool acts = false, moved = false;
-  for (; breaks_here(); ++next_break_) {
+  for (; breaks_here(); pass_breakpoints(1)) {
     Breakpoint& point = breaks_.points[next_break_];
     if (!point.action) continue;
     acts = true;
@@ -567,16 +567,31 @@ bool Integration::goes_on() {
   if (counts_.steps >= settings_.max_steps) return reach(Limit::steps);
   if (out_of_time()) return reach(Limit::time);
   if (kept_points() >= settings_.max_points) return reach(Limit::points);
-  return kept_bytes() < settings_.max_bytes || reach(Limit::memory);
+  if (kept_bytes() >= settings_.max_bytes) return reach(Limit::memory);
+  next_look_ = counts_.steps + steps_to_spare();
+  return true;
+}
+
+/// In how many steps no limit can be reached, whatever they keep, if no event occurs in them.
+std::int64_t Integration::steps_to_spare() const {
+  if (request_ || limited_in_time()) return 0;
+  const std::size_t inside = std::max(static_cast<std::size_t>(settings_.refine), settings_.times.size());
+  const std::size_t rows = inside + 1;  // after a jump
+  std::size_t doubles = rows * (n_ + 1);
+  if (dense) doubles += interpolant_->max_size() + DenseOutput::most_of_step(n_);
+  const auto bytes = static_cast<std::int64_t>(sizeof(AcceptedStep) + doubles * sizeof(double));
+  return std::min({settings_.max_steps - counts_.steps,
+                   (settings_.max_points - kept_points()) / static_cast<std::int64_t>(rows),
+                   (settings_.max_bytes - kept_bytes()) / bytes});
 }
 
 double Integration::seconds() const {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count();
 }
 
-bool Integration::out_of_time() const {
-  return settings_.time_limit < std::numeric_limits<double>::infinity() && seconds() >= settings_.time_limit;
-}
+bool Integration::out_of_time() const { return limited_in_time() && seconds() >= settings_.time_limit; }
+
+bool Integration::limited_in_time() const { return settings_.time_limit < std::numeric_limits<double>::infinity(); }
 
 /// Outputs or steps of the continuous solution, whichever are more, and occurrences of events.
 std::int64_t Integration::kept_points() const {

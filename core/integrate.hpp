@@ -63,7 +63,10 @@ class Integration {
               std::vector<EventFunction> events, Breaks breaks, Callback callback, Settings settings);
 
   /// Ends the run after the first accepted step that finds the request true: whoever makes it keeps it meanwhile.
-  void heed(const std::atomic<bool>& request) { request_ = &request; }
+  void heed(const std::atomic<bool>& request) {
+    request_ = &request;
+    next_look_ = 0;
+  }
 
   State start(const double* y0);
   State advance();
@@ -108,11 +111,14 @@ class Integration {
     bool landing = false;  // t1 is the target
     double error = 0;
     double correction = 0;       // max_i |y*_i − y₁_i| / w_i
-    double clipped = 0;          // what moving the candidate onto bounds added to the sum of its components
-    bool off_bounds = false;     // whether it was outside
-    int outside = -1;            // the component for which the attempt was rejected
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
     int refusals = 0;            // how many were
+  };
+  /// The latest candidate and the bounds, if there are any.
+  struct Outside {
+    bool off_bounds = false;  // whether it was outside
+    double clipped = 0;       // what moving it onto them added to the sum of its components
+    int component = -1;       // for which the attempt was rejected
   };
 
   // What returns bool says whether the run goes on.
@@ -143,6 +149,7 @@ class Integration {
   bool judge_invariants();
   bool find_events();
   bool record();
+  [[nodiscard]] bool jumps_here() const;
   bool emit(bool jumps_here);
   bool emit_times(bool jumps_here);
   bool emit_before_end();
@@ -152,13 +159,18 @@ class Integration {
   bool jump();
   bool take_actions(bool& rehold);
   bool take(Callback& action);
-  [[nodiscard]] bool at_breakpoint() const;
-  [[nodiscard]] bool breaks_here() const;
+  /// Does the step end at a breakpoint?
+  [[nodiscard]] bool at_breakpoint() const { return attempt_.landing && break_t_ == attempt_.t1; }
+  /// Is the point reached a breakpoint that has not been passed?
+  [[nodiscard]] bool breaks_here() const { return break_t_ == reached_.t; }
+  void pass_breakpoints(std::size_t count);
   void aim();
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
   bool go_on_from_jump(bool rehold);
   bool goes_on();
+  [[nodiscard]] std::int64_t steps_to_spare() const;
+  [[nodiscard]] bool limited_in_time() const;
   [[nodiscard]] bool out_of_time() const;
   [[nodiscard]] double seconds() const;
   [[nodiscard]] std::int64_t kept_points() const;
@@ -189,6 +201,7 @@ class Integration {
   Report report_;
   Counts counts_;
   Attempted attempt_;
+  Outside outside_;
   Projected projected_;           // of the accepted candidate
   Point reached_{0, nullptr};     // the step, or the event that has cut it
   std::vector<double> y1_;        // the projected candidate
@@ -197,8 +210,10 @@ class Integration {
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;
+  double break_t_;     // of the next one; NaN: there is none
   double target_ = 0;  // the next breakpoint, or tf
   const std::atomic<bool>* request_ = nullptr;
+  std::int64_t next_look_ = 0;  // at the limits: after so many steps
   std::chrono::steady_clock::time_point started_;
 };
 

@@ -17,13 +17,7 @@ class StiffnessDetector {
 
   /// Step number `step`, from (t0, y0), has been accepted. Looks at one step in 64.
   void note(const Step& method, std::int64_t step, double t0, const double* y0) {
-    if (step % every != 0) return;
-    const double limit = method.stability();
-    if (limit == 0) return;
-    if (limit > near && moved(method, y0) < slow)
-      limited(t0);
-    else
-      free();
+    if (step % every == 0) look(method, t0, y0);
   }
 
   /// Nothing, unless most steps since then were limited.
@@ -33,33 +27,12 @@ class StiffnessDetector {
   }
 
  private:
-  void limited(double t0) {
-    if (streak_ == 0 && !sustained_) {
-      since_ = t0;
-      looks_ = limited_ = 0;
-    }
-    ++looks_;
-    ++limited_;
-    ++streak_;
-    free_ = 0;
-    sustained_ = sustained_ || streak_ >= long_streak;
-  }
-
-  void free() {
-    ++looks_;
-    if (++free_ >= end_of_streak) streak_ = 0;
-  }
-
-  /// ‖y₁ − y₀‖
-  [[nodiscard]] double moved(const Step& method, const double* y0) const {
-    const double* y1 = method.y();
-    return max_norm(weights_.size(), [&](std::size_t i) { return (y1[i] - y0[i]) / weights_.at(i, y0[i], y1[i]); });
-  }
+  void look(const Step& method, double t0, const double* y0);
+  void limited(double t0);
+  void free();
+  [[nodiscard]] double moved(const Step& method, const double* y0) const;
 
   static constexpr std::int64_t every = 64;  // so that it costs less than 1 % of a step
-  static constexpr double near = 0.5;  // of the limit: estimates there were 0.6 to 1.9 of it, in the median 0.9 to 1.1
-  static constexpr double slow = 0.1;  // what may change in a step at the limit, in the weights
-  static constexpr int long_streak = 10, end_of_streak = 4;  // looks
 
   const Weights& weights_;
   std::int64_t looks_ = 0, limited_ = 0;  // since `since_`

@@ -83,7 +83,8 @@ Projected Projector::project(double t, const double* from, double* y) {
     did.outcome = iteration == 0 ? linearize_known(t, y) : linearize(t, y);
     if (did.outcome != Outcome::ok) return did;
     if (iteration == 0) {
-      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = linearization().distance(i);
+      const Linearization at = linearization();
+      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = at.distance(i);
       doubtful = far_off(y);
     }
     did.rank = solve(t);
@@ -280,18 +281,19 @@ Outcome Projector::linearize_known(double t, const double* y) {
 void Projector::scale_row(std::size_t i) {
   const std::size_t n = w_.size();
   const Row gradient = invariants_.row(i, J_.data());
-  if (levels_) {
+  const bool sparse = gradient.columns != nullptr;
+  double* row = levels_ ? delta_.data() : &scaled_(0, index(i));
+  if (sparse && !levels_) std::fill(row, row + n, 0.0);
+  if (sparse || any_fixed()) {
     std::size_t k = 0;
-    gradient.for_each([&](std::size_t j, double value) { delta_[k++] = fixed(j) ? 0 : value * w_[j]; });
-    norm_[i] = norm2(delta_.data(), k);
-    return;
+    gradient.for_each([&](std::size_t j, double value) { row[levels_ ? k++ : j] = fixed(j) ? 0 : value * w_[j]; });
+  } else {
+    for (std::size_t j = 0; j < n; ++j) row[j] = gradient.values[j] * w_[j];
   }
-  double* row = &scaled_(0, index(i));
-  if (gradient.columns != nullptr) std::fill(row, row + n, 0.0);
-  gradient.for_each([&](std::size_t j, double value) { row[j] = fixed(j) ? 0 : value * w_[j]; });
-  norm_[i] = norm2(row, n);
-  if (norm_[i] > 0)
-    for (std::size_t j = 0; j < n; ++j) row[j] *= preference(i) / norm_[i];
+  norm_[i] = norm2(row, levels_ ? gradient.size : n);
+  if (!(norm_[i] > 0) || levels_) return;
+  const double factor = preference(i) / norm_[i];
+  for (std::size_t j = 0; j < n; ++j) row[j] *= factor;
 }
 
 /// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.

@@ -16,6 +16,11 @@ void nested_polynomial(const double* data, std::size_t size, std::size_t n, doub
   }
 }
 
+double* memory(std::vector<double>& v, std::size_t size) {
+  v.resize(size);
+  return v.data();
+}
+
 constinit const std::array<MakePair, Pairs::count> pairs_for_many = factories<false>(Pairs());
 
 }  // namespace invariode::runge_kutta

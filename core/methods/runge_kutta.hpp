@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <memory>
+#include <vector>
 
 #include "methods/dop853.hpp"
 #include "methods/ode23.hpp"
@@ -20,6 +21,9 @@ enum class Fsal { reuse, evaluate };
 
 /// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
 void nested_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out);
+
+/// `size` doubles in `v`, which not every run needs. (Inlined, it would cost each step registers.)
+double* memory(std::vector<double>& v, std::size_t size);
 
 template <const auto&... T>
 struct Tableaux {

@@ -160,10 +160,7 @@ class Pair final : public Step {
  private:
   static constexpr double exponent = 1.0 / T.order;
 
-  void provide_reevaluated() {
-    again_.resize(n());
-    reevaluated_ = again_.data();
-  }
+  void provide_reevaluated() { reevaluated_ = memory(again_, n()); }
 
   /// Whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, y*).
   [[nodiscard]] bool evaluates_again() const { return projected_ && (fsal_ == Fsal::evaluate || moved_onto_bounds_); }

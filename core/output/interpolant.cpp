@@ -70,7 +70,7 @@ Status StepInterpolant::make() {
   const std::size_t n = interpolant_.n_;
   const std::size_t raw_size = step_.extension_size();
   size_ = raw_size + interpolant_.overhead();
-  if (data_.empty()) data_.resize(step_.max_extension_size() + interpolant_.overhead());
+  if (data_.empty()) data_.resize(max_size());
   if (step_.extension(data_.data()) == Status::stop) return Status::stop;
   if (interpolant_.mode_ != Interpolation::raw) {
     double* e0 = data_.data() + raw_size;

@@ -87,6 +87,8 @@ class StepInterpolant {
   Status value(double t, double* y);
   Status corrected(double t, double* y);
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }
+  /// Doubles in a segment, at most.
+  [[nodiscard]] std::size_t max_size() const { return step_.max_extension_size() + interpolant_.overhead(); }
   /// The segment, made if it was not yet; data is null if a user function stopped the run meanwhile.
   Segment segment();
 

@@ -52,6 +52,12 @@ class DenseOutput {
   [[nodiscard]] std::size_t bytes() const {
     return knots_.bytes() + data_.size() * sizeof(double) + end_.size() * (sizeof(double) + sizeof(std::size_t));
   }
+  /// Doubles that a step and a jump at its end add to that at most, beside the data of the segment.
+  static std::size_t most_of_step(std::size_t n) {
+    static_assert(sizeof(std::size_t) <= sizeof(double));
+    constexpr std::size_t segments = 2;
+    return segments * ((n + 1) + 2);  // a knot, the end and the offset
+  }
 
   /// What it consists of, for storing it: given to `start` and `add` again, it makes the same function.
   struct Parts {

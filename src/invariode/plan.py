@@ -6,13 +6,14 @@ It is made in four stages: options, functions, linear algebra, invariants.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
 from ._bounds import Limits
-from ._messages import inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
+from ._messages import MESSAGES, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
@@ -127,19 +128,22 @@ class Plan(NamedTuple):
 
     def exception(self, run: _core.Run) -> ValueError | None:
         """The exception with which a single solve ends where the run did."""
-        if run.state == "invariant_refused":
+        state = run.state
+        if state in MESSAGES:
+            return None
+        if state == "invariant_refused":
             text = refusal(run, self.names, self.demanded, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)
-        if run.state == "start_contradicts":
+        if state == "start_contradicts":
             return InvariantError(
                 f"no point near y0 is within the bounds and has the values of the invariants: {', '.join(self.names)}. "
                 "Widen the bounds, or correct the values"
             )
-        if run.state == "start_out_of_bounds":
+        if state == "start_out_of_bounds":
             return ValueError(out_of_bounds("y0", run.component, self.functions.limits))
-        if run.state == "event_undefined":
+        if state == "event_undefined":
             return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
-        if run.state == "action_undefined":
+        if state == "action_undefined":
             at_event = run.event < len(self.event_names)
             what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
             return ValueError(f"the action {what} returned NaN at t = {run.t}")
@@ -184,7 +188,9 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     settings = _settings(problem, chosen, options)
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order)
-    breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
+    breakpoints: list[Breakpoint] = []
+    if options["breakpoints"] or problem.inputs:
+        breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
     parameters, fun = _native_functions(problem, breakpoints)
     linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
@@ -224,6 +230,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
+    max_points, max_bytes = _most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0))
     first, largest = options["first_step"], options["max_step"]
     if first is not None and first > span:
         raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first!r}")
@@ -245,7 +252,8 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         iterations=method.iterations,
         max_steps=options["max_steps"] or LARGEST_COUNT,
         time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
-        **_most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0)),
+        max_points=max_points,
+        max_bytes=max_bytes,
     )
 
 
@@ -259,12 +267,12 @@ def _calibrated(weights: Tolerances, order: int) -> Tolerances:
 _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
 
 
-def _most_kept(points: int | None, demanded: int, n: int) -> dict[str, int]:
-    """The limits of what is kept. `demanded`: times of output, which somebody wants."""
+def _most_kept(points: int | None, demanded: int, n: int) -> tuple[int, int]:
+    """The limits of what is kept: points and bytes. `demanded`: times of output, which somebody wants."""
     if points is not None:
-        return {"max_points": points}
+        return points, LARGEST_COUNT
     size = 8 * (n + 1)  # of t and y, doubles
-    return {"max_points": _MOST_POINTS + demanded, "max_bytes": _MOST_BYTES + demanded * size}
+    return _MOST_POINTS + demanded, _MOST_BYTES + demanded * size
 
 
 def _highest_order(method: Method, order: int | None) -> int:
@@ -281,13 +289,16 @@ def _highest_order(method: Method, order: int | None) -> int:
 
 def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
-    used = [problem.fun, problem.matrices.jac]
-    used += [f for one in problem.invariants for f in (one.fun, one.jac)]
-    used += [f for event in problem.events for f in (event.fun, event.action)]
-    used += [point.action for point in breakpoints]
-    p = native_parameters(problem.args, used)
+    p = native_parameters(problem.args, _called(problem, breakpoints))
     n = reals(problem.y0)
     return p, to_native("fun", fed(problem.fun, problem.inputs), n, n, p)
+
+
+def _called(problem: Description, breakpoints: list[Breakpoint]) -> Iterator[Any]:
+    yield from (problem.fun, problem.matrices.jac)
+    yield from (f for one in problem.invariants for f in (one.fun, one.jac))
+    yield from (f for event in problem.events for f in (event.fun, event.action))
+    yield from (point.action for point in breakpoints)
 
 
 def _functions(

@@ -137,29 +137,38 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     core = solver(plan)
     if resumed is not None:
         core.resume(*resumed)
-    y0 = plan.y0.view(float)
-    with ExitStack() as around:
-        told = request = None
-        if plan.progress:
-            told = around.enter_context(run_bar(source.problem.name, plan.settings.t0, plan.settings.tf))
-        if plan.on_interrupt == "return":
-            request = around.enter_context(stopped_by_interrupt())
-        run = core.integrate(y0, told, request)
+    run = _integrated(core, plan, source.problem.name)
     if exception := plan.exception(run):
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
     sol = _solution(run, plan, source)
-    work: Any = core.motion_work
-    if work is not None and isinstance(source.problem.fun, CoreFunction):
-        sol.stats.mechanics = {"derivatives": dict(source.problem.fun.derivatives)} | work
+    fun = source.problem.fun
+    if isinstance(fun, CoreFunction):
+        work: Any = core.motion_work
+        if work is not None:
+            sol.stats.mechanics = {"derivatives": dict(fun.derivatives)} | work
     if dropped:
         _warn_dropped(dropped, first, plan.names, sol._drift)
     if harmed >= 0 and sol.success:
         component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
         warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
-    if sol.stats.stiff_since is not None:
-        warn(f"{plan.method.name}: {limited_by_stability(sol.stats.stiff_since)}", StiffnessWarning)
+    if run.stiff:
+        warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
     return sol
+
+
+def _integrated(core: _core.Solver, plan: Plan, name: str) -> _core.Run:
+    """The run, with its bar, and with Ctrl-C as a request, where they are asked for."""
+    y0 = plan.y0.view(float)
+    if not plan.progress and plan.on_interrupt != "return":
+        return core.integrate(y0, None, None)
+    with ExitStack() as around:
+        told = request = None
+        if plan.progress:
+            told = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
+        if plan.on_interrupt == "return":
+            request = around.enter_context(stopped_by_interrupt())
+        return core.integrate(y0, told, request)
 
 
 def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
