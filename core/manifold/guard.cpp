@@ -359,14 +359,14 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
   FlowRate best{.outcome = Outcome::ok, .error = std::numeric_limits<double>::infinity()};
   const double roundoff = invariants_.roundoff(i, y, J);
   double s = std::clamp(scale_of_time(t, y, f), std::abs(h) / longest_flow, longest_flow * std::abs(h));
-  for (int k = 0, shorter = 0; k < extrapolations && (k < fewest_extrapolations || s > std::abs(h) / longest_flow);
-       s /= 2) {
+  int k = 0, shorter = 0;
+  while (k < extrapolations && (k < fewest_extrapolations || s > std::abs(h) / longest_flow)) {
     double next = 0;
     const Outcome outcome = flow_difference(i, t, y, f, s, next);
     if (outcome == Outcome::stop) return {.outcome = outcome};
     if (outcome == Outcome::not_finite) {
       if (k > 0 || ++shorter > shorter_flows) return {.outcome = outcome};
-      s /= 5;
+      s /= 10;
       continue;
     }
     double factor = 1;
@@ -379,6 +379,7 @@ Guard::FlowRate Guard::flow_rate(std::size_t i, double t, const double* y, const
       if (error < best.error) best.rate = next, best.error = error;
     }
     ++k;
+    s /= 2;
   }
   return best;
 }
