@@ -262,7 +262,7 @@ Integration::Verdict Integration::project(const double* candidate) {
   const bool defined = projected_.outcome == Outcome::ok;
   attempt_.correction = defined ? projected_.correction : std::numeric_limits<double>::infinity();
   const bool large = attempt_.correction > largest_correction * weights_.rtol();
-  if (large && !(defined && attempt_.correction <= roundoff_of_correction())) return oversized(candidate);
+  if (large && (!defined || !(attempt_.correction <= roundoff_of_correction()))) return oversized(candidate);
   if (harm_ && !at_bounds())
     harm_->note(*step_, counts_.steps, candidate, y1_.data(), projector_->linearization().weights.data());
   return Verdict::accepted;
