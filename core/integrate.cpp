@@ -226,8 +226,6 @@ Integration::Verdict Integration::attempt() {
     if (const Verdict verdict = stay_within_bounds(y1); verdict != Verdict::accepted) return verdict;
   if (projector_ && (!off_bounds_only_ || outside_.off_bounds)) {
     if (const Verdict verdict = project(proposal.y); verdict != Verdict::accepted) return verdict;
-    if (harm_ && !at_bounds())
-      harm_->note(*step_, counts_.steps, proposal.y, y1_.data(), projector_->linearization().weights.data());
     y1 = y1_.data();
   }
   switch (step_->accept(y1)) {
@@ -263,9 +261,11 @@ Integration::Verdict Integration::project(const double* candidate) {
   if (projected_.outcome == Outcome::stop) return ended(State::interrupted);
   const bool defined = projected_.outcome == Outcome::ok;
   attempt_.correction = defined ? projected_.correction : std::numeric_limits<double>::infinity();
-  if (!(attempt_.correction > largest_correction * weights_.rtol())) return Verdict::accepted;
-  if (defined && attempt_.correction <= roundoff_of_correction()) return Verdict::accepted;
-  return oversized(candidate);
+  const bool large = attempt_.correction > largest_correction * weights_.rtol();
+  if (large && (!defined || !(attempt_.correction <= roundoff_of_correction()))) return oversized(candidate);
+  if (harm_ && !at_bounds())
+    harm_->note(*step_, counts_.steps, candidate, y1_.data(), projector_->linearization().weights.data());
+  return Verdict::accepted;
 }
 
 /// What roundoff in g does to a correction.
