@@ -146,7 +146,7 @@ class Invariants:
 class AccuracyWarning(UserWarning):
     """Projection moves a component of the solution by much more than its estimated error: it may do harm there.
 
-    Said once: of a run, of all trajectories of an ensemble, or by one of the classes in `invariode.scipy`.
+    Said once: of a run, of all trajectories of an ensemble, or by one of the classes in ``invariode.scipy``.
     """
 
 
