@@ -201,6 +201,7 @@ State Integration::advance() {
 /// |h| ≤ hmax but never below hmin, and a step that comes close to the target is stretched or cut to land on it
 /// exactly.
 bool Integration::begin_step() {
+  if (bounded_slope_ && !meet_bounds()) return false;
   const double t = step_->t();
   interpolant_->start_at(t, step_->y());
   attempt_ = {.hmin = hmin_ulps * ulp(t)};
@@ -209,8 +210,16 @@ bool Integration::begin_step() {
   attempt_.landing = stretch * size >= std::abs(target_ - t);
   attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
   attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
-  if (bounded_slope_ && bounded_slope_->begin_step(t, step_->y()) == Status::stop) return end(State::interrupted);
   return true;
+}
+
+/// Where components come to rest at bounds, or leave them, f is another function from here on: the method starts anew.
+bool Integration::meet_bounds() {
+  bool changed = false;
+  if (bounded_slope_->begin_step(step_->t(), step_->y(), changed) == Status::stop) return end(State::interrupted);
+  if (!changed) return true;
+  const std::vector<double> y(step_->y(), step_->y() + n_);
+  return start_memory(step_->t(), y.data());
 }
 
 Integration::Verdict Integration::attempt() {

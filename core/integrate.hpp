@@ -133,6 +133,7 @@ class Integration {
   bool watch_events(Outcome outcome);
 
   bool begin_step();
+  bool meet_bounds();
   Verdict attempt();
   Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);

@@ -158,8 +158,8 @@ def test_both_bounds_are_kept(method):
     y = sol.sol(between(sol))[0]
     assert sol.success
     assert y.min() >= -1
-    assert y.max() <= 2
     assert y.max() == 2
+    assert sol.stats.steps < 500  # at a bound steps are as long as elsewhere
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -72,8 +72,16 @@ BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forwa
   slope_.resize(bounds.n());
 }
 
-Status BoundedSlope::begin_step(double t, const double* y) {
+Status BoundedSlope::begin_step(double t, const double* y, bool& changed) {
   if (!by_step_) return Status::ok;
+  rested_ = rests_;
+  const Status status = look(t, y);
+  changed = rests_ != rested_;
+  return status;
+}
+
+/// What rests at (t, y).
+Status BoundedSlope::look(double t, const double* y) {
   bool any = false;
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];

@@ -60,8 +60,9 @@ class BoundedSlope {
   BoundedSlope(const BoundedSlope&) = delete;
   BoundedSlope& operator=(const BoundedSlope&) = delete;
 
-  /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f.
-  Status begin_step(double t, const double* y);
+  /// The next step starts at (t, y). For an implicit method with a component at a bound this evaluates f. `changed`: it
+  /// is another slope now, which the method's memory does not know.
+  Status begin_step(double t, const double* y, bool& changed);
   /// How often it did.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
 
@@ -69,6 +70,7 @@ class BoundedSlope {
   Callback callback() { return {&entry, this}; }
 
  private:
+  Status look(double t, const double* y);
   void hold_what_rests(double* slope) const;
   static Status entry(void* self, double t, const double* y, double* out);
 
@@ -76,7 +78,7 @@ class BoundedSlope {
   const Bounds& bounds_;
   double forward_;
   bool by_step_;
-  std::vector<char> rests_;  // of the bounded components, for implicit methods
+  std::vector<char> rests_, rested_;  // of the bounded components, for implicit methods: now, in the step before
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;
 };

@@ -149,7 +149,6 @@ def _stiffness_untold() -> Iterator[None]:
         yield
 
 
-@_stiffness_untold()
 def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
     """The final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for stiff
     problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
@@ -161,7 +160,8 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
             found = []
             for name, options in pair:
                 limit = _Limit(_PATIENCE * seconds)
-                sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, callback=limit, **options)
+                with _stiffness_untold():
+                    sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, callback=limit, **options)
                 if sol.status not in (0, 1):
                     why = sol.message if sol.status < 0 else f"It takes longer than {_PATIENCE * seconds:g} s (limit)."
                     obstacles.append(f"{name}, rtol {power(rtol)}: {why}")
@@ -175,13 +175,13 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
     raise NoReferenceError(f"No two methods reach the end with stringent tolerances. {first}")
 
 
-@_stiffness_untold()
 def _stiff(problem: Problem, seconds: float) -> bool:
     implicit = problem.solve("ode15s", callback=_Limit(seconds))
     if implicit.status not in (0, 1):
         return False
     steps = _STIFF * implicit.stats.steps + _FEW
-    return problem.solve("ode45", callback=_Limit(seconds, steps), keep="end").status not in (0, 1)
+    with _stiffness_untold():
+        return problem.solve("ode45", callback=_Limit(seconds, steps), keep="end").status not in (0, 1)
 
 
 def _agreed(first: Solution, second: Solution, by: str) -> Reference:
@@ -218,7 +218,6 @@ def compare_runs(
                 break
 
 
-@_stiffness_untold()
 def _measured(
     problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
 ) -> tuple[Run, Run | None]:
@@ -246,7 +245,8 @@ def _measured(
 
 def _timed(solve: Callable[[], Solution]) -> tuple[Solution, float]:
     start = perf_counter()
-    sol = solve()
+    with _stiffness_untold():
+        sol = solve()
     return sol, perf_counter() - start
 
 
