@@ -17,7 +17,7 @@ MetricFactor::MetricFactor(Metric metric, std::vector<std::size_t> components)
   if (metric_.values.size() == k)
     diagonal_.resize(index(k));
   else if (metric_.values.size() == k * k)
-    factor_ = Eigen::LLT<Eigen::MatrixXd>(index(k));
+    factor_ = std::make_unique<Eigen::LLT<Eigen::MatrixXd>>(index(k));
   else
     throw std::invalid_argument("a metric has other components than its invariant may move");
 }
@@ -39,8 +39,8 @@ void MetricFactor::factorize() {
     return;
   }
   const Eigen::Index k = part_.size();
-  factor_.compute(Eigen::Map<const Eigen::MatrixXd>(metric_.values.data(), k, k));
-  regular_ = factor_.info() == Eigen::Success;
+  factor_->compute(Eigen::Map<const Eigen::MatrixXd>(metric_.values.data(), k, k));
+  regular_ = factor_->info() == Eigen::Success;
 }
 
 void MetricFactor::gather(const double* a) {
@@ -52,7 +52,7 @@ void MetricFactor::divide(const double* a, double* x) {
   if (diagonal_.size() > 0)
     part_.array() /= diagonal_.array();
   else
-    factor_.matrixL().solveInPlace(part_);
+    factor_->matrixL().solveInPlace(part_);
   for (std::size_t j = 0; j < components_.size(); ++j) x[components_[j]] = part_[index(j)];
 }
 
@@ -61,7 +61,7 @@ void MetricFactor::divide_transposed(double* x) {
   if (diagonal_.size() > 0)
     part_.array() /= diagonal_.array();
   else
-    factor_.matrixU().solveInPlace(part_);
+    factor_->matrixU().solveInPlace(part_);
   for (std::size_t j = 0; j < components_.size(); ++j) x[components_[j]] = part_[index(j)];
 }
 

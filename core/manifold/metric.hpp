@@ -4,6 +4,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <cstddef>
+#include <memory>
 #include <vector>
 
 #include "callback.hpp"
@@ -41,8 +42,8 @@ class MetricFactor {
   Metric metric_;
   std::vector<std::size_t> components_;
   bool regular_ = false, known_ = false;
-  Eigen::VectorXd diagonal_, part_;  // √G_ii of a diagonal G; entries of a vector
-  Eigen::LLT<Eigen::MatrixXd> factor_;
+  Eigen::VectorXd diagonal_, part_;                      // √G_ii of a diagonal G; entries of a vector
+  std::unique_ptr<Eigen::LLT<Eigen::MatrixXd>> factor_;  // of a full G; Eigen's own cannot be moved before it is used
 };
 
 }  // namespace invariode
