@@ -199,7 +199,7 @@ def max_of_class(set_of_problems: Sequence[Problem], units: Array, letter: str) 
 
 
 def stiff_run(method: str, problem: StiffProblem, rtol: float) -> str:
-    """Error ÷ tolerance and f, with a Jacobian by differences, or why there is none."""
+    """Error ÷ tolerance and f, with a Jacobian by differences, or why the run failed."""
     code = iv.solve_ivp if method in STIFF_SUITE else scipy.integrate.solve_ivp
     sol = code(
         lambda t, y: problem.fun(t, y, *(problem.args or ())),

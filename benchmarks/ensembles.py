@@ -33,9 +33,9 @@ DEVICES = 2
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={DEVICES}"
 
 import numba  # noqa: E402  # XLA reads its flags when it is imported
-import numpy as np  # noqa: E402
-import scipy.integrate  # noqa: E402
-from measure import (  # noqa: E402
+import numpy as np  # noqa: E402  # the flags above come first
+import scipy.integrate  # noqa: E402  # the flags above come first
+from measure import (  # noqa: E402  # the flags above come first
     Times,
     growth,
     in_fresh_process,
@@ -46,9 +46,9 @@ from measure import (  # noqa: E402
     table,
     write_section,
 )
-from numpy.typing import NDArray  # noqa: E402
+from numpy.typing import NDArray  # noqa: E402  # the flags above come first
 
-import invariode as iv  # noqa: E402
+import invariode as iv  # noqa: E402  # the flags above come first
 
 Array = NDArray[np.float64]
 Run = Callable[[Array, Array], Array]  # initial values (N, 2), parameters (N, 1): the final states

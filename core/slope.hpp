@@ -15,7 +15,7 @@ class Slope {
   Slope& operator=(const Slope&) = delete;
   virtual ~Slope() = default;
 
-  /// y'(t, y) into out; NaN where there is none. h: a step of the run, which tells the scale of t.
+  /// y'(t, y) into out; NaN where it is not defined. h: a step of the run, which tells the scale of t.
   virtual Status evaluate(double t, const double* y, double h, double* out) = 0;
   /// What it is good to, relative to its size; 0: to roundoff.
   [[nodiscard]] virtual double relative_error() const { return 0; }

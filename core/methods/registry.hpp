@@ -66,7 +66,7 @@ struct Method {
 };
 
 [[nodiscard]] std::span<const Method> methods();
-/// Null: there is none of that name.
+/// Null where no method, or extension, has that name.
 [[nodiscard]] const Method* find_method(std::string_view name);
 [[nodiscard]] const Extension* find_extension(std::string_view name);
 [[nodiscard]] const Extension* find_extension(Interpolate evaluate);

@@ -9,7 +9,7 @@ namespace invariode {
 
 /// Separates the roots of a function. It is sampled at Chebyshev points until its coefficients have decayed, on halves
 /// of the interval where they do not; the roots of the interpolant are separated by halving too, until its coefficients
-/// on a part say that there is none or that it is monotonic.
+/// on a part rule roots out or show that it is monotonic.
 class RootSeparator {
  public:
   /// The value at t; false: the search is to end.

@@ -71,7 +71,7 @@ class Run {
 
   [[nodiscard]] Integration& integration() { return *integration_; }
   [[nodiscard]] const Integration& integration() const { return *integration_; }
-  /// The user's invariants; null: there are none.
+  /// The user's invariants; null without any.
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
   /// Evaluations of f by the method.
   [[nodiscard]] std::int64_t evaluations() const { return method_f_->calls(); }

@@ -370,7 +370,7 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "(lower, upper) or scipy.optimize.Bounds",
-            "The same for any bounds: numbers or arrays of shape (n,), infinite or None where there is none.",
+            "The same for any bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
         ),
     ]
 
