@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -386,12 +386,14 @@ class Result(dict[str, Any]):
         own = {name: value for name, value in self.__dict__.items() if name.startswith("_")}
         return type(self)(**{**self, **own, **changes})
 
-    def __getattr__(self, name: str) -> Any:
-        """Called for what is no attribute of the class or the object: an item."""
-        value = self.get(name, _ABSENT)
-        if value is _ABSENT:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-        return value
+    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what is no attribute of the class or the object: an item."""
+            value = self.get(name, _ABSENT)
+            if value is _ABSENT:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return value
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_") or hasattr(type(self), name):
