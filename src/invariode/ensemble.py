@@ -98,7 +98,7 @@ def solve_ensemble(
     workers : int, optional
         Threads or processes. Default: the processors that this process may use.
     progress : bool, default False
-        Whether a progress bar is shown (needs rich).
+        Whether a progress bar is shown (outside notebooks by rich).
 
     Other Parameters
     ----------------
