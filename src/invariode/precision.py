@@ -1,4 +1,4 @@
-"""Work and precision: what runs of all methods cost, plain and projected, and what projection costs at equal error."""
+"""Work and precision: the cost of runs with all methods, plain and projected, and of projection at equal error."""
 
 from __future__ import annotations
 
@@ -202,9 +202,9 @@ def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
 def compare_runs(
     problem: Problem, methods: Sequence[Method], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
 ) -> Iterator[Row]:
-    """All runs, method after method from the crudest tolerance on. A method that takes too long is given up.
+    """All runs, method by method from the crudest tolerance on. A method that takes too long is given up.
 
-    Raises InvariantError where a run finds that f does not conserve an invariant.
+    Raises InvariantError if a run finds that f does not conserve an invariant.
     """
     plain = unprojected(problem)
     for method in methods:
@@ -221,7 +221,7 @@ def compare_runs(
 def _measured(
     problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
 ) -> tuple[Run, Run | None]:
-    """Plain and projected in turn, so that what disturbs the machine disturbs both."""
+    """Plain and projected in turn, so that disturbances of the machine affect both."""
     ways = [plain, problem] if problem.invariants else [plain]
     runs: list[tuple[Problem, Solution, float]] = []
     for way in ways:

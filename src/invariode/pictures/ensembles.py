@@ -30,7 +30,7 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
     """See `EnsembleSolution.plot`."""
     require_matplotlib()
     if len(ensemble.t) < 2:
-        raise ValueError("the ensemble has final states only: for a picture solve it with times in t_eval")
+        raise ValueError("the ensemble has only final states: for a picture solve it with times in t_eval")
     names = default_labels(ensemble.y.shape[1])
     those = range(min(len(names), _MOST)) if chosen is None else np.atleast_1d(chosen)
     rows = [component(names, int(one)) for one in those]
