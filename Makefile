@@ -109,6 +109,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
+	$(BIN)/python benchmarks/links.py --write
 	$(BIN)/python benchmarks/chains.py --write
 	$(BIN)/python benchmarks/manifolds.py --write
 	$(BIN)/python benchmarks/native.py --write
