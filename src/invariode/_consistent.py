@@ -18,8 +18,8 @@ _ITERATIONS = 50
 _SETTLED = 4 * EPS
 #: Residuals are roundoff below this part of the terms Φ_ij q_j, as in `impose`, and with room for differences.
 _ROUNDOFF = 1e-11
-#: How far from q0, in units of its components, the constraints are looked at once more: in long chains, whose components
-#: are many times the lengths of their links, it must be nearer. Newton's iterations are few where it is near enough.
+#: How far from q0, in units of its components, the constraints are looked at once more: nearer in long chains, whose
+#: components are many times the lengths of their links. Newton's iterations are few where it is near enough.
 _BESIDE = (1e-2, 1e-3, 1e-4)
 _FEW = 10
 #: What is left of a row that depends on others, on the manifold to roundoff.
