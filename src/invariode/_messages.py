@@ -31,7 +31,7 @@ _LIMITS = {
 
 def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
-    status, message = _ended(run, names, demanded, pairs)
+    status, message = MESSAGES.get(run.state) or _ended(run, names, demanded, pairs)
     return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
 
 
@@ -45,8 +45,6 @@ def _sentence(text: str) -> str:
 
 
 def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
-    if run.state in MESSAGES:
-        return MESSAGES[run.state]
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
