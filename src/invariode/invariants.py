@@ -758,8 +758,8 @@ def impose(
         raise ValueError("impose needs at least one invariant")
     if one_sided := [one for one in listed if one.sense]:
         raise ValueError(
-            f"impose is for invariants, and {one_sided[0]!r} has no value at a single point: leave it out; sol.residual "
-            "and plot_drift tell where it rises"
+            f"impose is for invariants, and {one_sided[0]!r} has no value at a single point: leave it out; "
+            "sol.residual and plot_drift tell where it rises"
         )
     if points.shape[1] == 0:
         empty = np.zeros(0, dtype=int)
