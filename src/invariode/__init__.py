@@ -9,6 +9,7 @@ from importlib.metadata import version
 from . import ode_functions
 from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
+from .dissipation import Dissipated
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from .events import Event
@@ -34,6 +35,7 @@ __all__ = [
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",
+    "Dissipated",
     "Drift",
     "EnsembleEvents",
     "EnsembleSolution",

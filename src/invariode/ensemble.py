@@ -428,9 +428,8 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     before, _, correction = run.take_drift()
     after = np.zeros(len(bound))
     if len(bound):
-        at_outputs = bound.residual(t, y, bound.pieces_of_output(len(t)))
-        at_end = bound.residual(np.array([t_end]), y_end[:, None], np.array([len(bound.jumps)]))
-        after = np.abs(np.hstack([at_outputs, at_end])).max(axis=1)
+        pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
+        after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
     return _Row(
         t_end=t_end,
         y_end=y_end,
