@@ -11,6 +11,7 @@ from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from .ensemble_store import EnsembleStore
 from .events import Event
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
@@ -38,6 +39,7 @@ __all__ = [
     "EnsembleEvents",
     "EnsembleSolution",
     "EnsembleStats",
+    "EnsembleStore",
     "Event",
     "ImposeResult",
     "Input",
