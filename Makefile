@@ -103,12 +103,13 @@ stubs: $(VENV)/.installed-lint  ## regenerate the stubs, of the binding and of w
 	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o ../src/invariode/_core.pyi
 	$(BIN)/python .ci/stubs.py src/invariode
 
-bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
+bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchmarks
 	$(BIN)/python benchmarks/overhead.py --write
 	$(BIN)/python benchmarks/multistep.py --write
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
+	$(BIN)/python benchmarks/links.py --write
 	$(BIN)/python benchmarks/chains.py --write
 	$(BIN)/python benchmarks/manifolds.py --write
 	$(BIN)/python benchmarks/native.py --write
@@ -116,6 +117,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
 	$(BIN)/python benchmarks/ensembles.py --write
 	$(BIN)/python benchmarks/large.py --write
 	$(BIN)/python benchmarks/detest.py --write
+	$(BIN)/python benchmarks/events.py --write
 	$(BIN)/python benchmarks/events.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it

@@ -14,6 +14,7 @@
 #include "manifold/bounds.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
+#include "manifold/one_sided.hpp"
 #include "manifold/projection.hpp"
 #include "manifold/restoration.hpp"
 #include "output/events.hpp"
@@ -148,6 +149,7 @@ class Integration {
   State finish_step();
   void note_drift();
   bool judge_invariants();
+  bool judge_start_of_step();
   bool find_events();
   bool record();
   [[nodiscard]] bool jumps_here() const;
@@ -191,6 +193,7 @@ class Integration {
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
+  std::optional<OneSided> one_sided_;          // and where some invariants may only rise or fall
   std::optional<Guard> guard_;
   std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;

@@ -239,3 +239,13 @@ def test_what_is_wrong_for_every_call_is_an_error_at_once() -> None:
         problem.prepare("ode46")  # type: ignore[arg-type]  # the same
     with pytest.warns(UserWarning, match="has no effect"):
         problem.prepare("ode45", max_order=3)
+
+
+def test_what_is_dissipated_backward_in_time_rises():
+    pytest.importorskip("numba")
+    falls = iv.Dissipated(iv.compile(lambda t, y: y[0] ** 2), names="square")
+    problem = iv.Problem(iv.compile(lambda t, y: (-y[0],)), (0, 2), [1.0], invariants=falls)
+    prepared = problem.prepare()
+    backward = prepared(t_span=(2, 0))
+    np.testing.assert_array_equal(backward.y, problem.replace(t_span=(2, 0)).solve().y)
+    assert backward.success

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "manifold/active_set.hpp"
+#include "manifold/one_sided.hpp"
 
 namespace invariode {
 namespace {
@@ -35,9 +36,11 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   const double* g1 = g0 + m_;
   const std::vector<double>& held = projector_->invariants().value();
   for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * g0[i] + theta * g1[i] - held[i];
-  const Outcome outcome = bounds_ != nullptr
-                              ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, interpolation_iterations)
-                              : projector_->onto(t, w, target_.data(), y, interpolation_iterations);
+  const int most = interpolation_iterations;
+  const Outcome outcome = projector_->invariants().any_one_sided()
+                              ? onto_between(*projector_, bounds_, t, w, g0, g1, target_, y, most)
+                          : bounds_ != nullptr ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, most)
+                                               : projector_->onto(t, w, target_.data(), y, most);
   switch (outcome) {
     case Outcome::stop: return Status::stop;
     case Outcome::not_finite: corrected(segment, t, y); break;  // g is not defined here

@@ -151,7 +151,8 @@ void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invarian
     if (invariants.evaluate(at, point, g.data()) == Status::stop) return;
     for (std::size_t k = 0; k < m; ++k) {
       double& largest = after[i * m + k];
-      const double residual = std::abs(g[k] - held[k]);
+      const double residual = invariants.excess(k, g[k] - held[k]);
+      if (invariants.sense(k) != 0 && !(residual > 0)) held[k] = g[k];
       if (residual > largest || std::isnan(residual)) largest = residual;  // NaN, where g was NaN, stays
     }
   };

@@ -96,10 +96,10 @@ void Run::bind_invariants() {
     return;
   }
   if (mass_ && mass_->singular()) {
-    users_invariants_ = &between_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &between_.emplace(bound(problem.invariants, problem.value));
     steps_.emplace(with_algebraic_equations());
   } else {
-    users_invariants_ = &steps_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &steps_.emplace(bound(problem.invariants, problem.value));
   }
   manifold_.steps = &*steps_;
   manifold_.between = users_invariants_;
@@ -121,7 +121,14 @@ Invariants Run::with_algebraic_equations() {
   blocks.push_back(block);
   std::vector<double> value = problem.value;
   value.resize(value.size() + algebraic_->count());
-  return {problem.n, std::move(blocks), std::move(value), solver_.weights()};
+  return bound(std::move(blocks), std::move(value));
+}
+
+/// What never rises as t grows never falls in a run backwards.
+Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const {
+  if (solver_.settings().tf < solver_.settings().t0)
+    for (InvariantBlock& block : blocks) block.sense = -block.sense;
+  return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
 }
 
 void Run::start_loop() {

@@ -88,6 +88,7 @@ class Run {
   void keep_within_bounds();
   void derive_slope();
   void bind_invariants();
+  [[nodiscard]] Invariants bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const;
   [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
   void start_loop();

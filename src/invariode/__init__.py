@@ -9,6 +9,7 @@ from importlib.metadata import version
 from . import ode_functions
 from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
+from .dissipation import Dissipated
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from .ensemble_store import EnsembleStore
@@ -35,6 +36,7 @@ __all__ = [
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",
+    "Dissipated",
     "Drift",
     "EnsembleEvents",
     "EnsembleSolution",

@@ -164,7 +164,7 @@ def solve_ensemble(
         Threads or processes. Default: the processors that this process may use. With an executor: threads that each of
         its places uses at once. Default: 1.
     progress : bool, default False
-        Whether a progress bar is shown (needs rich).
+        Whether a progress bar is shown (outside notebooks by rich).
     executor : concurrent.futures.Executor or distributed.Client, optional
         Who solves the trajectories, in parts of `chunk`: processes of this machine, or a cluster by way of Dask.
         Functions travel: compiled ones are compiled again where they arrive; with cloudpickle, of the extra
@@ -587,9 +587,8 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     before, _, correction = run.take_drift()
     after = np.zeros(len(bound))
     if len(bound):
-        at_outputs = bound.residual(t, y, bound.pieces_of_output(len(t)))
-        at_end = bound.residual(np.array([t_end]), y_end[:, None], np.array([len(bound.jumps)]))
-        after = np.abs(np.hstack([at_outputs, at_end])).max(axis=1)
+        pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
+        after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
     return _Row(
         t_end=t_end,
         y_end=y_end,

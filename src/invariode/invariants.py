@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import operator
 import warnings
@@ -134,6 +135,11 @@ class Invariants:
         self.moves = None if moves is None else _components(moves)
         self.metric: Any = None if metric is None else _metric(metric)
 
+    @property
+    def sense(self) -> int:
+        """0: it keeps its value. See `Dissipated`."""
+        return 0
+
     def _in_core(self, n: int) -> tuple[Any, Any] | None:
         """The function and its Jacobian of n real components where the core has them itself."""
         return None
@@ -234,6 +240,7 @@ class InvariantSpec(NamedTuple):
     moves: Sequence[int] = ()  # the reals of y that its correction may move; none: all
     metric: Any = None  # in which it is the least: a function, or flat values
     metric_size: int = 0  # number of its values
+    sense: int = 0  # -1: it never rises as t grows; 1: it never falls; 0: it keeps its value
 
 
 class Jump(NamedTuple):
@@ -269,6 +276,24 @@ class BoundInvariants:
         return [not spec.held for spec in self.specs for _ in range(spec.m)]
 
     @property
+    def senses(self) -> list[int]:
+        """Of each value, the sense of its invariant."""
+        return [spec.sense for spec in self.specs for _ in range(spec.m)]
+
+    def equalities(self) -> BoundInvariants:
+        """Those alone that keep their values."""
+        kept = [sense == 0 for sense in self.senses]
+        if all(kept):
+            return self
+        return replace(
+            self,
+            specs=[spec for spec in self.specs if spec.sense == 0],
+            value=self.value[kept],
+            names=[name for name, stays in zip(self.names, kept, strict=True) if stays],
+            jumps=tuple(jump._replace(value=jump.value[: len(kept)][kept]) for jump in self.jumps),
+        )
+
+    @property
     def last_value(self) -> Array:
         """At what the invariants are held at the end of the run."""
         return self.jumps[-1].value[: len(self)] if self.jumps else self.value
@@ -295,20 +320,45 @@ class BoundInvariants:
             yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1].value
 
     def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
-        """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t)."""
+        """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t); of what is one-sided, by how much it has gone
+        back behind the points before."""
+        return self._violation(self.departure(t, y, pieces), pieces)
+
+    def departure(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
+        """g(t, y) - value, of all."""
         residual = np.zeros((len(self.value), len(t)))
         if self.specs:
             for here, value in self._each(pieces, len(t)):
                 residual[:, here] = _core.residual(t[here], _as_rows(y[:, here]), self._problem_of(y, value)).T
         return residual
 
+    def _violation(self, departure: Array, pieces: Array | None) -> Array:
+        """`departure`, of what is one-sided the rise above its lowest point so far in the piece (or the fall)."""
+        last = departure.shape[1]
+        cuts = [] if pieces is None else (np.flatnonzero(np.diff(pieces)) + 1).tolist()
+        for i, sense in enumerate(self.senses):
+            if sense == 0:
+                continue
+            for begin, end in itertools.pairwise([0, *cuts, last]):
+                risen = -sense * self.forward * departure[i, begin:end]
+                lowest = np.fmin.accumulate(np.append(0.0, risen))[:-1]
+                departure[i, begin:end] = np.maximum(risen - lowest, 0)
+        return departure
+
     def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
-        """Distances from the level sets, in units of rtol, of the same shape."""
+        """Distances from the level sets, in units of rtol, of the same shape; of what is one-sided, those of what
+        `residual` tells."""
         distance = np.zeros((len(self.value), len(t)))
         weights = _weights(y, rtol, atol)
         for here, value in self._each(pieces, len(t)):
             distance[:, here] = _core.distance(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights).T
-        return distance
+        if not any(self.senses):
+            return distance
+        departure = self.departure(t, y, pieces)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.abs(self._violation(departure.copy(), pieces)) / np.abs(departure)
+        share[departure == 0] = 0
+        return distance * share
 
     def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> ImposeResult:
         """Projects the points y (n, n_t)."""
@@ -397,13 +447,13 @@ def bind(
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
         order = (one.level, _moves(one, name, y), *_metric_at(one, name, t, y, args, p))
-        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order))
+        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense))
         values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
         names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
     levelled = _in_levels(specs)
     iterations = [one.iterations for one in invariants if one.iterations is not None]
     value = values[0] if len(values) == 1 else np.concatenate(values)
-    negligible = _NEGLIGIBLE if all(one.when == "needed" for one in invariants) else 0.0
+    negligible = _NEGLIGIBLE if all(one.when == "needed" or one.sense for one in invariants) else 0.0
     names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
     return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
 
@@ -706,6 +756,11 @@ def impose(
     listed = to_invariants(invariants)
     if not listed:
         raise ValueError("impose needs at least one invariant")
+    if one_sided := [one for one in listed if one.sense]:
+        raise ValueError(
+            f"impose is for invariants, and {one_sided[0]!r} has no value at a single point: leave it out; "
+            "sol.residual and plot_drift tell where it rises"
+        )
     if points.shape[1] == 0:
         empty = np.zeros(0, dtype=int)
         return ImposeResult(points, empty.astype(bool), np.zeros((0, 0)), empty)

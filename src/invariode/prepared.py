@@ -62,7 +62,8 @@ class PreparedSolver:
         # Whether the plan stays as it is with another y0, other args, another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native
-        self._any_span = self._any_y0 and not problem.inputs and all(options.get(one) is None for one in _OF_SPAN)
+        free = not problem.inputs and not any(plan.senses)  # what is dissipated depends on the direction of time
+        self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 
     def __repr__(self) -> str:
         return f"PreparedSolver({self.problem!r}, {self.method!r})"

@@ -82,9 +82,9 @@ class Solution(Plots, Exports):
         Returns
         -------
         Solution
-            Points that did not converge stay as they are, with a warning.
+            Points that did not converge stay as they are, with a warning. What is `Dissipated` is not imposed.
         """
-        g = self._invariants
+        g = self._invariants.equalities()
         if len(g) == 0:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
 
