@@ -35,7 +35,7 @@ def in_passing() -> Iterator[None]:
 
 
 @contextmanager
-def bar(shown: bool, what: str, total: float) -> Iterator[Callable[..., None] | None]:
+def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
     """Shows a bar while the block runs; what it yields is called with how much is done, and of what, if that changes.
 
     It yields None if no bar was asked for.
