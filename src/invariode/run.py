@@ -148,7 +148,7 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
         if work is not None:
             sol.stats.mechanics = {"derivatives": dict(fun.derivatives)} | work
     if dropped:
-        _warn_dropped(dropped, first, plan.names, sol._drift)
+        _warn_dropped(dropped, first, plan.names, sol._drift, along_steps=plan.bound.along_steps)
     if harmed >= 0 and sol.success:
         component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
         warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
@@ -231,7 +231,9 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
     return stats
 
 
-def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: BeforeProjection) -> None:
+def _warn_dropped(
+    dropped: list[int], first: float, names: list[str], drift: BeforeProjection, *, along_steps: bool
+) -> None:
     listed = ", ".join(names[i] for i in dropped)
     several = len(dropped) > 1
     off = max(drift.distance[i] for i in dropped)
@@ -244,6 +246,13 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
             f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
             "fewer invariants, or try a smaller rtol."
         )
+    if along_steps:
+        warn(
+            f"the stages of steps do not lead to the values of {listed}, first at t = {first:.6g}: "
+            f"{'they depend' if several else 'it depends'} on other invariants, or stages are nearly orthogonal to "
+            f"{'their gradients' if several else 'its gradient'}. {then} direction='gradient' reaches more."
+        )
+        return
     warn(
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
         f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
