@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 #include <utility>
 
 namespace invariode {
@@ -39,6 +40,11 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
     if (!events_.empty() && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights_);
     if (settings_.check) harm_.emplace(n_);
+    if (invariants_->along_steps()) {
+      directions_.resize(step_->max_directions());
+      if (directions_.empty())
+        throw std::invalid_argument("this method does not tell what its steps are made of: use direction='gradient'");
+    }
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
     if (bounds_) active_set_.emplace(*projector_, *bounds_);
@@ -269,6 +275,7 @@ Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
+  if (!directions_.empty()) tell_directions();
   const double *from = interpolant_->start_y(), t1 = attempt_.t1;
   projected_ = one_sided_    ? one_sided_->project(t1, from, y1_.data())
                : active_set_ ? active_set_->project(t1, from, y1_.data())
@@ -282,6 +289,12 @@ Integration::Verdict Integration::project(const double* candidate) {
   if (harm_ && !at_bounds())
     harm_->note(*step_, counts_.steps, candidate, y1_.data(), projector_->linearization().weights.data());
   return Verdict::accepted;
+}
+
+/// What the step is made of.
+void Integration::tell_directions() {
+  const std::size_t count = step_->directions(directions_.data());
+  projector_->seek_along({directions_.data(), count});
 }
 
 /// What roundoff in g does to a correction.

@@ -138,6 +138,7 @@ class Integration {
   Verdict attempt();
   Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);
+  void tell_directions();
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict ended(State state);
@@ -206,11 +207,12 @@ class Integration {
   Counts counts_;
   Attempted attempt_;
   Outside outside_;
-  Projected projected_;           // of the accepted candidate
-  Point reached_{0, nullptr};     // the step, or the event that has cut it
-  std::vector<double> y1_;        // the projected candidate
-  std::vector<double> event_y_;   // state at an event
-  std::vector<double> inside_y_;  // output inside a step
+  Projected projected_;                    // of the accepted candidate
+  Point reached_{0, nullptr};              // the step, or the event that has cut it
+  std::vector<double> y1_;                 // the projected candidate
+  std::vector<const double*> directions_;  // of corrections, where they are those of the step
+  std::vector<double> event_y_;            // state at an event
+  std::vector<double> inside_y_;           // output inside a step
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;

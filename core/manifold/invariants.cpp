@@ -34,6 +34,7 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
     layout_.add(block.m, block.pattern);
     sense_.insert(sense_.end(), block.m, block.sense);
     any_one_sided_ = any_one_sided_ || block.sense != 0;
+    along_steps_ = along_steps_ || block.along_steps;
   }
   note_kinds();
 }

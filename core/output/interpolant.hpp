@@ -54,6 +54,7 @@ class Interpolant {
 
  private:
   void correct_ends(const double* e0, double theta, double* y) const;
+  void choose_directions(const Segment& segment);
 
   std::size_t n_, m_;
   Interpolation mode_;
@@ -61,6 +62,8 @@ class Interpolant {
   Projector* projector_;
   const Bounds* bounds_;
   std::vector<double> target_;
+  std::vector<double> path_;               // points of the segment less its start,
+  std::vector<const double*> directions_;  // as vectors
 
   friend class StepInterpolant;
 };

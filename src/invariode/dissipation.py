@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 from numpy.typing import ArrayLike
 
@@ -29,7 +30,7 @@ class Dissipated(Invariants):
         Its Jacobian, or how to compute it: as for `Invariants`.
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
-    level, moves, metric : optional
+    level, moves, metric, direction : optional
         As for `Invariants`. With constraints in levels, give it a level after theirs.
 
     Notes
@@ -70,8 +71,9 @@ class Dissipated(Invariants):
         level: int = 0,
         moves: Sequence[int] | None = None,
         metric: ArrayLike | Function | None = None,
+        direction: Literal["gradient", "stages"] = "gradient",
     ) -> None:
-        super().__init__(fun, jac, names=names, level=level, moves=moves, metric=metric)
+        super().__init__(fun, jac, names=names, level=level, moves=moves, metric=metric, direction=direction)
         self.rises = flag("rises", rises)
 
     @property

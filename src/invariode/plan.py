@@ -206,6 +206,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
         bound.forward = settings.forward
+        _require_free_directions(bound, problem)
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
     event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
@@ -380,6 +381,16 @@ def _linear_algebra(
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Invariants
+
+
+def _require_free_directions(bound: BoundInvariants, problem: Description) -> None:
+    if not bound.along_steps or (problem.limits is None and problem.matrices.mass is None):
+        return
+    what = "bounds" if problem.limits is not None else "a mass matrix"
+    raise ValueError(
+        f'invariants with direction="stages" cannot be imposed together with {what}, which ask for other corrections: '
+        'use direction="gradient"'
+    )
 
 
 def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:

@@ -176,7 +176,7 @@ def presented(run: _core.Run, plan: Plan, source: Source) -> Solution:
 
 def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
     if dropped := run.dropped:
-        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift)
+        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
     harmed = run.harmed
     if harmed >= 0 and sol.success:
         component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
@@ -257,7 +257,9 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
     return stats
 
 
-def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: BeforeProjection) -> None:
+def _warn_dropped(
+    dropped: list[int], first: float, names: list[str], drift: BeforeProjection, *, along_steps: bool
+) -> None:
     listed = ", ".join(names[i] for i in dropped)
     several = len(dropped) > 1
     off = max(drift.distance[i] for i in dropped)
@@ -270,6 +272,13 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
             f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
             "fewer invariants, or try a smaller rtol."
         )
+    if along_steps:
+        warn(
+            f"the stages of steps do not lead to the values of {listed}, first at t = {first:.6g}: "
+            f"{'they depend' if several else 'it depends'} on other invariants, or stages are nearly orthogonal to "
+            f"{'their gradients' if several else 'its gradient'}. {then} direction='gradient' reaches more."
+        )
+        return
     warn(
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
         f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "

@@ -87,6 +87,11 @@ class Solution(Plots, Exports):
         g = self._invariants.equalities()
         if len(g) == 0:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
+        if g.along_steps:
+            raise ValueError(
+                'the invariants of the run have direction="stages", and outputs have no stages; use '
+                "invariode.impose(invariants, solution) with others"
+            )
 
         def project(t: Array, y: Array, pieces: Array) -> Array:
             if y.shape[1] == 0:
