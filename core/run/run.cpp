@@ -1,5 +1,6 @@
 #include "run/run.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -95,10 +96,10 @@ void Run::bind_invariants() {
     return;
   }
   if (mass_ && mass_->singular()) {
-    users_invariants_ = &between_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &between_.emplace(bound(problem.invariants, problem.value));
     steps_.emplace(with_algebraic_equations());
   } else {
-    users_invariants_ = &steps_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &steps_.emplace(bound(problem.invariants, problem.value));
   }
   manifold_.steps = &*steps_;
   manifold_.between = users_invariants_;
@@ -120,7 +121,14 @@ Invariants Run::with_algebraic_equations() {
   blocks.push_back(block);
   std::vector<double> value = problem.value;
   value.resize(value.size() + algebraic_->count());
-  return {problem.n, std::move(blocks), std::move(value), solver_.weights()};
+  return bound(std::move(blocks), std::move(value));
+}
+
+/// What never rises as t grows never falls in a run backwards.
+Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const {
+  if (solver_.settings().tf < solver_.settings().t0)
+    for (InvariantBlock& block : blocks) block.sense = -block.sense;
+  return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
 }
 
 void Run::start_loop() {
@@ -143,6 +151,11 @@ Consistency Run::prepare(double t0, double* y0) {
   if (steps_ && steps_->hold(t0, y0) == Status::stop) return Consistency::stop;
   if (between_ && between_->hold(t0, y0) == Status::stop) return Consistency::stop;
   return verdict;
+}
+
+std::int64_t Run::evaluations_of_prepare() const {
+  const auto held = std::ranges::count_if(solver_.problem().invariants, &InvariantBlock::held);
+  return static_cast<std::int64_t>((between_ ? 2 : 1) * held);
 }
 
 void Run::count_evaluations(RunResult& result) const {

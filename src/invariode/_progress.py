@@ -35,7 +35,7 @@ def in_passing() -> Iterator[None]:
 
 
 @contextmanager
-def bar(shown: bool, what: str, total: float) -> Iterator[Callable[..., None] | None]:
+def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
     """Shows a bar while the block runs; call what it yields with how much is done, and with the total if that changes.
 
     It yields None if no bar was asked for.

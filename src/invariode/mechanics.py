@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, Protocol
 
@@ -462,6 +463,6 @@ def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> 
 
 
 def _at_level(one: Invariants, level: int) -> Invariants:
-    names = None if one.names is None else list(one.names)
-    when: Any = one.when
-    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves, one.metric)
+    moved = copy.copy(one)
+    moved.level = level
+    return moved

@@ -282,7 +282,8 @@ class DenseSolution:
         g = self._invariants
         y = as_columns(g.evaluate(self._dense, np.atleast_1d(times)), self._dtype)
         if self._imposed is not None and y.shape[1]:
-            y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
+            pieces = g.pieces_at(np.atleast_1d(times), "right")
+            y = g.equalities().impose(np.atleast_1d(times), y, **self._imposed, pieces=pieces).y
         return y[:, 0] if times.ndim == 0 else y
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
@@ -415,7 +416,10 @@ class Result(dict[str, Any]):
 
     @cached_property
     def residual(self) -> Array:
-        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed on first use."""
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed on first use.
+
+        For a `Dissipated` function, how far it has risen above its lowest (or fallen below its highest) earlier output.
+        """
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
     def drift(self) -> Drift:

@@ -83,11 +83,16 @@ class Solution(Plots, Exports):
         Returns
         -------
         Solution
-            Points that did not converge are unchanged, with a warning.
+            Points that did not converge are unchanged, with a warning. Dissipated functions are not imposed.
         """
-        g = self._invariants
+        g = self._invariants.equalities()
         if len(g) == 0:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
+        if g.along_steps:
+            raise ValueError(
+                'the invariants of the run have direction="stages", and outputs have no stages; use '
+                "invariode.impose(invariants, solution) with others"
+            )
 
         def project(t: Array, y: Array, pieces: Array) -> Array:
             if y.shape[1] == 0:

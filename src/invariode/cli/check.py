@@ -43,7 +43,8 @@ def check(
     """Report whether a problem's equations conserve its invariants.
 
     At the initial point: the value held, how far the point is off, and the rate d/dt of the invariant along the
-    equations, absolute and in units of its terms (roundoff for invariants). What is conserved there is also tested at
+    equations, absolute and in units of its terms (roundoff for invariants). A dissipated function must have a rate of
+    the right sign; the table then says "falls" or "rises". What is conserved there is also tested at
     points nearby and along a short run. [bold]--along[/] adds points along a solution computed without projection, with
     tolerances a thousand times smaller.
 
@@ -94,7 +95,7 @@ def _print_report(console: Console, problem: Problem, report: CheckReport) -> No
     table = numbers("invariant", ("value", "residual", "rate", "of its terms", "conserved"))
     for i, name in enumerate(report.names):
         sizes = (f"{report.value[i]:.6g}", f"{report.residual[i]:.2e}", f"{report.rate[i]:.2e}")
-        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(bool(report.conserved[i])))
+        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(report.verdict(i)))
     console.print(table)
     for finding in report.findings:
         console.print(Text(finding, style="red" if not report.ok else "yellow"))
@@ -124,5 +125,5 @@ def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]
     return findings
 
 
-def _verdict(conserved: bool) -> Text:
-    return Text("yes", style="green") if conserved else Text("NO", style="bold red")
+def _verdict(told: str) -> Text:
+    return Text(told, style="bold red" if told == "NO" else "green")
