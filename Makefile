@@ -109,6 +109,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
+	$(BIN)/python benchmarks/links.py --write
 	$(BIN)/python benchmarks/chains.py --write
 	$(BIN)/python benchmarks/manifolds.py --write
 	$(BIN)/python benchmarks/native.py --write
@@ -117,7 +118,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/large.py --write
 	$(BIN)/python benchmarks/detest.py --write
 	$(BIN)/python benchmarks/events.py --write
-	$(BIN)/python benchmarks/events.py --write
+	$(BIN)/python benchmarks/directions.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist

@@ -15,6 +15,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -23,6 +24,7 @@
 #include "interpreter.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
+#include "outputs.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
 #include "run/names.hpp"
@@ -46,26 +48,37 @@ void require_state(const ConstVector& y0, std::size_t n) {
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
 
+/// The interval of a run, and its largest step.
+using Cover = std::tuple<double, double, double>;
+
 /// A solver with the functions that it calls. Made with the interpreter held; where all functions are native, its runs
 /// do not need it.
 struct BoundSolver {
   BoundSolver(const std::string& method, const ProblemSpec& problem, const Tolerances& tolerances,
               const RunSettings& settings)
       : bound(problem),
-        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings) {}
+        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings),
+        parameters(problem.parameters),
+        cover(settings.t0, settings.tf, settings.hmax) {}
 
   BoundProblem bound;
   Solver solver;
+  // What it was made for: runs may have changed it since.
+  std::vector<double> parameters;
+  Cover cover;
 };
 
 /// What a run was, its continuous solution with what evaluating it takes.
 struct FinishedRun {
   RunResult result;
   std::optional<Dense> dense;
+  bool complex = false;
+  // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
+  std::vector<double> start = {}, value = {};
 };
 
 FinishedRun finish(Run& run, const Solver& solver) {
-  FinishedRun finished{run.take_result(), {}};
+  FinishedRun finished{run.take_result(), {}, solver.problem().complex};
   if (std::optional<DenseOutput>& dense = finished.result.dense)
     finished.dense.emplace(Dense{std::move(*dense), solver.weights(), solver.problem().complex});
   return finished;
@@ -130,16 +143,67 @@ struct StopRequest {
   std::atomic<bool> made{false};
 };
 
+void run_to_end(Run& run, bool native, const double* y0, Progress& progress) {
+  const bool finished = native ? run_without_interpreter(run.integration(), y0, progress)
+                               : run_with_interpreter(run.integration(), y0, progress);
+  if (!finished || run.integration().state() == State::interrupted || !progress.tell(run.integration()))
+    throw nb::python_error();
+}
+
 FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request) {
   require_state(y0, self.solver.problem().n);
   Run run(self.solver);
   if (request != nullptr) run.integration().heed(request->made);
   Progress progress(told);
-  const bool finished = self.bound.native() ? run_without_interpreter(run.integration(), y0.data(), progress)
-                                            : run_with_interpreter(run.integration(), y0.data(), progress);
-  if (!finished || run.integration().state() == State::interrupted || !progress.tell(run.integration()))
-    throw nb::python_error();
+  run_to_end(run, self.bound.native(), y0.data(), progress);
   return finish(run, self.solver);
+}
+
+/// Writes floats, in a tuple or an array, to the parameters. False: they are none, or not as many.
+bool read_parameters(nb::handle args, std::span<double> out) {
+  if (!PyTuple_Check(args.ptr())) {
+    const auto array = nb::cast<ConstVector>(args);
+    if (array.size() != out.size()) return false;
+    std::copy_n(array.data(), array.size(), out.begin());
+    return true;
+  }
+  if (static_cast<std::size_t>(PyTuple_GET_SIZE(args.ptr())) != out.size()) return false;
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    PyObject* one = PyTuple_GET_ITEM(args.ptr(), static_cast<Py_ssize_t>(i));
+    if (!PyFloat_Check(one)) return false;
+    out[i] = PyFloat_AS_DOUBLE(one);
+  }
+  return true;
+}
+
+/// A run from another initial value, with other arguments and over another interval, if they are given, than the solver
+/// was made for. Nothing: y0 is not finite or of another size, or `args` are no floats, as many as there are
+/// parameters; a single solve knows what to say. The problem has no singular mass matrix.
+std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& y0, const nb::object& args,
+                                          const std::optional<Cover>& cover) {
+  const Problem& problem = self.solver.problem();
+  if (y0.size() != problem.n || !all_finite(y0.data(), problem.n)) return {};
+  if (args.is_none())
+    std::ranges::copy(self.parameters, problem.parameters.begin());
+  else if (!read_parameters(args, problem.parameters))
+    return {};
+  std::apply([&](auto... ends) { self.solver.cover(ends...); }, cover.value_or(self.cover));
+  Run run(self.solver);
+  const std::vector<double> start(y0.data(), y0.data() + y0.size());
+  std::vector<double> value;
+  if (const Invariants* g = run.invariants()) {
+    std::vector<double> unmoved = start;
+    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) return {};
+    value = g->value();
+  }
+  const nb::object nobody = nb::none();
+  Progress untold(nobody);
+  run_to_end(run, self.bound.native(), start.data(), untold);
+  FinishedRun finished = finish(run, self.solver);
+  finished.result.ng -= run.evaluations_of_prepare();
+  finished.start = start;
+  finished.value = std::move(value);
+  return finished;
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -274,12 +338,17 @@ void define_arrays_of_run(RunClass& run) {
          "take_points",
          [](FinishedRun& self) {
            RunResult& r = self.result;
-           std::optional<Vector> end;
-           if (r.y_end) end = to_array<Vector>(std::move(*r.y_end), r.n);
-           auto [t, y] = to_arrays(std::move(r.points), r.n);
-           return std::make_tuple(t, y, r.t_end, end);
+           const std::size_t count = r.points.t.size();
+           const nb::object end = state_array(r.end(), r.n, self.complex);
+           const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
+           return std::make_tuple(times_array(std::move(r.points.t)), y, r.t_end, end);
          },
-         "(t, y) of the points and of the end; the last is None where it is the last point.")
+         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]"),
+         "(t, y) of the points, y of shape (n, n_t), and of the end.")
+      .def(
+          "take_start",
+          [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
+          nb::sig("def take_start(self) -> numpy.ndarray"))
       .def("take_events",
            [](FinishedRun& self) {
              std::vector<std::pair<Vector, Table>> all;
@@ -307,6 +376,11 @@ void define_arrays_of_run(RunClass& run) {
                jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::move(jump.value), m));
              }
              return jumps;
+           })
+      .def("take_value",
+           [](FinishedRun& self) {
+             const std::size_t m = self.value.size();
+             return to_array<Vector>(std::move(self.value), m);
            })
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); });
 }
@@ -419,7 +493,11 @@ void define_solver(nb::module_& module) {
       .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(), nb::arg("request") = nb::none(),
            "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` "
            "ends "
-           "the run after the step in which it is made.");
+           "the run after the step in which it is made.")
+      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
+           nb::arg("cover") = nb::none(),
+           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
+           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.");
 }
 
 void define_stepper(nb::module_& module) {

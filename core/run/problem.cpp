@@ -62,6 +62,13 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }
 
+void Solver::cover(double t0, double tf, double hmax) {
+  settings_.t0 = t0;
+  settings_.tf = tf;
+  settings_.hmax = hmax;
+  require_settings(settings_);
+}
+
 void Solver::resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep) {
   require(seen.size() == problem_.events.size() && asleep.size() == problem_.events.size(),
           "resume must be told of each event how often it has occurred, and whether it sleeps");

@@ -1,5 +1,6 @@
 #include "run/run.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -150,6 +151,11 @@ Consistency Run::prepare(double t0, double* y0) {
   if (steps_ && steps_->hold(t0, y0) == Status::stop) return Consistency::stop;
   if (between_ && between_->hold(t0, y0) == Status::stop) return Consistency::stop;
   return verdict;
+}
+
+std::int64_t Run::evaluations_of_prepare() const {
+  const auto held = std::ranges::count_if(solver_.problem().invariants, &InvariantBlock::held);
+  return static_cast<std::int64_t>((between_ ? 2 : 1) * held);
 }
 
 void Run::count_evaluations(RunResult& result) const {

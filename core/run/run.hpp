@@ -68,6 +68,9 @@ class Run {
   /// Holds the invariants whose values are not demanded at those of the initial value, which is moved before where the
   /// algebraic equations of a singular mass matrix ask for it. For a run whose solver was made for another y0.
   Consistency prepare(double t0, double* y0);
+  /// Evaluations of invariants by `prepare`: the result counts them, where a single solve counts its own before the
+  /// run.
+  [[nodiscard]] std::int64_t evaluations_of_prepare() const;
 
   [[nodiscard]] Integration& integration() { return *integration_; }
   [[nodiscard]] const Integration& integration() const { return *integration_; }

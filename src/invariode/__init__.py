@@ -25,6 +25,7 @@ from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .odepack import odeint
 from .pictures.precision import plot_work_precision
+from .prepared import PreparedSolver
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps, StiffnessWarning
 
@@ -47,6 +48,7 @@ __all__ = [
     "MechanicalSystem",
     "Method",
     "PolynomialInvariant",
+    "PreparedSolver",
     "Problem",
     "RotationMatrix",
     "Solution",

@@ -40,7 +40,7 @@ class Laws(NamedTuple):
 
 def status_and_message(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message."""
-    status, message = _ended(run, laws, pairs)
+    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
     return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
 
 
@@ -54,8 +54,6 @@ def _sentence(text: str) -> str:
 
 
 def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
-    if run.state in MESSAGES:
-        return MESSAGES[run.state]
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":

@@ -35,7 +35,7 @@ from .compiled import native_parameters
 from .description import Description
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, Trajectories
 from .events import to_events
-from .invariants import AccuracyWarning, as_columns
+from .invariants import AccuracyWarning
 from .plan import Plan, make_plan, solver
 from .result import LIMIT_REACHED, default_labels
 
@@ -58,6 +58,10 @@ _EXCEPTIONS = (
     "event_undefined",
     "action_undefined",
     "interrupted",
+)
+#: The status for each state; states of ensembles only are negative and count from the end.
+_CODES = np.array(
+    [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES] + 3 * [_RAISED], dtype=np.int8
 )
 _NG, _NGDIFF, _DROPPED, _HARMED = (_core.COUNTS.index(name) for name in ("ng", "ngdiff", "dropped", "harmed"))
 # States that only trajectories of an ensemble have.
@@ -98,7 +102,7 @@ def solve_ensemble(
     workers : int, optional
         Threads or processes. Default: the processors that this process may use.
     progress : bool, default False
-        Whether a progress bar is shown (needs rich).
+        Whether a progress bar is shown (outside notebooks by rich).
 
     Other Parameters
     ----------------
@@ -152,8 +156,10 @@ def solve_ensemble(
         raise ValueError("an ensemble needs at least one row of y0 or args")
     plan = task.first_plan()
     with bar(flag("progress", progress), "trajectories", len(rows)) as report:
-        native = solver(plan).native
-        return (_on_threads if native else _in_processes)(task, plan, min(workers, len(rows)), report)
+        core = solver(plan)
+        if core.native:
+            return _on_threads(task, plan, core, min(workers, len(rows)), report)
+        return _in_processes(task, plan, min(workers, len(rows)), report)
 
 
 def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
@@ -256,11 +262,11 @@ def _solution(
     task: _Task, plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, **fields: Any
 ) -> EnsembleSolution:
     times = plan.settings.times
-    if dropped := int((counts[:, _DROPPED] > 0).sum()):
-        warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
-    _warn_harmed(plan, counts[fields["status"] >= 0, _HARMED])
-    stats = dict(zip(_core.COUNTS, counts.T, strict=True))
-    del stats["dropped"], stats["harmed"]
+    if plan.names:
+        if dropped := int((counts[:, _DROPPED] > 0).sum()):
+            warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
+        _warn_harmed(plan, counts[fields["status"] >= 0, _HARMED])
+    stats = dict(zip(_core.COUNTS[:-2], counts.T[:-2], strict=True))  # the last two are warnings
     return EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
         y=y_end[:, :, None].copy() if times is None else y,
@@ -301,23 +307,22 @@ def _trajectories(plan: Plan, task: _Task) -> Trajectories:
 # On threads, in the core
 
 
-def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
+def _on_threads(
+    task: _Task, plan: Plan, core: _core.Solver, workers: int, report: Callable[[float], None] | None
+) -> EnsembleSolution:
     y0 = np.ascontiguousarray(task.y0)
-    solvers = [solver(plan) for _ in range(workers)]
+    solvers = [core, *(solver(plan) for _ in range(workers - 1))]
     run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
     dtype = y0.dtype
     states = run.take_states()
     value, before, after, correction = run.take_drift()
-    codes = np.array(
-        [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES], dtype=np.int8
-    )
     return _solution(
         task,
         plan,
         y=run.take_y().view(dtype),
         t_end=run.take_t(),
         y_end=run.take_end().view(dtype),
-        status=np.where(states < 0, np.int8(_RAISED), codes[states]),
+        status=_CODES[states],
         counts=run.take_counts(),
         clipped_amount=run.take_clipped(),
         messages=_messages(task, plan, run, states),
@@ -343,6 +348,8 @@ def _parameters(task: _Task, plan: Plan) -> Array:
 def _messages(task: _Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
     """Why trajectories failed, in their order."""
     messages: dict[int, str] = {}
+    if len(states) and not (_CODES[states] < 0).any():
+        return messages
     for i, failure in run.failures():
         exception = plan.exception(failure)
         messages[i] = plan.verdict(failure)[1] if exception is None else _as_text(exception)
@@ -414,9 +421,7 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     bound = plan.bound
     if jumps := run.take_jumps():
         bound = bound.jumped(jumps, forward=plan.settings.forward)
-    t, rows, t_end, end = run.take_points()
-    y = as_columns(rows, dtype)
-    y_end = y[:, -1] if end is None else end.view(dtype)
+    t, y, t_end, y_end = run.take_points()
     counts = np.array(run.counts)
     counts[_NG] += bound.evaluations  # before the run, as in a single run
     counts[_NGDIFF] += bound.evaluations - len(bound.specs)

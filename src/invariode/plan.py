@@ -23,7 +23,7 @@ from .events import EventSpec, event_spec
 from .inputs import fed
 from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
 from .methods import Method, find_method
-from .result import LIMIT_REACHED
+from .result import LIMIT_REACHED, Names
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
@@ -106,6 +106,7 @@ class Plan(NamedTuple):
     demanded: list[bool]  # of the invariants, whether their values were
     senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
+    called: Names  # what tables and pictures call things
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
@@ -128,6 +129,9 @@ class Plan(NamedTuple):
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
+        ended = MESSAGES.get(run.state)
+        if ended is not None and not run.stiff:
+            return ended
         if run.state == "limit_reached":
             return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
         return status_and_message(run, self.laws, self.functions.complex)
@@ -205,6 +209,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         _require_free_directions(bound, problem)
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
+    event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
     return Plan(
         method=chosen,
         tolerances=weights,
@@ -216,7 +221,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         names=_names(bound, linear),
         demanded=bound.demanded,
         senses=bound.senses,
-        event_names=distinct([event.__name__ for event in problem.events]),
+        event_names=event_names,
+        called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],

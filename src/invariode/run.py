@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from contextlib import ExitStack
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -23,10 +23,10 @@ from .events import terminal_count
 from .invariants import AccuracyWarning, Jump, as_columns
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps, StiffnessWarning
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Stats, Steps, StiffnessWarning
 from .solution import Solution
 
-__all__ = ["RunOrigin", "solve"]
+__all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
 
 
 class Resumed(NamedTuple):
@@ -36,15 +36,31 @@ class Resumed(NamedTuple):
     asleep: list[bool]
 
 
-class Source(NamedTuple):
+class Source(Protocol):
     """What a run is made from."""
 
-    problem: Description  # with the whole interval, where the run goes on from another
+    @property
+    def problem(self) -> Description:
+        """The problem, with the whole interval where the run goes on from another."""
+
+    @property
+    def method(self) -> MethodName:
+        """The method, by the name given."""
+
+    @property
+    def options(self) -> Options:
+        """The options as given."""
+
+
+class Solved(NamedTuple):
+    """A problem solved by a method with options."""
+
+    problem: Description
     method: MethodName
-    options: Options  # as given
+    options: Options
 
 
-@dataclasses.dataclass(eq=False)
+@dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
     """What a solution was made from, and where it ended: what it takes to go on."""
 
@@ -118,7 +134,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
     for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
-    source = Source(problem, method, given)
+    source = Solved(problem, method, given)
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
         if ended_at_start(plan, found) and sol.success:
@@ -137,24 +153,34 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     core = solver(plan)
     if resumed is not None:
         core.resume(*resumed)
-    run = _integrated(core, plan, source.problem.name)
-    if exception := plan.exception(run):
-        raise exception
-    dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
-    sol = _solution(run, plan, source)
+    sol = presented(_integrated(core, plan, source.problem.name), plan, source)
     fun = source.problem.fun
     if isinstance(fun, CoreFunction):
         work: Any = core.motion_work
         if work is not None:
             sol.stats.mechanics = {"derivatives": dict(fun.derivatives)} | work
-    if dropped:
-        _warn_dropped(dropped, first, plan.names, sol._drift, along_steps=plan.bound.along_steps)
-    if harmed >= 0 and sol.success:
-        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
-        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
+    return sol
+
+
+def presented(run: _core.Run, plan: Plan, source: Source) -> Solution:
+    """The solution that a run of the plan came to, or the exception, with its warnings."""
+    if exception := plan.exception(run):
+        raise exception
+    sol = _solution(run, plan, source)
+    if plan.names:
+        _warn_of_projection(run, plan, sol)
     if run.stiff:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
     return sol
+
+
+def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
+    if dropped := run.dropped:
+        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
+    harmed = run.harmed
+    if harmed >= 0 and sol.success:
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{run.harm:.2g} times its estimated errors"), AccuracyWarning)
 
 
 def _integrated(core: _core.Solver, plan: Plan, name: str) -> _core.Run:
@@ -172,16 +198,14 @@ def _integrated(core: _core.Solver, plan: Plan, name: str) -> _core.Run:
 
 
 def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
-    problem, dtype = source.problem, plan.y0.dtype
+    dtype = plan.y0.dtype
     status, message = plan.verdict(run)
     bound = plan.bound
     if jumps := run.take_jumps():
         bound = bound.jumped(jumps, forward=plan.settings.forward)
     dense = run.take_dense()
-    t, rows, t_end, y_end = run.take_points()
-    y = as_columns(rows, dtype)
-    y_end = y[:, -1].copy() if y_end is None else y_end.view(dtype)
-    happened = run.take_events() if problem.events else None
+    t, y, t_end, y_end = run.take_points()
+    happened = run.take_events() if plan.event_names else None
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -203,14 +227,14 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
         _rtol=plan.rtol,
         _atol=plan.atol,
-        _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
-        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(plan, run.breakpoints_passed, t_end)),
+        _names=plan.called,
+        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(run, plan, t_end)),
     )
 
 
-def _passed(plan: Plan, count: int, t_end: float) -> bool:
+def _passed(run: _core.Run, plan: Plan, t_end: float) -> bool:
     """Whether the breakpoints at the end have been passed, if there are any: a terminal event comes before them."""
-    behind = plan.functions.breakpoints[:count]
+    behind = plan.functions.breakpoints and plan.functions.breakpoints[: run.breakpoints_passed]
     return bool(behind) and behind[-1].t == t_end
 
 
@@ -219,8 +243,10 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
+    if not plan.names:  # in the order of COUNTS, of which the last two are warnings
+        return Stats(*run.counts[:-2], None, plan.moved, run.clipped, None, run.stiff_since if run.stiff else None)
     stats = Stats(
-        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
+        *run.counts[:-2],
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
         clipped_amount=run.clipped,
@@ -271,7 +297,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     forward = origin.forward or float(np.sign(tf - origin.t))
     if not forward * (tf - origin.t) > 0:
         raise ValueError(f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {t_end!r}")
-    problem, method, options_of_run = origin.source
+    problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
     rest = problem.replace(t_span=(origin.t, tf), y0=origin.y)
     given = cast("Options", {**options_of_run, "first_step": None, **options})
@@ -287,7 +313,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     plan = make_plan(rest, method, now).holding(old._invariants.last_value)
     if origin.passed:
         plan = plan.beyond(origin.t)
-    new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
+    new = _carried_out(plan, Solved(whole, method, given), _resumed(old, origin, rest))
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)
 
