@@ -24,7 +24,7 @@ _BESIDE = (1e-2, 1e-3, 1e-4)
 _FEW = 10
 #: What is left of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
-#: Sparse factors are faster from so many velocities on, where at most this part of the entries is other than 0.
+#: Sparse factors are faster from this many velocities on, if at most this fraction of the entries is nonzero.
 _LARGE = 100
 _SPARSE = 0.1
 #: What is left of rows that are surely no roundoff, though the factors lose half of the digits.

@@ -243,7 +243,7 @@ def _matrix(name: str, given: Any, is_complex: bool) -> Any:
 def _sound(name: str, given: Any) -> Any:
     """A sparse matrix, once its indices are seen to fit its shape.
 
-    SciPy's constructors do not look at them all, and nothing stops who changes them later; its conversions, and the
+    SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
     core, would write where they point.
     """
     matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()

@@ -183,7 +183,7 @@ def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
         return (
             f"The action at t = {run.finding_t:.6g} takes {names[run.finding_invariant]} back by "
             f"{abs(run.finding_size):.6g}, {run.finding_distance:.3g} times the tolerance, which Dissipated excludes. "
-            "Correct the action, or let the event rehold."
+            "Correct the action, or give the event rehold=True."
         )
     if run.finding == "off_value":
         return (
@@ -210,7 +210,7 @@ def _not_conserved(run: Run, laws: Laws) -> str:
             f"{names[run.finding_invariant]} is not dissipated by fun: at t = {run.finding_t:.6g} it "
             f"{'rises' if sense < 0 else 'falls'} at the rate {abs(run.finding_size):.6g} "
             f"({run.finding_distance:.1e} of the size of its terms), and Dissipated(rises={sense > 0}) excludes that. "
-            "Check its formula, its sign and the parameters; what drives the system from outside must be left out. "
+            "Check its formula, its sign and the parameters; no law of this kind holds if something drives the system. "
             "check=False switches this test off."
         )
     text = (

@@ -18,7 +18,7 @@ __all__ = ["Accelerations", "FunctionOfState", "Functions", "Motion", "MotionFun
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
 #: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.
 DEPENDENT = 1e-10
-#: From so many entries on it is worth knowing which entries of M are always zero.
+#: From this many entries on it is worth knowing which entries of M are always zero.
 _LARGE = 500
 #: Where the patterns of M and Φ are looked for: at q, and beside it by so much of the sizes of its components.
 _BESIDE = (0.1, -0.07)

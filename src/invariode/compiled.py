@@ -44,7 +44,7 @@ class CoreFunction:
 
     #: Whether it calls machine code of the user's, which takes the arguments as numbers.
     native = False
-    #: How its derivatives are had, by the name of the function.
+    #: How its derivatives are formed, by the name of the function.
     derivatives: Mapping[str, str] = MappingProxyType({})
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:

@@ -91,7 +91,7 @@ class CheckReport:
     __repr__ = __str__
 
     def verdict(self, i: int) -> str:
-        """What the table says of invariant i: 'NO', 'yes', or of what is `invariode.Dissipated` 'falls', 'rises'."""
+        """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
         return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
 
     def _repr_html_(self) -> str:
@@ -226,7 +226,7 @@ def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Toleran
     return None if found is None else _Elsewhere(t, y, found)
 
 
-#: What is said of invariants: they are ..., and where they are not, they ...
+#: Words for messages: an invariant is ..., or it ...
 _CONSERVED = ("conserved", "changes")
 
 

@@ -298,7 +298,7 @@ def _message(last: Solution, counter: _Counter) -> str:
 
 
 def _rows(parts: list[Solution], asked: _Times) -> Array:
-    """The solution at the times that were asked for, (n_t, n)."""
+    """The solution at the requested times, (n_t, n)."""
     times = np.concatenate([part.t for part in parts])
     states = np.concatenate([part.y.T for part in parts])
     rows = np.full((len(asked.times), states.shape[1]), np.nan, dtype=states.dtype)
@@ -309,7 +309,7 @@ def _rows(parts: list[Solution], asked: _Times) -> Array:
 
 
 def _matched(asked: Array, times: Array) -> tuple[Array, Array]:
-    """Where each time that was asked for stands in the output: a critical point ends one piece and starts the next."""
+    """The index of each requested time in the output: a critical point ends one piece and starts the next."""
     forward = 1.0 if asked[-1] >= asked[0] else -1.0
     at = np.searchsorted(forward * times, forward * asked)
     reached = at < len(times)

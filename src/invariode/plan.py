@@ -278,7 +278,7 @@ def _calibrated(weights: Tolerances, order: int) -> Tolerances:
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
 
-#: What is kept without `max_points`. Of a few components so many points are less than a gigabyte.
+#: What is kept without `max_points`. With a few components this many points are less than a gigabyte.
 _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
 
 
@@ -388,7 +388,7 @@ def _require_free_directions(bound: BoundInvariants, problem: Description) -> No
         return
     what = "bounds" if problem.limits is not None else "a mass matrix"
     raise ValueError(
-        f'invariants with direction="stages" cannot be imposed together with {what}, which ask for other corrections: '
+        f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
         'use direction="gradient"'
     )
 

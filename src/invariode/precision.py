@@ -34,16 +34,16 @@ _EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", 
 _IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
 _TIGHT = (1e-12, 1e-11, 1e-10)
 
-#: A run of the reference may take so many times the limit of the others.
+#: A run of the reference may take this many times the limit of the others.
 _PATIENCE = 6
 
-#: Stiff is what takes ode45 so many times the steps of ode15s, and so many more, at rtol 1e-3.
+#: A problem is stiff if ode45 takes this many times the steps of ode15s, and this many more, at rtol 1e-3.
 _STIFF, _FEW = 20, 1000
 
-#: Runs are repeated for their times up to so often, or until so many seconds are spent; the smallest time counts.
+#: To be timed, runs are repeated up to this often, or until this many seconds are spent; the smallest time counts.
 _REPEATS, _BUDGET = 10, 0.2
 
-#: Errors below so many times the disagreement of the references tell nothing.
+#: Errors below this many times the disagreement of the references say nothing.
 _FLOOR = 3
 
 #: Ratios of costs closer to 1 than this are no reason for either.

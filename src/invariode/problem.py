@@ -87,10 +87,10 @@ class Problem(Description):
 
     @documented(options=table_of(Options))
     def prepare(self, method: MethodName = "ode45", **options: Unpack[Options]) -> PreparedSolver:
-        """A solver of this problem, and of those that differ in y0, args or the interval, which checks the rest once.
+        """A solver for this problem with any y0, args and interval, which checks everything else only once.
 
-        For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps where all
-        functions are native and `keep` is 'end' or 'outputs'. Where the problem must be looked at anew for another
+        For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps if all
+        functions are native and `keep` is 'end' or 'outputs'. If the problem must be checked again for another
         y0, other arguments or another interval, as for Python functions with invariants or a Jacobian, for algebraic
         equations or mechanical systems, and for `t_eval` on another interval, a call costs as much as a solve.
 
@@ -109,7 +109,7 @@ class Problem(Description):
         Raises
         ------
         TypeError, ValueError, InvariantError
-            As `solve`. The warnings are the same too.
+            As for `solve`. The warnings are the same too.
 
         Examples
         --------

@@ -24,7 +24,7 @@ from .result import DenseSolution, default_labels
 __all__ = ["Stepper"]
 
 _OPTIONS = table_of(StepperOptions)
-#: Before so many steps nothing can be said of harm: one step in eight is looked at.
+#: Before this many steps nothing can be said about harm: one step in eight is examined.
 FEW_STEPS = 64
 
 
@@ -136,8 +136,8 @@ class Stepper(OdeSolver):
         return True, None
 
     def _watch_accuracy(self) -> None:
-        """One warning, if projection does harm. Nobody tells a solver that the run ends before t_bound: looked at in
-        steps 64, 128, 256, … too."""
+        """One warning, if projection does harm. A solver does not learn that a run ends before t_bound, so this is
+        checked in steps 64, 128, 256, … too."""
         self._steps += 1
         ended = self._stepper.state != "running"
         if self._warned or not (ended or (self._steps >= FEW_STEPS and self._steps.bit_count() == 1)):

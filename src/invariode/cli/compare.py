@@ -45,7 +45,7 @@ EXAMPLES = examples(
     "compare kinetics.py --limit 20 --atol-ratio 1e-6",
 )
 
-#: Columns of the table of ratios: as many as fit beside the rest in 80 characters.
+#: Columns of the table of ratios: the number that fits beside the rest in 80 characters.
 _RATIOS = 4
 
 

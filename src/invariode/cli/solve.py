@@ -197,7 +197,7 @@ def _drawn(problem: Problem, given: str | None) -> list[int] | None:
 
 
 def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
-    """Those of the solve: output at so many points, or between the steps."""
+    """The options of the solve: output at this many points, or between the steps."""
     return {
         "rtol": rtol,
         "atol": atol,

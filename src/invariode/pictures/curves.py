@@ -18,14 +18,14 @@ __all__ = ["Curve", "curve", "draw_over_t", "interrupted", "line_and_marks", "pa
 #: Points of a smooth curve, and at the most in one step: the eye sees no corners.
 _POINTS, _POINTS_PER_STEP = 4000, 32
 
-#: Up to so many outputs a curve is made smooth by their slopes; of more, the steps are too short to be seen.
+#: Up to this many outputs a curve is smoothed by their slopes; with more, the steps are too short to be seen.
 _SLOPES = 20_000
 
 #: Curves over t of more points than this are drawn by columns, of which a page has no more.
 _LONG, _COLUMNS = 16_000, 2000
 
-#: With so many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
-#: its extremes, in columns of so many changes.
+#: With this many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
+#: its extremes, in columns of this many changes.
 _BUSY, _TURNS = 300, 4
 
 

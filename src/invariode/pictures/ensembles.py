@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 __all__ = ["draw"]
 
-#: Of more components so many are drawn: ranges of more cover each other.
+#: The most components that are drawn: the ranges of more would cover each other.
 _MOST = len(COLOURS)
 
-#: Of more trajectories so many are drawn one by one.
+#: The most trajectories that are drawn one by one.
 _THREADS = 500
 
 #: Parts of the trajectories that are below a line.

@@ -34,7 +34,7 @@ _APART = 1e3
 #: More panels would be too low to be read: the smallest components then share one.
 _PANELS = 4
 
-#: Of more components than `MOST` so many have a name in the legend.
+#: If there are more components than `MOST`, the number of names in the legend.
 _NAMED = 10
 
 

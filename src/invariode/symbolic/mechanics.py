@@ -19,7 +19,7 @@ from .vocabulary import Vocabulary
 
 __all__ = ["hamiltonian", "lagrangian"]
 
-#: Where the rank of a mass matrix is looked at: a point without special symmetry.
+#: Where the rank of a mass matrix is tested: a point without special symmetry.
 _SEED = 7
 
 
