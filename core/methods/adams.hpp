@@ -30,6 +30,7 @@ class Adams final : public Step {
   bool errors(double* out) const override;
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override;

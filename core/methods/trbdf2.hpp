@@ -26,6 +26,7 @@ class TrBdf2 final : public Step {
   bool errors(double* out) const override;
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override { return two_hermite_cubics; }
   [[nodiscard]] std::size_t extension_size() const override { return 6 * n(); }

@@ -62,14 +62,4 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }
 
-void Solver::resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep) {
-  require(seen.size() == problem_.events.size() && asleep.size() == problem_.events.size(),
-          "resume must be told of each event how often it has occurred, and whether it sleeps");
-  settings_.resumed = true;
-  for (std::size_t e = 0; e < seen.size(); ++e) {
-    problem_.events[e].seen = seen[e];
-    problem_.events[e].asleep = asleep[e];
-  }
-}
-
 }  // namespace invariode

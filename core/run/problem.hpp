@@ -50,17 +50,13 @@ void require_sizes(const Problem& problem, const Weights& weights);
 
 /// All that is known before the initial value. A solver serves any number of runs, one after the other or together, as
 /// long as its functions may be called by several threads and its parameters stay. Its members do not change but by
-/// `resume`, and by what is written to the parameters.
+/// what is written to the parameters.
 class Solver {
  public:
   /// Throws std::invalid_argument where sizes do not match, or the method needs linear algebra that is not there.
   Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options);
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
-
-  /// Its runs go on from where another one ended, with so many occurrences `seen` of each event; those `asleep`
-  /// occurred right there.
-  void resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep);
 
   [[nodiscard]] const Method& method() const { return method_; }
   [[nodiscard]] const Problem& problem() const { return problem_; }

@@ -159,7 +159,7 @@ def solve_ensemble(
 def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     """The options of each trajectory."""
     for name, value in given.items():
-        if name in _OF_SINGLE_RUNS and not (np.isscalar(value) and value == TABLE[name].default):
+        if name in _OF_SINGLE_RUNS and not (value is None or (np.isscalar(value) and value == TABLE[name].default)):
             instead = "; give t_eval" if name in ("refine", "dense_output") else ""
             raise ValueError(f"{name} is not possible for an ensemble{instead}")
     options = given.copy()
