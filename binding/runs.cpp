@@ -18,6 +18,7 @@
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -26,6 +27,7 @@
 #include "interpreter.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
+#include "outputs.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
 #include "run/names.hpp"
@@ -49,16 +51,24 @@ void require_state(const ConstVector& y0, std::size_t n) {
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
 
+/// The interval of a run, and its largest step.
+using Cover = std::tuple<double, double, double>;
+
 /// A solver with the functions that it calls. Made with the interpreter held; where all functions are native, its runs
 /// do not need it.
 struct BoundSolver {
   BoundSolver(const std::string& method, const ProblemSpec& problem, const Tolerances& tolerances,
               const RunSettings& settings)
       : bound(problem),
-        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings) {}
+        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings),
+        parameters(problem.parameters),
+        cover(settings.t0, settings.tf, settings.hmax) {}
 
   BoundProblem bound;
   Solver solver;
+  // What it was made for: runs may have changed it since.
+  std::vector<double> parameters;
+  Cover cover;
 };
 
 /// What a run was, its continuous solution with what evaluating it takes, and what it remembers.
@@ -66,13 +76,16 @@ struct FinishedRun {
   RunResult result;
   std::optional<Dense> dense;
   Memory memory;
+  bool complex = false;
+  // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
+  std::vector<double> start = {}, value = {};
 };
 
 /// Matrices of more entries, 16 MB, are not kept with a solution: its extension starts the method anew.
 constexpr std::size_t most_kept = std::size_t{1} << 21;
 
 FinishedRun present(RunResult result, const Solver& solver, Memory memory = {}) {
-  FinishedRun finished{std::move(result), {}, std::move(memory)};
+  FinishedRun finished{std::move(result), {}, std::move(memory), solver.problem().complex};
   if (std::optional<DenseOutput>& dense = finished.result.dense)
     finished.dense.emplace(Dense{std::move(*dense), solver.weights(), solver.problem().complex});
   return finished;
@@ -211,14 +224,19 @@ struct StopRequest {
   std::atomic<bool> made{false};
 };
 
-FinishedRun travel(const BoundSolver& self, const Beginning& begin, const nb::object& told, StopRequest* request,
+FinishedRun travel(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& told,
                    const nb::object& kept, double every) {
-  Run run(self.solver);
-  if (request != nullptr) run.integration().heed(request->made);
   Journey journey(run, self.solver, Progress(told), Keeper(kept, every));
   const bool finished = self.bound.native() ? journey.without_interpreter(begin) : journey.with_interpreter(begin);
   if (!finished || run.integration().state() == State::interrupted || !journey.tell_the_end()) throw nb::python_error();
   return finish(run, self.solver);
+}
+
+FinishedRun travel(const BoundSolver& self, const Beginning& begin, const nb::object& told, StopRequest* request,
+                   const nb::object& kept, double every) {
+  Run run(self.solver);
+  if (request != nullptr) run.integration().heed(request->made);
+  return travel(run, self, begin, told, kept, every);
 }
 
 FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request,
@@ -231,6 +249,51 @@ FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, 
                    StopRequest* request, const nb::object& kept, double every) {
   const auto* bytes = static_cast<const std::byte*>(memory.data());
   return travel(self, {.memory = {bytes, memory.size()}, .anew = anew}, told, request, kept, every);
+}
+
+/// Writes floats, in a tuple or an array, to the parameters. False: they are none, or not as many.
+bool read_parameters(nb::handle args, std::span<double> out) {
+  if (!PyTuple_Check(args.ptr())) {
+    const auto array = nb::cast<ConstVector>(args);
+    if (array.size() != out.size()) return false;
+    std::copy_n(array.data(), array.size(), out.begin());
+    return true;
+  }
+  if (static_cast<std::size_t>(PyTuple_GET_SIZE(args.ptr())) != out.size()) return false;
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    PyObject* one = PyTuple_GET_ITEM(args.ptr(), static_cast<Py_ssize_t>(i));
+    if (!PyFloat_Check(one)) return false;
+    out[i] = PyFloat_AS_DOUBLE(one);
+  }
+  return true;
+}
+
+/// A run from another initial value, with other arguments and over another interval, if they are given, than the solver
+/// was made for. Nothing: y0 is not finite or of another size, or `args` are no floats, as many as there are
+/// parameters; a single solve knows what to say. The problem has no singular mass matrix.
+std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& y0, const nb::object& args,
+                                          const std::optional<Cover>& cover) {
+  const Problem& problem = self.solver.problem();
+  if (y0.size() != problem.n || !all_finite(y0.data(), problem.n)) return {};
+  if (args.is_none())
+    std::ranges::copy(self.parameters, problem.parameters.begin());
+  else if (!read_parameters(args, problem.parameters))
+    return {};
+  std::apply([&](auto... ends) { self.solver.cover(ends...); }, cover.value_or(self.cover));
+  Run run(self.solver);
+  const std::vector<double> start(y0.data(), y0.data() + y0.size());
+  std::vector<double> value;
+  if (const Invariants* g = run.invariants()) {
+    std::vector<double> unmoved = start;
+    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) return {};
+    value = g->value();
+  }
+  const nb::object nobody = nb::none();
+  FinishedRun finished = travel(run, self, {.y0 = start.data()}, nobody, nobody, 0);
+  finished.result.ng -= run.evaluations_of_prepare();
+  finished.start = start;
+  finished.value = std::move(value);
+  return finished;
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -365,12 +428,17 @@ void define_arrays_of_run(RunClass& run) {
          "take_points",
          [](FinishedRun& self) {
            RunResult& r = self.result;
-           std::optional<Vector> end;
-           if (r.y_end) end = to_array<Vector>(std::move(*r.y_end), r.n);
-           auto [t, y] = to_arrays(std::move(r.points), r.n);
-           return std::make_tuple(t, y, r.t_end, end);
+           const std::size_t count = r.points.t.size();
+           const nb::object end = state_array(r.end(), r.n, self.complex);
+           const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
+           return std::make_tuple(times_array(std::move(r.points.t)), y, r.t_end, end);
          },
-         "(t, y) of the points and of the end; the last is None where it is the last point.")
+         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]"),
+         "(t, y) of the points, y of shape (n, n_t), and of the end.")
+      .def(
+          "take_start",
+          [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
+          nb::sig("def take_start(self) -> numpy.ndarray"))
       .def("take_events",
            [](FinishedRun& self) {
              std::vector<std::pair<Vector, Table>> all;
@@ -398,6 +466,11 @@ void define_arrays_of_run(RunClass& run) {
                jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::move(jump.value), m));
              }
              return jumps;
+           })
+      .def("take_value",
+           [](FinishedRun& self) {
+             const std::size_t m = self.value.size();
+             return to_array<Vector>(std::move(self.value), m);
            })
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); });
 }
@@ -509,7 +582,11 @@ void define_solver(nb::module_& module) {
            "and at the end, with a Run of what has come since the last time.")
       .def("resume", &resume, nb::arg("memory"), nb::arg("anew"), nb::arg("progress") = nb::none(),
            nb::arg("request") = nb::none(), nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
-           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.");
+           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.")
+      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
+           nb::arg("cover") = nb::none(),
+           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
+           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.");
 }
 
 void define_stepper(nb::module_& module) {
@@ -534,6 +611,13 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
       .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
       .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
+      .def_prop_ro(
+          "stiff_since",
+          [](Stepper& s) {
+            const Stiffness stiffness = s.integration().stiffness();
+            return stiffness.found ? std::optional(stiffness.since) : std::nullopt;
+          },
+          "From which t on stability limits the steps; None: it does not.")
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

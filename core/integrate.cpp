@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 #include <utility>
 
 namespace invariode {
@@ -39,9 +40,15 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
     if (!events_.empty() && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights_);
     harm_.emplace(n_);
+    if (invariants_->along_steps()) {
+      directions_.resize(step_->max_directions());
+      if (directions_.empty())
+        throw std::invalid_argument("this method does not tell what its steps are made of: use direction='gradient'");
+    }
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
     if (bounds_) active_set_.emplace(*projector_, *bounds_);
+    if (invariants_->any_one_sided()) one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr);
   }
   if (invariants_ || bounds_) y1_.resize(n_);
   if (manifold.between) output_projector_.emplace(*manifold.between, weights, 1);
@@ -84,6 +91,10 @@ State Integration::start(const double* y0) {
   aim();
   if (!inspect_start()) return state_;
   const double* y = interpolant_->start_y();
+  if (one_sided_ && one_sided_->start(t0, y) == Status::stop) {
+    end(State::interrupted);
+    return state_;
+  }
   if (dense) dense->start(t0, y);
   const bool breaks = breaks_here();
   if (!emit(breaks) || !start_memory(t0, y)) return state_;
@@ -266,8 +277,11 @@ Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
-  projected_ = active_set_ ? active_set_->project(attempt_.t1, interpolant_->start_y(), y1_.data())
-                           : projector_->project(attempt_.t1, interpolant_->start_y(), y1_.data());
+  if (!directions_.empty()) tell_directions();
+  const double *from = interpolant_->start_y(), t1 = attempt_.t1;
+  projected_ = one_sided_    ? one_sided_->project(t1, from, y1_.data())
+               : active_set_ ? active_set_->project(t1, from, y1_.data())
+                             : projector_->project(t1, from, y1_.data());
   ++(projected_.skipped ? counts_.skipped : counts_.projections);
   if (projected_.outcome == Outcome::stop) return ended(State::interrupted);
   const bool defined = projected_.outcome == Outcome::ok;
@@ -277,6 +291,12 @@ Integration::Verdict Integration::project(const double* candidate) {
   if (settings_.check && !at_bounds())
     harm_->note(*step_, counts_.steps, candidate, y1_.data(), projector_->linearization().weights.data());
   return Verdict::accepted;
+}
+
+/// What the step is made of.
+void Integration::tell_directions() {
+  const std::size_t count = step_->directions(directions_.data());
+  projector_->seek_along({directions_.data(), count});
 }
 
 /// What roundoff in g does to a correction.
@@ -339,6 +359,7 @@ State Integration::finish_step() {
   reached_ = {interpolant_->start_t(), interpolant_->start_y()};  // until guard and events have passed the step
   note_drift();
   if (!judge_invariants()) return state_;
+  if (one_sided_) one_sided_->commit();
   stiffness_.note(*step_, ++counts_.steps, interpolant_->start_t(), interpolant_->start_y());
   interpolant_->accept();
   if (find_events() && record() && emit(settings_.output_at_times && jumps_here()) && conclude() &&
@@ -359,11 +380,20 @@ void Integration::note_drift() {
 }
 
 bool Integration::judge_invariants() {
-  if (!guard_ || !settings_.check || projected_.skipped || at_breakpoint()) return true;
+  if (!guard_ || !settings_.check || projected_.skipped) return true;
+  if (one_sided_ && one_sided_->engaged() && !judge_start_of_step()) return false;
+  if (at_breakpoint()) return true;
   const double h = attempt_.h, t1 = attempt_.t1;
   const std::int64_t step = counts_.steps + 1;
   return refuse(guard_->rate(projector_->linearization(), t1, step_->slope(), h, step)) &&
          (at_bounds() || refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step)));
+}
+
+/// What rises over a step rises at one of its ends, unless its rate changes sign twice within.
+bool Integration::judge_start_of_step() {
+  const double t = interpolant_->start_t();
+  if (next_break_ > 0 && breaks_.points[next_break_ - 1].t == t) return true;  // no room for differences there
+  return refuse(guard_->violated(t, interpolant_->start_y(), attempt_.h, counts_.steps + 1));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
@@ -508,6 +538,7 @@ bool Integration::go_on_from_jump(bool rehold) {
     if (rehold && restoration_ && restoration_->restore(t, y) == Status::stop) return end(State::interrupted);
     if (rehold && invariants_->hold(t, y) == Status::stop) return end(State::interrupted);
     if (!refuse(guard_->start_value(t, y))) return false;
+    if (one_sided_ && one_sided_->go_on(t, y) == Status::stop) return end(State::interrupted);
   }
   if (dense) dense->start(t, y);
   jumps.push_back(

@@ -14,6 +14,7 @@
 #include "manifold/bounds.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
+#include "manifold/one_sided.hpp"
 #include "manifold/projection.hpp"
 #include "manifold/restoration.hpp"
 #include "output/events.hpp"
@@ -143,6 +144,7 @@ class Integration {
   Verdict attempt();
   Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);
+  void tell_directions();
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict ended(State state);
@@ -154,6 +156,7 @@ class Integration {
   State finish_step();
   void note_drift();
   bool judge_invariants();
+  bool judge_start_of_step();
   bool find_events();
   bool record();
   [[nodiscard]] bool jumps_here() const;
@@ -198,6 +201,7 @@ class Integration {
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
+  std::optional<OneSided> one_sided_;          // and where some invariants may only rise or fall
   std::optional<Guard> guard_;
   std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;
@@ -210,11 +214,12 @@ class Integration {
   Counts counts_;
   Attempted attempt_;
   Outside outside_;
-  Projected projected_;           // of the accepted candidate
-  Point reached_{0, nullptr};     // the step, or the event that has cut it
-  std::vector<double> y1_;        // the projected candidate
-  std::vector<double> event_y_;   // state at an event
-  std::vector<double> inside_y_;  // output inside a step
+  Projected projected_;                    // of the accepted candidate
+  Point reached_{0, nullptr};              // the step, or the event that has cut it
+  std::vector<double> y1_;                 // the projected candidate
+  std::vector<const double*> directions_;  // of corrections, where they are those of the step
+  std::vector<double> event_y_;            // state at an event
+  std::vector<double> inside_y_;           // output inside a step
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;

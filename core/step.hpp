@@ -71,6 +71,12 @@ class Step {
   /// The estimated error of the attempt, component by component, into out (n,). False: the method has none.
   virtual bool errors(double*) const { return false; }
 
+  /// What the attempt is made of, slopes or differences of the solution, as vectors (n) that stay until the next
+  /// operation: every linear function that f keeps vanishes on them. Returns how many, at most `max_directions`. None:
+  /// the method does not tell.
+  virtual std::size_t directions(const double**) const { return 0; }
+  [[nodiscard]] virtual std::size_t max_directions() const { return 0; }
+
   /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
   virtual bool reject(Cause cause, double hmin) = 0;
 

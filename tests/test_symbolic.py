@@ -117,8 +117,9 @@ def test_jacobians_are_those_of_the_functions(name):
 
 def test_compiled_and_not_are_the_same_problem(name):
     """The code is the same text; libraries of functions may differ in the last place."""
+    pair = [made(name, compiled) for compiled in (True, False)]
     for method in ("ode45", "ode15s"):
-        runs = [made(name, compiled).solve(method, rtol=1e-6) for compiled in (True, False)]
+        runs = [problem.solve(method, rtol=1e-6) for problem in pair]
         assert all(run.success for run in runs)
         np.testing.assert_allclose(runs[0].y[:, -1], runs[1].y[:, -1], rtol=1e-7, atol=1e-9)
         assert runs[0].stats.derivatives == runs[1].stats.derivatives

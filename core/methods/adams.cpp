@@ -125,6 +125,13 @@ bool Adams::errors(double* out) const {
   return true;
 }
 
+/// The predicted differences and the defect, of which y* − y is a combination.
+std::size_t Adams::directions(const double** vectors) const {
+  for (int i = 1; i <= order_; ++i) *vectors++ = phi(i);
+  *vectors = defect_;
+  return static_cast<std::size_t>(order_) + 1;
+}
+
 /// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
 void Adams::update_coefficients() {
   const double h = signed_h_;

@@ -177,6 +177,12 @@ bool Ndf::errors(double* out) const {
   return true;
 }
 
+std::size_t Ndf::directions(const double** vectors) const {
+  for (int j = 1; j <= order_; ++j) *vectors++ = D(j);
+  *vectors = d_.data();
+  return static_cast<std::size_t>(order_) + 1;
+}
+
 /// p = y + Σ D_j and ψ = invGa_k Σ γ_j D_j of c f(t₁, p + d) = M (ψ + d), where d = ∇^{k+1} y₁; the weights of the
 /// step.
 void Ndf::predict() {

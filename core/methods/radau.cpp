@@ -338,6 +338,11 @@ bool Radau::errors(double* out) const {
   return true;
 }
 
+std::size_t Radau::directions(const double** vectors) const {
+  for (std::size_t i = 0; i < stages; ++i) vectors[i] = increments_.data() + i * n();
+  return stages;
+}
+
 /// By which h is to be multiplied; less where Newton's iteration was long.
 double Radau::factor_of_error() const {
   const double most = 2 * rules.most_iterations + 1;

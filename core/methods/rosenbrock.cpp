@@ -120,6 +120,11 @@ bool Rosenbrock::errors(double* out) const {
   return true;
 }
 
+std::size_t Rosenbrock::directions(const double** vectors) const {
+  for (const std::vector<double>* k : {&k1_, &k2_, &k3_}) *vectors++ = k->data();
+  return 3;
+}
+
 bool Rosenbrock::reject(Cause cause, double hmin) {
   if (h_ <= hmin) return false;
   const bool first = !failed_ && cause == Cause::error;

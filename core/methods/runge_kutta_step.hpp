@@ -26,6 +26,7 @@ template <const auto& T, bool Few>
 class Pair final : public Step {
   static constexpr std::size_t stages = T.stages;
   static constexpr std::size_t last = stages - 1;
+  static constexpr std::size_t evaluated_in_attempt = T.last_in_error() ? stages : last;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
   using Kernel = runge_kutta::Kernel<T, double, Few>;
 
@@ -74,6 +75,12 @@ class Pair final : public Step {
     Kernel::errors(purified_, k_, n(), out);
     return true;
   }
+
+  std::size_t directions(const double** vectors) const override {
+    std::copy(k_.begin(), k_.begin() + evaluated_in_attempt, vectors);
+    return evaluated_in_attempt;
+  }
+  [[nodiscard]] std::size_t max_directions() const override { return evaluated_in_attempt; }
 
   bool reject(Cause cause, double hmin) override {
     if (h_ <= hmin) return false;

@@ -142,6 +142,11 @@ bool TrBdf2::errors(double* out) const {
   return true;
 }
 
+std::size_t TrBdf2::directions(const double** vectors) const {
+  for (const std::vector<double>* z : {&z0_, &z1_, &z2_}) *vectors++ = z->data();
+  return 3;
+}
+
 bool TrBdf2::reject(Cause cause, double hmin) {
   if (cause == Cause::newton && newton_.renew_if_old()) return true;
   if (h_ <= hmin) return false;

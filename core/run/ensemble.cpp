@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -13,19 +14,18 @@
 namespace invariode {
 namespace {
 
+/// About as long as it takes to start two threads and to wait for their end (measured: 60 µs).
+constexpr std::chrono::microseconds few(50);
+
 constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
 
 bool failed(State state) {
   return state != State::reached_end && state != State::terminal_event && state != State::stopped_by_callback;
 }
 
-/// A single solve has in ng, before its run, each invariant once; `prepare` has evaluated those that are held, for the
-/// steps and for the output between them. The difference makes ng that of a single solve.
-std::int64_t uncounted_starts(const Problem& problem) {
-  const std::vector<InvariantBlock>& blocks = problem.invariants;
-  const bool twice = problem.linear && problem.linear->mass && problem.linear->mass->singular();
-  return static_cast<std::int64_t>(blocks.size()) -
-         (twice ? 2 : 1) * std::ranges::count_if(blocks, &InvariantBlock::held);
+/// A single solve has in ng, before its run, each invariant once. The difference makes ng that of a single solve.
+std::int64_t uncounted_starts(const Solver& solver, const Run& run) {
+  return static_cast<std::int64_t>(solver.problem().invariants.size()) - run.evaluations_of_prepare();
 }
 
 void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
@@ -50,8 +50,9 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
           "solvers of an ensemble must have parameters of their own");
 }
 
-/// Trajectory i, on a thread that has the solver to itself.
-void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+/// Trajectory i, on a thread that has the solver to itself. Once stopped() is true, it is left as if not begun.
+template <class Stopped>
+void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
                    EnsembleResult& result) {
   const double* row = ensemble.rows + i * ensemble.parameters;
   std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
@@ -70,8 +71,25 @@ void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i
   }
   result.hold(i, run);
   State state = run.integration().start(y0.data());
-  while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = run.integration().advance();
-  result.keep(i, run, uncounted_starts(solver.problem()));
+  while (state == State::running && !stopped()) state = run.integration().advance();
+  if (state == State::running) return;
+  result.keep(i, run, uncounted_starts(solver, run));
+}
+
+/// The first trajectories, on this thread, until threads are worth their start. How many were done.
+std::size_t integrate_few(const Solver& solver, const Ensemble& ensemble, EnsembleResult& result) {
+  using Clock = std::chrono::steady_clock;
+  const auto end = Clock::now() + few;
+  bool late = false;
+  const auto stopped = [&] { return late = Clock::now() >= end; };
+  std::size_t done = 0;
+  while (done < ensemble.size && !late) {
+    integrate_one(solver, ensemble, done, stopped, result);
+    if (late) break;  // in the middle of it
+    ++done;
+    stopped();
+  }
+  return done;
 }
 
 }  // namespace
@@ -133,7 +151,8 @@ void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invarian
     if (invariants.evaluate(at, point, g.data()) == Status::stop) return;
     for (std::size_t k = 0; k < m; ++k) {
       double& largest = after[i * m + k];
-      const double residual = std::abs(g[k] - held[k]);
+      const double residual = invariants.excess(k, g[k] - held[k]);
+      if (invariants.sense(k) != 0 && !(residual > 0)) held[k] = g[k];
       if (residual > largest || std::isnan(residual)) largest = residual;  // NaN, where g was NaN, stays
     }
   };
@@ -168,10 +187,15 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
                                               const std::function<bool(std::uint32_t done)>& watch) {
   require_alike(solvers, ensemble);
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
+  const std::size_t first = integrate_few(*solvers.front(), ensemble, *result);
+  const auto told = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
+  if (first == ensemble.size) return told(0) ? std::move(result) : nullptr;
   const auto work = [&](std::size_t worker, std::uint32_t i, const std::atomic<bool>& cancelled) {
-    integrate_one(*solvers[worker], ensemble, i, cancelled, *result);
+    const auto stopped = [&] { return cancelled.load(std::memory_order_relaxed); };
+    integrate_one(*solvers[worker], ensemble, first + i, stopped, *result);
   };
-  if (!for_each_index(static_cast<std::uint32_t>(ensemble.size), solvers.size(), patience, work, watch)) return {};
+  const auto left = static_cast<std::uint32_t>(ensemble.size - first);
+  if (!for_each_index(left, solvers.size(), patience, work, told)) return {};
   return result;
 }
 

@@ -62,4 +62,11 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }
 
+void Solver::cover(double t0, double tf, double hmax) {
+  settings_.t0 = t0;
+  settings_.tf = tf;
+  settings_.hmax = hmax;
+  require_settings(settings_);
+}
+
 }  // namespace invariode

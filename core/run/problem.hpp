@@ -50,13 +50,17 @@ void require_sizes(const Problem& problem, const Weights& weights);
 
 /// All that is known before the initial value. A solver serves any number of runs, one after the other or together, as
 /// long as its functions may be called by several threads and its parameters stay. Its members do not change but by
-/// what is written to the parameters.
+/// `cover`, and by what is written to the parameters.
 class Solver {
  public:
   /// Throws std::invalid_argument where sizes do not match, or the method needs linear algebra that is not there.
   Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options);
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
+
+  /// Its next runs cover another interval, with steps up to hmax. Output times and breakpoints stay as they are:
+  /// whoever calls this has none. Throws std::invalid_argument where hmax is not positive.
+  void cover(double t0, double tf, double hmax);
 
   [[nodiscard]] const Method& method() const { return method_; }
   [[nodiscard]] const Problem& problem() const { return problem_; }

@@ -1,5 +1,6 @@
 #include "run/run.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -20,7 +21,8 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           ngjac,
           ngdiff,
           static_cast<std::int64_t>(dropped.size()),
-          harm.component + 1};
+          harm.component + 1,
+          stiffness.found ? 1 : 0};
 }
 
 /// In this order: each refers to what the ones before have made.
@@ -95,10 +97,10 @@ void Run::bind_invariants() {
     return;
   }
   if (mass_ && mass_->singular()) {
-    users_invariants_ = &between_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &between_.emplace(bound(problem.invariants, problem.value));
     steps_.emplace(with_algebraic_equations());
   } else {
-    users_invariants_ = &steps_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &steps_.emplace(bound(problem.invariants, problem.value));
   }
   manifold_.steps = &*steps_;
   manifold_.between = users_invariants_;
@@ -120,7 +122,14 @@ Invariants Run::with_algebraic_equations() {
   blocks.push_back(block);
   std::vector<double> value = problem.value;
   value.resize(value.size() + algebraic_->count());
-  return {problem.n, std::move(blocks), std::move(value), solver_.weights()};
+  return bound(std::move(blocks), std::move(value));
+}
+
+/// What never rises as t grows never falls in a run backwards.
+Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const {
+  if (solver_.settings().tf < solver_.settings().t0)
+    for (InvariantBlock& block : blocks) block.sense = -block.sense;
+  return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
 }
 
 void Run::start_loop() {
@@ -137,6 +146,7 @@ void Run::start_loop() {
 }
 
 Consistency Run::prepare(double t0, double* y0) {
+  prepared_ = evaluations_of_prepare();
   Consistency verdict = Consistency::consistent;
   Callback uncounted = f_;  // nfev is what the method evaluates
   if (mass_ && mass_->singular()) verdict = make_consistent(uncounted, linear_algebra(), solver_.weights(), t0, y0);
@@ -145,11 +155,17 @@ Consistency Run::prepare(double t0, double* y0) {
   return verdict;
 }
 
+std::int64_t Run::evaluations_of_prepare() const {
+  const auto held = std::ranges::count_if(solver_.problem().invariants, &InvariantBlock::held);
+  return static_cast<std::int64_t>((between_ ? 2 : 1) * held);
+}
+
 void Run::count_evaluations(RunResult& result) const {
   result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0);
   if (!steps_) return;
+  result.ng = -before_;
   result.nfev_check = slope_->evaluations();
-  result.ng = steps_->calls();
+  result.ng += steps_->calls();
   result.ngjac = steps_->jacobian_calls();
   result.ngdiff = steps_->derivative_calls();
   if (!algebraic_) return;
@@ -230,7 +246,14 @@ RunResult Run::result_since(Marks& marks) const {
   return result;
 }
 
+void Run::archive_prepared(Archive& archive) {
+  std::int64_t both = prepared_ + before_;
+  archive(both);
+  if (archive.reading()) before_ = both;
+}
+
 void Run::state(Archive& archive) {
+  archive_prepared(archive);
   f_.state(archive);
   bounded_f_.state(archive);
   if (bounded_slope_) bounded_slope_->state(archive);

@@ -49,11 +49,12 @@ struct RunResult {
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;
 
-  static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
-                                                "nlu",   "nsolve", "projections", "skipped",    "clipped",
-                                                "ng",    "ngjac",  "ngdiff",      "dropped",    "harmed"};
+  static constexpr const char* count_names[] = {"steps",  "failed",      "nfev",    "nfev_check", "njev", "nlu",
+                                                "nsolve", "projections", "skipped", "clipped",    "ng",   "ngjac",
+                                                "ngdiff", "dropped",     "harmed",  "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none.
+  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
+  /// "stiff" is 1 where `stiffness` was found.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };
@@ -68,6 +69,9 @@ class Run {
   /// Holds the invariants whose values are not demanded at those of the initial value, which is moved before where the
   /// algebraic equations of a singular mass matrix ask for it. For a run whose solver was made for another y0.
   Consistency prepare(double t0, double* y0);
+  /// Evaluations of invariants by `prepare`: the result counts them, where a single solve counts its own before the
+  /// run.
+  [[nodiscard]] std::int64_t evaluations_of_prepare() const;
 
   [[nodiscard]] Integration& integration() { return *integration_; }
   [[nodiscard]] const Integration& integration() const { return *integration_; }
@@ -100,10 +104,12 @@ class Run {
   void keep_within_bounds();
   void derive_slope();
   void bind_invariants();
+  [[nodiscard]] Invariants bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const;
   [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
   void start_loop();
   void state(Archive& archive);
+  void archive_prepared(Archive& archive);
   void describe(RunResult& result) const;
   void count_evaluations(RunResult& result) const;
   void describe_invariants(RunResult& result) const;
@@ -132,6 +138,8 @@ class Run {
   Integration::Manifold manifold_;
 
   std::optional<Integration> integration_;
+  std::int64_t prepared_ = 0;  // evaluations of invariants by `prepare`,
+  std::int64_t before_ = 0;    // and by that of the run that goes on here, which did not count them
 };
 
 }  // namespace invariode

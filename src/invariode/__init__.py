@@ -9,8 +9,10 @@ from importlib.metadata import version
 from . import ode_functions
 from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
+from .dissipation import Dissipated
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from .ensemble_store import EnsembleStore
 from .events import Event
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
@@ -24,6 +26,7 @@ from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .odepack import odeint
 from .pictures.precision import plot_work_precision
+from .prepared import PreparedSolver
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps, StiffnessWarning
 
@@ -33,10 +36,12 @@ __all__ = [
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",
+    "Dissipated",
     "Drift",
     "EnsembleEvents",
     "EnsembleSolution",
     "EnsembleStats",
+    "EnsembleStore",
     "Event",
     "ImposeResult",
     "Input",
@@ -45,6 +50,7 @@ __all__ = [
     "MechanicalSystem",
     "Method",
     "PolynomialInvariant",
+    "PreparedSolver",
     "Problem",
     "RotationMatrix",
     "Solution",

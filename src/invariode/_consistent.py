@@ -18,8 +18,10 @@ _ITERATIONS = 50
 _SETTLED = 4 * EPS
 #: Residuals are roundoff below this part of the terms Φ_ij q_j, as in `impose`, and with room for differences.
 _ROUNDOFF = 1e-11
-#: How far from q0, in units of its components, the constraints are looked at once more.
-_BESIDE = 0.01
+#: How far from q0, in units of its components, the constraints are looked at once more: nearer in long chains, whose
+#: components are many times the lengths of their links. Newton's iterations are few where it is near enough.
+_BESIDE = (1e-2, 1e-3, 1e-4)
+_FEW = 10
 #: What is left of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
 #: Sparse factors are faster from so many velocities on, where at most this part of the entries is other than 0.
@@ -62,19 +64,20 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
 
 
 def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
-    """The q of `consistent_state`; without `nearest` some consistent q, the first of the iteration."""
+    """The q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
     weight = np.eye(motion.n_q) if motion.has_map else motion.mass(start)
     q = q0
-    for _ in range(_ITERATIONS):
+    for _ in range(_ITERATIONS if nearest else _FEW):
         residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
         if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
             break
         if not nearest and not _off(residual, rows, q, q0).any():
             break
-        after = q0 + _least_change(weight, rows, rows @ (q - q0) - residual)
+        base = q0 if nearest else q
+        after = base + _least_change(weight, rows, rows @ (q - base) - residual)
         moved = np.abs(after - q).max(initial=0.0)
         q = after
         if moved <= _SETTLED * sizes(q).max(initial=0.0):
@@ -137,11 +140,14 @@ def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | No
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
     """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
     golden = np.modf(_GOLDEN * np.arange(1, motion.n_q + 1))[0]
-    step = _BESIDE * sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
-    try:
-        return at._replace(q=_consistent_positions(motion, at._replace(q=at.q + step), names, nearest=False))
-    except InvariantError:
-        return at
+    direction = sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
+    for part in _BESIDE:
+        try:
+            beside = at._replace(q=at.q + part * direction)
+            return at._replace(q=_consistent_positions(motion, beside, names, nearest=False))
+        except InvariantError:
+            continue
+    return at
 
 
 def _surely_independent(rows: Array) -> bool:

@@ -32,7 +32,7 @@ def capsule_address(capsule: object) -> int:
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0) -> None: ...
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False) -> None: ...
 
 class Breakpoint:
     """A breakpoint, for the core."""
@@ -230,10 +230,10 @@ class Run:
     Results of `integrate`. Arrays are handed over: each `take_…` works once.
     """
 
-    def take_points(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None]:
-        """
-        (t, y) of the points and of the end; the last is None where it is the last point.
-        """
+    def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]:
+        """(t, y) of the points, y of shape (n, n_t), and of the end."""
+
+    def take_start(self) -> numpy.ndarray: ...
 
     def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
 
@@ -242,6 +242,8 @@ class Run:
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
 
     def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
+
+    def take_value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_dense(self) -> Dense | None: ...
 
@@ -303,7 +305,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -402,6 +404,11 @@ class Solver:
         Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.
         """
 
+    def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
+        """
+        Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
+        """
+
 class Stepper:
     """A run that is advanced step by step."""
 
@@ -438,6 +445,10 @@ class Stepper:
 
     @property
     def harm(self) -> float: ...
+
+    @property
+    def stiff_since(self) -> float | None:
+        """From which t on stability limits the steps; None: it does not."""
 
     @property
     def nfev(self) -> int: ...

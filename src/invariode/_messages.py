@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ._arguments import EPS
 from ._bounds import Limits
@@ -30,9 +31,17 @@ _LIMITS = {
 }
 
 
-def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
-    """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
-    status, message = _ended(run, names, demanded, pairs)
+class Laws(NamedTuple):
+    """The invariants of a run: names, whether values were demanded, and which may only fall (-1) or rise (1)."""
+
+    names: list[str]
+    demanded: list[bool]
+    senses: list[int]
+
+
+def status_and_message(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
+    """The status of the Solution and its message."""
+    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
     return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
 
 
@@ -45,13 +54,11 @@ def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
-    if run.state in MESSAGES:
-        return MESSAGES[run.state]
+def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
-        return -2, _convicted(run, names, demanded, pairs)
+        return -2, _convicted(run, laws, pairs)
     if run.state == "start_undefined" and run.singular:
         return -1, (
             f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'. Try a mass matrix "
@@ -72,7 +79,7 @@ def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tup
             f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
             "it an action that returns a state near the consistent one."
         )
-    return -1, _step_failed(run, names, pairs)
+    return -1, _step_failed(run, laws.names, pairs)
 
 
 def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
@@ -171,7 +178,14 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     )
 
 
-def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> str:
+def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
+    names = laws.names
+    if run.finding == "off_value" and laws.senses[run.finding_invariant]:
+        return (
+            f"The action at t = {run.finding_t:.6g} takes {names[run.finding_invariant]} back by "
+            f"{abs(run.finding_size):.6g}, {run.finding_distance:.3g} times the tolerance, which Dissipated excludes. "
+            "Correct the action, or let the event rehold."
+        )
     if run.finding == "off_value":
         return (
             f"After the action at t = {run.finding_t:.6g} the solution violates invariant "
@@ -187,10 +201,19 @@ def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) ->
     if run.finding == "wrong_jacobian":
         text = _wrong_jacobian_of(run, names, pairs)
         return text[0].upper() + text[1:]
-    return _not_conserved(run, names, demanded)
+    return _not_conserved(run, laws)
 
 
-def _not_conserved(run: Run, names: list[str], demanded: list[bool]) -> str:
+def _not_conserved(run: Run, laws: Laws) -> str:
+    names, demanded = laws.names, laws.demanded
+    if sense := laws.senses[run.finding_invariant]:
+        return (
+            f"{names[run.finding_invariant]} is not dissipated by fun: at t = {run.finding_t:.6g} it "
+            f"{'rises' if sense < 0 else 'falls'} at the rate {abs(run.finding_size):.6g} "
+            f"({run.finding_distance:.1e} of the size of its terms), and Dissipated(rises={sense > 0}) excludes that. "
+            "Check its formula, its sign and the parameters; what drives the system from outside must be left out. "
+            "check=False switches this test off."
+        )
     text = (
         f"Invariant {names[run.finding_invariant]} is not conserved by fun: at t = {run.finding_t:.6g}, on the "
         f"manifold, it changes at the rate {run.finding_size:.6g} ({run.finding_distance:.1e} of the size of its "
@@ -222,8 +245,9 @@ def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: 
     )
 
 
-def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs: bool) -> str:
+def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
     """The text of the InvariantError with which a run was refused at its start."""
+    names = laws.names
     name = names[run.finding_invariant]
     if run.finding == "off_value":
         return (
@@ -236,7 +260,7 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
         return _wrong_jacobian_of(run, names, pairs)
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
-    return _not_conserved(run, names, demanded)
+    return _not_conserved(run, laws)
 
 
 def harmful_projection(components: str, distance: str) -> str:

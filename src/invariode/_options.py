@@ -297,8 +297,8 @@ class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, CheckpointOption
         Option(
             False,
             "bool",
-            "Whether a bar on the standard error shows t, h and the time left, ten times a second at most (needs "
-            "rich).",
+            "Whether a bar shows t, h and the time left, ten times a second at most: in notebooks under the cell, else "
+            "on the standard error (by rich).",
             flag,
         ),
     ]

@@ -424,6 +424,8 @@ def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
     """
     if not args or not any(map(is_native, functions)):
         return _NO_PARAMETERS
+    if len(args) == 1 and type(args[0]) is float:  # the common case
+        return np.array(args)
     try:
         return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
     except (TypeError, ValueError):

@@ -162,7 +162,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
     variables: dict[str, Any] = {
         "y": (whole, ensemble.y),
         "y_end": (whole[:2], ensemble.y_end),
-        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "correction")},
+        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "attempt", "correction")},
         **{name: ("trajectory", counts) for name, counts in ensemble.stats.items()},
     }
     if ensemble.value.shape[1]:

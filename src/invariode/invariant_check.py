@@ -48,7 +48,10 @@ class CheckReport:
     stationary : ndarray of bool
         The gradient is 0.
     conserved : ndarray of bool
-        The rate is roundoff, at the point and at others near it: the angle is not above what is detectable.
+        The rate is roundoff, at the point and at others near it: the angle is not above what is detectable. Of what is
+        `invariode.Dissipated`: or it has the right sign.
+    senses : list of int
+        -1: it may only fall as t grows, 1: only rise, 0: it is to be conserved.
     on_manifold : ndarray of bool
         The distance is at most 1.
     derivatives : list of str
@@ -69,6 +72,7 @@ class CheckReport:
     redundant: Array
     stationary: Array
     conserved: Array
+    senses: list[int]
     on_manifold: Array
     derivatives: list[str]
     findings: list[str]
@@ -80,11 +84,15 @@ class CheckReport:
         for i, name in enumerate(self.names):
             lines.append(
                 f"{name:<{width}} {self.value[i]:>13.6g} {self.residual[i]:>10.2e} {self.rate[i]:>10.2e} "
-                f"{self.angle[i]:>13.1e}  {'yes' if self.conserved[i] else 'NO'}"
+                f"{self.angle[i]:>13.1e}  {self.verdict(i)}"
             )
         return "\n".join(lines + self.findings)
 
     __repr__ = __str__
+
+    def verdict(self, i: int) -> str:
+        """What the table says of invariant i: 'NO', 'yes', or of what is `invariode.Dissipated` 'falls', 'rises'."""
+        return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
 
     def _repr_html_(self) -> str:
         return html_of_check(self)
@@ -218,6 +226,10 @@ def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Toleran
     return None if found is None else _Elsewhere(t, y, found)
 
 
+#: What is said of invariants: they are ..., and where they are not, they ...
+_CONSERVED = ("conserved", "changes")
+
+
 def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
     """The report, with invariants refused that are conserved at its point only."""
     conserved, findings = report.conserved.copy(), []
@@ -226,9 +238,12 @@ def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckR
         if there:
             worst = max(there, key=lambda other: float(other.found.angle[i]))
             conserved[i] = False
+            kept, does = (
+                ("dissipated", "falls" if report.senses[i] > 0 else "rises") if report.senses[i] else _CONSERVED
+            )
             findings.append(
-                f"{report.names[i]} is not conserved by fun: it looks so at this point, but at t = {worst.t:.6g}, "
-                f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it changes at the rate "
+                f"{report.names[i]} is not {kept} by fun: it looks so at this point, but at t = {worst.t:.6g}, "
+                f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it {does} at the rate "
                 f"{worst.found.rate[i]:.3g} ({worst.found.angle[i]:.1e} of its terms)"
             )
     if not findings:
@@ -242,10 +257,13 @@ def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: b
     redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
     on_manifold = found.distance <= 1
     kinds = [one.jac if isinstance(one.jac, str) else "given" for one in bound.specs for _ in range(one.m)]
+    senses = np.array(bound.senses)
     findings = [
-        *_each(bound.names, ~conserved, "{} is not conserved by fun"),
+        *_each(bound.names, ~conserved & (senses == 0), "{} is not conserved by fun"),
+        *_each(bound.names, ~conserved & (senses < 0), "{} is not dissipated by fun: it rises"),
+        *_each(bound.names, ~conserved & (senses > 0), "{} is not dissipated by fun: it falls"),
         *_each(bound.names, ~on_manifold, "the point is not on the manifold of {}"),
-        *_each(bound.names, stationary, "{} is stationary here: it holds nothing"),
+        *_each(bound.names, stationary & (senses == 0), "{} is stationary here: it holds nothing"),
         *_each(bound.names, redundant & ~stationary, "{} is redundant here: the others imply it"),
     ]
     wrong = found.wrong_jacobian
@@ -263,6 +281,7 @@ def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: b
         stationary=stationary,
         redundant=redundant,
         conserved=conserved,
+        senses=bound.senses,
         on_manifold=on_manifold,
         derivatives=kinds,
         findings=findings,

@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, extra_arguments, reals, shown, tolerances, warn
 from ._core import MEMORY_VERSION, Dense
 from ._files import PathLike, about_of, read_arrays, unreadable
-from ._identity import Identity, options_of, require_same
 from ._options import ExtensionOptions, Options
+from ._run_identity import Identity, options_of, require_same
 from .checkpoint import CHECKPOINT, CHECKPOINT_VERSION, Stored, dense_of, read_checkpoint
 from .description import Description
 from .export import FORMAT, PLAIN, VERSION
 from .invariants import BoundInvariants, InvariantsLike, Jump, bind, to_invariants
 from .plan import make_plan
 from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
-from .run import RunOrigin, Source
+from .run import RunOrigin, Solved
 from .solution import Solution
 
 __all__ = ["load"]
@@ -177,7 +177,7 @@ class _OriginInFile(NamedTuple):
         return self._replace(about={**self.about, "imposed": True})
 
 
-def _source(path: PathLike, who: Identity, about: dict[str, Any], problem: Description, given: Options) -> Source:
+def _source(path: PathLike, who: Identity, about: dict[str, Any], problem: Description, given: Options) -> Solved:
     if about["memory_version"] != MEMORY_VERSION:
         raise unreadable(
             path,
@@ -186,7 +186,7 @@ def _source(path: PathLike, who: Identity, about: dict[str, Any], problem: Descr
         )
     try:
         require_same(who, problem)
-        return Source(problem, who.about["method"], options_of(who, given))
+        return Solved(problem, who.about["method"], options_of(who, given))
     except ValueError as differs:
         raise unreadable(path, f"cannot go on here: {differs}") from None
 
@@ -218,7 +218,7 @@ def _of_checkpoint(path: PathLike, stored: Stored, problem: Description, given: 
         _drift=BeforeProjection(arrays["drift.residual"], arrays["drift.distance"], float(arrays["drift.correction"])),
         _rtol=plan.rtol,
         _atol=plan.atol,
-        _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
+        _names=plan.called,
         _origin=origin,
     )
 

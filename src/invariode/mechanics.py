@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, choice, extra_arguments, function, interval, state, warn
 from ._consistent import consistent_state, dependent_rows, nearby_state
+from ._films import HasPoints
 from ._motion import FunctionOfState, Functions, Motion, MotionFunction, Point
 from ._types import Span
 from .compiled import is_native
 from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
 from .problem import Problem
-
-if TYPE_CHECKING:  # an extra, imported when a film is made
-    from .animation import Film
 
 __all__ = ["MechanicalSystem"]
 
@@ -38,7 +37,7 @@ class _Points(Protocol):
     def y(self) -> Any: ...
 
 
-class MechanicalSystem:
+class MechanicalSystem(HasPoints):
     """A mechanical system with constraints: M(t, q) v' = Q(t, q, v) + Φᵀ λ, q' = v, φ(t, q) = 0.
 
     `problem` makes an ordinary differential equation of it, by solving for the forces of the constraints, together with
@@ -303,30 +302,11 @@ class MechanicalSystem:
         ]
         return np.array(columns).T
 
-    def animate(self, sol: Any, **options: Any) -> Film:
-        """Shows the motion of the `points` of the system as a film.
-
-        Parameters
-        ----------
-        sol : Solution
-            Of a problem of this system.
-        **options
-            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
-
-        Returns
-        -------
-        Film
-
-        Raises
-        ------
-        ValueError
-            The system was made without `points`.
-        """
+    def _places(self, sol: Any) -> Callable[[float, Array], Any]:
         if self.points is None:
             raise ValueError("the system has no points: make it with points=, or use sol.animate")
         n, place, args = self._positions_of(sol.y), self.points, self.args
-        film: Film = sol.animate(lambda t, y: place(t, y[:n], *args), **options)
-        return film
+        return lambda t, y: place(t, y[:n], *args)
 
     def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
@@ -480,6 +460,6 @@ def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> 
 
 
 def _at_level(one: Invariants, level: int) -> Invariants:
-    names = None if one.names is None else list(one.names)
-    when: Any = one.when
-    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves, one.metric)
+    moved = copy.copy(one)
+    moved.level = level
+    return moved

@@ -76,10 +76,11 @@ def html_of_ensemble(ensemble: Any) -> str:
 def html_of_check(report: Any) -> str:
     """The table that the report prints, and its findings."""
     head = ("invariant", "value", "residual", "rate", "of its terms", "conserved")
-    columns = (report.names, report.value, report.residual, report.rate, report.angle, report.conserved)
+    verdicts = [report.verdict(i) for i in range(len(report.names))]
+    columns = (report.names, report.value, report.residual, report.rate, report.angle, verdicts)
     rows = [
-        (name, f"{value:.6g}", f"{residual:.1e}", f"{rate:.1e}", f"{angle:.1e}", "yes" if conserved else "NO")
-        for name, value, residual, rate, angle, conserved in zip(*columns, strict=True)
+        (name, f"{value:.6g}", f"{residual:.1e}", f"{rate:.1e}", f"{angle:.1e}", verdict)
+        for name, value, residual, rate, angle, verdict in zip(*columns, strict=True)
     ]
     findings = "".join(f"<li>{html.escape(finding)}</li>" for finding in report.findings)
     return _titled(

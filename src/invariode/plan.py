@@ -14,7 +14,7 @@ from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
 from ._bounds import Limits
 from ._files import PathLike
-from ._messages import MESSAGES, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
+from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
@@ -24,7 +24,7 @@ from .events import EventSpec, event_spec
 from .inputs import fed
 from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
 from .methods import Method, find_method
-from .result import LIMIT_REACHED
+from .result import LIMIT_REACHED, Names
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
@@ -105,13 +105,20 @@ class Plan(NamedTuple):
     bound: BoundInvariants
     names: list[str]  # of the invariants, algebraic equations last
     demanded: list[bool]  # of the invariants, whether their values were
+    senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
+    called: Names  # what tables and pictures call things
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
     checkpoint: PathLike | None
     checkpoint_every: float  # seconds
+
+    @property
+    def laws(self) -> Laws:
+        """What messages say of the invariants."""
+        return Laws(self.names, self.demanded, self.senses)
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
@@ -120,9 +127,12 @@ class Plan(NamedTuple):
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
+        ended = MESSAGES.get(run.state)
+        if ended is not None and not run.stiff:
+            return ended
         if run.state == "limit_reached":
             return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
-        return status_and_message(run, self.names, self.demanded, self.functions.complex)
+        return status_and_message(run, self.laws, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
         """The exception with which a single solve ends where the run did."""
@@ -130,7 +140,7 @@ class Plan(NamedTuple):
         if state in MESSAGES:
             return None
         if state == "invariant_refused":
-            text = refusal(run, self.names, self.demanded, self.tolerances.rtol, self.functions.complex)
+            text = refusal(run, self.laws, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)
         if state == "start_contradicts":
             return InvariantError(
@@ -193,8 +203,11 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
+        bound.forward = settings.forward
+        _require_free_directions(bound, problem)
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
+    event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
     return Plan(
         method=chosen,
         tolerances=weights,
@@ -205,7 +218,9 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         bound=bound,
         names=_names(bound, linear),
         demanded=bound.demanded,
-        event_names=distinct([event.__name__ for event in problem.events]),
+        senses=bound.senses,
+        event_names=event_names,
+        called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],
@@ -366,6 +381,16 @@ def _linear_algebra(
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Invariants
+
+
+def _require_free_directions(bound: BoundInvariants, problem: Description) -> None:
+    if not bound.along_steps or (problem.limits is None and problem.matrices.mass is None):
+        return
+    what = "bounds" if problem.limits is not None else "a mass matrix"
+    raise ValueError(
+        f'invariants with direction="stages" cannot be imposed together with {what}, which ask for other corrections: '
+        'use direction="gradient"'
+    )
 
 
 def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:

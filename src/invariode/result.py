@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -282,7 +282,8 @@ class DenseSolution:
         g = self._invariants
         y = as_columns(g.evaluate(self._dense, np.atleast_1d(times)), self._dtype)
         if self._imposed is not None and y.shape[1]:
-            y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
+            pieces = g.pieces_at(np.atleast_1d(times), "right")
+            y = g.equalities().impose(np.atleast_1d(times), y, **self._imposed, pieces=pieces).y
         return y[:, 0] if times.ndim == 0 else y
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
@@ -386,12 +387,14 @@ class Result(dict[str, Any]):
         own = {name: value for name, value in self.__dict__.items() if name.startswith("_")}
         return type(self)(**{**self, **own, **changes})
 
-    def __getattr__(self, name: str) -> Any:
-        """Called for what is no attribute of the class or the object: an item."""
-        value = self.get(name, _ABSENT)
-        if value is _ABSENT:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-        return value
+    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what is no attribute of the class or the object: an item."""
+            value = self.get(name, _ABSENT)
+            if value is _ABSENT:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return value
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_") or hasattr(type(self), name):
@@ -413,7 +416,10 @@ class Result(dict[str, Any]):
 
     @cached_property
     def residual(self) -> Array:
-        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed when first asked for."""
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed when first asked for.
+
+        Of what is `Dissipated`, by how much it has risen above its lowest value at the outputs before (or fallen).
+        """
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
     def drift(self) -> Drift:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -14,11 +14,11 @@ from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._calls import explain
-from ._identity import identity
 from ._interruption import stopped_by_interrupt
 from ._messages import MESSAGES, harmful_projection, limited_by_stability
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
+from ._run_identity import identity
 from ._types import MethodName
 from .checkpoint import Checkpoint
 from .compiled import CoreFunction, values_of
@@ -26,10 +26,10 @@ from .description import Description
 from .invariants import AccuracyWarning, Jump, as_columns
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps, StiffnessWarning
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Stats, Steps, StiffnessWarning
 from .solution import Solution
 
-__all__ = ["RunOrigin", "solve"]
+__all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
 
 
 class Resumed(NamedTuple):
@@ -39,15 +39,31 @@ class Resumed(NamedTuple):
     anew: bool  # the method is to start again
 
 
-class Source(NamedTuple):
+class Source(Protocol):
     """What a run is made from."""
 
-    problem: Description  # with the whole interval, where the run goes on from another
+    @property
+    def problem(self) -> Description:
+        """The problem, with the whole interval where the run goes on from another."""
+
+    @property
+    def method(self) -> MethodName:
+        """The method, by the name given."""
+
+    @property
+    def options(self) -> Options:
+        """The options as given."""
+
+
+class Solved(NamedTuple):
+    """A problem solved by a method with options."""
+
+    problem: Description
     method: MethodName
-    options: Options  # as given
+    options: Options
 
 
-@dataclasses.dataclass(eq=False)
+@dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
     """What a solution was made from, and where it ended: what it takes to go on."""
 
@@ -69,7 +85,7 @@ class RunOrigin:
         return _extended(self, sol, t_end, options)
 
     def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        about, arrays = identity(*self.source)
+        about, arrays = identity(self.source.problem, self.source.method, self.source.options)
         memory = np.frombuffer(self.memory, dtype=np.uint8)
         of_identity = {f"identity.{name}": one for name, one in arrays.items()}
         return (
@@ -131,7 +147,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
     for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
-    source = Source(problem, method, given)
+    source = Solved(problem, method, given)
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
         rest = without_start(plan, found)
         sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, source, found)), plan, found)
@@ -146,7 +162,8 @@ def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) ->
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
         return None
-    return Checkpoint.of_new_run(plan.checkpoint, identity(*source), plan.y0, list(at_start))
+    who = identity(source.problem, source.method, source.options)
+    return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -159,17 +176,18 @@ def _carried_out(
     """The solution of a plan, or of what is left of it."""
     core = solver(plan)
     keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
-    run = _integrated(core, plan, source.problem.name, resumed, keep)
+    sol = presented(_integrated(core, plan, source.problem.name, resumed, keep), plan, source, checkpoint)
+    sol.stats.mechanics = _work(core, source.problem.fun)
+    return sol
+
+
+def presented(run: _core.Run, plan: Plan, source: Source, checkpoint: Checkpoint | None = None) -> Solution:
+    """The solution that a run of the plan came to, or the exception, with its warnings."""
     if exception := plan.exception(run):
         raise exception
-    dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
     sol = _solution(run, plan, source, checkpoint)
-    sol.stats.mechanics = _work(core, source.problem.fun)
-    if dropped:
-        _warn_dropped(dropped, first, plan.names, sol._drift)
-    if harmed >= 0 and sol.success:
-        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
-        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
+    if plan.names:
+        _warn_of_projection(run, plan, sol)
     if run.stiff:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
     return sol
@@ -193,6 +211,15 @@ def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source
     checkpoint.keep(sol, running, {"memory": memory, "y_end": origin.y, "value": sol._invariants.value}, about)
 
 
+def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
+    if dropped := run.dropped:
+        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
+    harmed = run.harmed
+    if harmed >= 0 and sol.success:
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{run.harm:.2g} times its estimated errors"), AccuracyWarning)
+
+
 def _integrated(
     core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
 ) -> _core.Run:
@@ -210,16 +237,14 @@ def _integrated(
 
 
 def _solution(run: _core.Run, plan: Plan, source: Source, checkpoint: Checkpoint | None) -> Solution:
-    problem, dtype = source.problem, plan.y0.dtype
+    dtype = plan.y0.dtype
     status, message = plan.verdict(run)
     bound = plan.bound
     if jumps := run.take_jumps():
         bound = bound.jumped(jumps, forward=plan.settings.forward)
     dense = run.take_dense()
-    t, rows, t_end, y_end = run.take_points()
-    y = as_columns(rows, dtype)
-    y_end = y[:, -1].copy() if y_end is None else y_end.view(dtype)
-    happened = run.take_events() if problem.events else None
+    t, y, t_end, y_end = run.take_points()
+    happened = run.take_events() if plan.event_names else None
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -241,7 +266,7 @@ def _solution(run: _core.Run, plan: Plan, source: Source, checkpoint: Checkpoint
         _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
         _rtol=plan.rtol,
         _atol=plan.atol,
-        _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
+        _names=plan.called,
         _origin=RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
     )
 
@@ -251,8 +276,10 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
+    if not plan.names:  # in the order of COUNTS, of which the last three are warnings
+        return Stats(*run.counts[:-3], None, plan.moved, run.clipped, None, run.stiff_since if run.stiff else None)
     stats = Stats(
-        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
+        *run.counts[:-3],
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
         clipped_amount=run.clipped,
@@ -263,7 +290,9 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
     return stats
 
 
-def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: BeforeProjection) -> None:
+def _warn_dropped(
+    dropped: list[int], first: float, names: list[str], drift: BeforeProjection, *, along_steps: bool
+) -> None:
     listed = ", ".join(names[i] for i in dropped)
     several = len(dropped) > 1
     off = max(drift.distance[i] for i in dropped)
@@ -276,6 +305,13 @@ def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: Bef
             f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
             "fewer invariants, or try a smaller rtol."
         )
+    if along_steps:
+        warn(
+            f"the stages of steps do not lead to the values of {listed}, first at t = {first:.6g}: "
+            f"{'they depend' if several else 'it depends'} on other invariants, or stages are nearly orthogonal to "
+            f"{'their gradients' if several else 'its gradient'}. {then} direction='gradient' reaches more."
+        )
+        return
     warn(
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
         f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
@@ -294,7 +330,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     forward = origin.forward or float(np.sign(tf - origin.t))
     if not forward * (tf - origin.t) > 0:
         raise ValueError(f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {t_end!r}")
-    problem, method, options_of_run = origin.source
+    problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
     given = cast("Options", {**options_of_run, "first_step": None, **options})
     now = given.copy()
@@ -308,7 +344,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     plan = make_plan(whole, method, now).holding(old._invariants.last_value)
     if origin.checkpoint is not None:
         origin.checkpoint.go_on(old.stats.mechanics)
-    new = _carried_out(plan, Source(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
+    new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)
 

@@ -85,11 +85,16 @@ class Solution(Plots, Exports):
         Returns
         -------
         Solution
-            Points that did not converge stay as they are, with a warning.
+            Points that did not converge stay as they are, with a warning. What is `Dissipated` is not imposed.
         """
-        g = self._invariants
+        g = self._invariants.equalities()
         if len(g) == 0:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
+        if g.along_steps:
+            raise ValueError(
+                'the invariants of the run have direction="stages", and outputs have no stages; use '
+                "invariode.impose(invariants, solution) with others"
+            )
 
         def project(t: Array, y: Array, pieces: Array) -> Array:
             if y.shape[1] == 0:

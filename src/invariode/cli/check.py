@@ -41,7 +41,8 @@ def check(
     """Report whether the invariants of a problem are invariants of its equations.
 
     At the initial point: the value held, how far the point is off, the rate d/dt of the invariant along the equations,
-    absolute and in units of its terms (roundoff for invariants). What is conserved there is tested at points near it
+    absolute and in units of its terms (roundoff for invariants). What is dissipated must have a rate of the right sign,
+    and stands there as "falls", or "rises". What is conserved there is tested at points near it
     too, and along a short run. With [bold]--along[/], at points along a solution that is computed without projection,
     with tolerances a thousand times smaller.
 
@@ -92,7 +93,7 @@ def _print_report(console: Console, problem: Problem, report: CheckReport) -> No
     table = numbers("invariant", ("value", "residual", "rate", "of its terms", "conserved"))
     for i, name in enumerate(report.names):
         sizes = (f"{report.value[i]:.6g}", f"{report.residual[i]:.2e}", f"{report.rate[i]:.2e}")
-        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(bool(report.conserved[i])))
+        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(report.verdict(i)))
     console.print(table)
     for finding in report.findings:
         console.print(Text(finding, style="red" if not report.ok else "yellow"))
@@ -122,5 +123,5 @@ def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]
     return findings
 
 
-def _verdict(conserved: bool) -> Text:
-    return Text("yes", style="green") if conserved else Text("NO", style="bold red")
+def _verdict(told: str) -> Text:
+    return Text(told, style="bold red" if told == "NO" else "green")

@@ -80,7 +80,7 @@ def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
     jumps = []
     for row, t, _ in own.jumps:
         here = slice(row, row + 1)
-        there = g.value + g.residual(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
+        there = g.value + g.departure(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
         jumps.append(Jump(row, t, np.where(g.demanded, g.value, there)))
     return replace(g, jumps=tuple(jumps), forward=own.forward)
 

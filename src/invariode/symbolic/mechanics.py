@@ -12,9 +12,9 @@ from sympy.core.function import AppliedUndef
 from .._types import Span
 from ..problem import Problem
 from .code import System
-from .mechanism import Consistent, Correction, Mechanism
+from .mechanism import Consistent, Correction
 from .noether import symmetries, vanishes
-from .systems import POSITIONS, VELOCITIES, Law, Phase, label
+from .systems import Law, Phase, constrained, label
 from .vocabulary import Vocabulary
 
 __all__ = ["hamiltonian", "lagrangian"]
@@ -260,19 +260,10 @@ def lagrangian(
     _require_constraints(form, held, rolled)
     rates = [form.rate(one) for one in held]
     system = form.system([*rates, *rolled])
-    mechanism = None
-    names = [f"constraint {i + 1}" for i in range(len(held))]
-    names += [f"velocity constraint {i + 1}" for i in range(len(rolled))]
-    if names:
-        mechanism = Mechanism(words, names, held, rolled, system.mass[:n, :n], system.force[:n])
-    else:
+    laws, mechanism = constrained(words, held, rates, rolled, system.mass[:n, :n], system.force[:n])
+    if mechanism is None:
         _require_regular(words, system)
-    laws = [
-        *(Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=False)),
-        *(Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=False)),
-        *(Law(name, one, 0.0, False, VELOCITIES) for name, one in zip(names[len(held) :], rolled, strict=True)),
-        *form.laws(held, rates, rolled),
-    ]
+    laws += form.laws(held, rates, rolled)
     shown = [(sympy.Symbol("L"), words.shown(form.lagrangian))]
     shown += [(sympy.Integer(0), words.shown(one)) for one in [*held, *rolled]]
     return Lagrangian(words, system, laws, shown, points, mechanism)

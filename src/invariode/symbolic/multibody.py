@@ -16,7 +16,7 @@ from ..problem import Problem
 from .code import System
 from .mechanism import Consistent, Correction, Mechanism
 from .noether import vanishes
-from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, given_laws, label
+from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, constrained, given_laws, label
 from .vocabulary import Vocabulary
 
 __all__ = ["from_mechanics"]
@@ -210,13 +210,8 @@ def _by_lagrange(method: Any, words: Vocabulary, n: int) -> _Made:
     system = System(words.y, words.y[n:], matrix, right)
     held = [words.coded("a constraint", one) for one in method._hol_coneqs or []]
     rates = [words.coded("a constraint", one) for one in method.coneqs or []]
-    names = [f"constraint {i + 1}" for i in range(len(held))]
-    names += [f"velocity constraint {i + 1}" for i in range(len(rates) - len(held))]
-    laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=False)]
-    for i, (name, one) in enumerate(zip(names, rates, strict=True)):
-        own = (f"rate of {name}", name) if i < len(held) else (name, "")
-        laws.append(Law(own[0], one, 0.0, False, VELOCITIES, own[1]))
-    mechanism = Mechanism(words, names, held, rates[len(held) :], matrix[:n, :n], right[:n]) if names else None
+    m = len(held)
+    laws, mechanism = constrained(words, held, rates[:m], rates[m:], matrix[:n, :n], right[:n])
     return _Made(system, laws, mechanism)
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy
 
-from .._arguments import choice, distinct, interval
+from .._arguments import Array, choice, distinct, interval
+from .._films import HasPoints
 from .._types import Span
 from ..invariant_check import check_invariants
 from ..invariants import Invariants
@@ -17,9 +18,6 @@ from ..problem import Problem
 from .code import Code, Piece, System, functions
 from .mechanism import Consistent, Correction, Mechanism
 from .vocabulary import Vocabulary, parsed
-
-if TYPE_CHECKING:  # an extra, imported when a film is made
-    from ..animation import Film
 
 __all__ = [
     "LAWS",
@@ -29,6 +27,7 @@ __all__ = [
     "Law",
     "Phase",
     "SymbolicSystem",
+    "constrained",
     "equations",
     "given_laws",
     "label",
@@ -53,7 +52,7 @@ class Law(NamedTuple):
     of: str = ""  # the constraint whose rate it is
 
 
-class SymbolicSystem:
+class SymbolicSystem(HasPoints):
     """A system of differential equations in symbols, and its laws. Made by `equations`, `lagrangian` and others.
 
     Attributes
@@ -96,33 +95,14 @@ class SymbolicSystem:
         rows = r" \\ ".join(f"{sympy.latex(left)} &= {sympy.latex(right)}" for left, right in self._shown)
         return rf"$\displaystyle\begin{{aligned}} {rows} \end{{aligned}}$"
 
-    def animate(self, sol: Any, **options: Any) -> Film:
-        """Shows the motion of the `points` of the system as a film.
-
-        Parameters
-        ----------
-        sol : Solution
-            Of a problem of this system.
-        **options
-            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
-
-        Returns
-        -------
-        Film
-
-        Raises
-        ------
-        ValueError
-            The system was made without `points`.
-        """
+    def _places(self, sol: Any) -> Callable[[float, Array], Any]:
         if self._points is None:
             raise ValueError("the system has no points: make it with points=[(x, y), ...], or use sol.animate")
         words, shape = self._words, (len(self._points), -1)
         flat = [e for row in self._points for e in row]
         code = sympy.lambdify([words.t, words.y, words.p], flat, modules="numpy", cse=True)
         args = sol._invariants.args or words.args  # those of the run, which may have been replaced
-        film: Film = sol.animate(lambda t, y: np.reshape(code(t, y, args), shape), **options)
-        return film
+        return lambda t, y: np.reshape(code(t, y, args), shape)
 
     def _problem(
         self,
@@ -325,3 +305,17 @@ def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any])
             raise ValueError(f"invariant {name or text} does not depend on the state: leave it out")
         laws.append(Law(name or text, coded, value, proposed=False))
     return laws
+
+
+def constrained(
+    words: Vocabulary, held: Sequence[Any], rates: Sequence[Any], rolled: Sequence[Any], mass: Any, force: Sequence[Any]
+) -> tuple[list[Law], Mechanism | None]:
+    """The laws that constraints of positions, with their rates, and of velocities are, and the mechanism if any."""
+    names = [f"constraint {i + 1}" for i in range(len(held))]
+    laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=True)]
+    laws += [Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=True)]
+    rolling = [f"velocity constraint {i + 1}" for i in range(len(rolled))]
+    laws += [Law(name, one, 0.0, False, VELOCITIES) for name, one in zip(rolling, rolled, strict=True)]
+    if not laws:
+        return [], None
+    return laws, Mechanism(words, [*names, *rolling], held, rolled, mass, force)
