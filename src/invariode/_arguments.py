@@ -130,6 +130,12 @@ def positive(name: str, value: object) -> float:
     return result
 
 
+def path(name: str, value: object) -> str:
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a str or path-like, got {shown(value)}")
+    return os.fspath(value)
+
+
 def positive_integer(name: str, value: object) -> int:
     try:
         result = operator.index(value)  # type: ignore[arg-type]  # the same

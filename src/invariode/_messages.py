@@ -13,6 +13,7 @@ from ._core import Run
 MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
+    "running": (-3, "The run had not ended when this was written: Solution.extend goes on."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
 }
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
 from ._bounds import Limits
+from ._files import PathLike
 from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
@@ -111,6 +112,8 @@ class Plan(NamedTuple):
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
+    checkpoint: PathLike | None
+    checkpoint_every: float  # seconds
 
     @property
     def laws(self) -> Laws:
@@ -121,11 +124,6 @@ class Plan(NamedTuple):
         """The same with the invariants held at these values."""
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
-
-    def beyond(self, t: float) -> Plan:
-        """The same without the actions of breakpoints at t, which have been taken."""
-        points = [point._replace(action=None) if point.t == t else point for point in self.functions.breakpoints]
-        return self._replace(functions=self.functions._replace(breakpoints=points))
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
@@ -227,6 +225,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         atol=kept(atol),
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
+        checkpoint=options["checkpoint"],
+        checkpoint_every=options["checkpoint_every"],
     )
 
 

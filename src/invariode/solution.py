@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol, Unpack
+from typing import Any, Protocol, Unpack
 
 from ._arguments import Array, unknown_option, warn
 from ._options import TABLE, ExtensionOptions
@@ -24,6 +24,9 @@ class Origin(Protocol):
 
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
+
+    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """The same for a file: in JSON's types, and arrays by name."""
 
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""
