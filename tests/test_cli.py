@@ -64,6 +64,15 @@ same = oscillator
 if __name__ == "__main__":
     raise AssertionError("it is not run as a script")
 """,
+    "sink.py": """
+import invariode as iv
+
+def decay(t, y):
+    return [-abs(y[0]), abs(y[0])]
+
+sink = iv.Problem(decay, (0, 30), [1, 0], labels=["A", "B"], invariants=lambda t, y: y[0] + y[1])
+swing = iv.Problem(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], invariants=lambda t, y: y @ y)
+""",
     "broken.py": "import invariode\n\ndef helper():\n    raise RuntimeError('no data')\n\nhelper()\n",
     "syntax.py": "def f(:\n",
     "exits.py": "raise SystemExit(3)\n",
@@ -440,6 +449,30 @@ def test_check_ends_with_1_if_there_are_findings(arguments, code, says):
     outcome = invariode("check", *arguments)
     assert outcome.exit_code == code, outcome.output
     assert says in flat(outcome.output)
+
+
+def test_check_and_compare_tell_what_falls_below_zero_and_should_not():
+    says = re.compile(r"A falls to -\S+, where a more accurate solution stays above 0")
+    check = ("check", "sink.py:sink", "--along", "5", "--rtol", "1e-2", "--atol", "1e-4")
+    outcome = invariode(*check)
+    assert outcome.exit_code == 0, outcome.output
+    assert says.search(flat(outcome.output))
+    runs = ("--decades", "2-3", "-m", "ode45")
+    assert says.search(flat(invariode("compare", "sink.py:sink", *runs).output))
+    for command in (["check", "sink.py:swing", "--along", "5"], ["compare", "sink.py:swing", *runs]):
+        assert "falls to" not in flat(invariode(*command).output)
+
+
+@pytest.mark.parametrize("components", ["A", "0", "all", "A,B"])
+def test_solve_keeps_components_from_becoming_negative(components):
+    command = ("solve", "sink.py:sink", "--rtol", "1e-2", "--atol", "1e-4", "-o", "sink.npz")
+    assert invariode(*command, "--nonnegative", components).exit_code == 0
+    assert iv.load("sink.npz").y[0].min() >= 0
+    assert invariode(*command, "--force").exit_code == 0
+    assert iv.load("sink.npz").y[0].min() < 0
+    outcome = invariode(*command, "--force", "--nonnegative", "C")
+    assert outcome.exit_code == 2
+    assert "choose from A, B" in flat(outcome.output)
 
 
 def test_check_says_that_it_does_not_know_mass_matrices():

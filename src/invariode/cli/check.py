@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from .._below_zero import Lowest, below_zero
 from ..invariant_check import CheckReport, check_invariants
 from ..precision import unprojected
 from ..problem import Problem
@@ -46,7 +47,7 @@ def check(
     equations, absolute and in units of its terms (roundoff for invariants). A dissipated function must have a rate of
     the right sign; the table then says "falls" or "rises". What is conserved there is also tested at
     points nearby and along a short run. [bold]--along[/] adds points along a solution computed without projection, with
-    tolerances a thousand times smaller.
+    tolerances a thousand times smaller, and names what falls below 0 by more than 100 atol without them.
 
     Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -63,15 +64,36 @@ def check(
             if not np.isfinite(tf):
                 raise typer.BadParameter(f"the interval of {problem.name} has no end", param_hint="--along")
             times = np.linspace(t0, tf, along + 1)
-            sol = unprojected(problem).solve(method, t_eval=times, rtol=TIGHTER * rtol, atol=TIGHTER * atol)
+            lowest = Lowest(problem.y0)
+            tight: dict[str, Any] = {"rtol": TIGHTER * rtol, "atol": TIGHTER * atol}
+            sol = unprojected(problem).solve(method, t_eval=times, callback=lowest, **tight)
             reports = [_report(problem, t, y, rtol, atol) for t, y in zip(sol.t[1:], sol.y.T[1:], strict=True)]
             if reports:
                 console.print()
                 findings += _print_along(console, sol.t[1:], reports)
             if not sol.success:
                 raise stop(sol.message, code=1)
+            _print_below_zero(console, problem, method, lowest, rtol, atol)
     if findings:
         raise typer.Exit(1)
+
+
+def _print_below_zero(
+    console: Console, problem: Problem, method: str, accurate: Lowest, rtol: float, atol: float
+) -> None:
+    """What becomes negative at the tolerances given, and not in the solution that was checked."""
+    lowest = Lowest(problem.y0)
+    unprojected(problem).solve(method, rtol=rtol, atol=atol, callback=lowest, keep="end")
+    found = below_zero(problem.y0, lowest.values, accurate.values, atol)
+    if found is None:
+        return
+    told = found.told(problem.labels[found.component])
+    console.print(
+        Text(
+            f"With rtol {rtol:g} and atol {atol:g} {told}: if it cannot be negative, give the problem nonnegative=.",
+            style="yellow",
+        )
+    )
 
 
 def _checkable(problem: Problem) -> None:

@@ -83,7 +83,8 @@ def compare(
 
     Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one on
     which two methods agree. The error is the largest over the components, each relative to its largest size along the
-    solution. Evaluations of f include those that test the invariants; times are the smallest of several.
+    solution. A component that falls below 0 by more than 100 atol in a run, and not in the reference, is named.
+    Evaluations of f include those that test the invariants; times are the smallest of several.
 
     Exit codes: 0 compared, 1 an essential solve failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -121,6 +122,7 @@ def _print_all(
             console.print()
         _print_runs(console, problem, rows, truth)
         _print_notes(console, rows, limit)
+        _print_below_zero(console, problem, rows)
         if problem.invariants and reached:
             _print_ratios(console, judgements(rows, truth.floor))
     if not reached:
@@ -257,6 +259,21 @@ def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
                     of.append(row.method)
     for why, methods in reasons.items():
         console.print(Text(f"{', '.join(methods)}: {why}", style="red"))
+    console.print()
+
+
+def _print_below_zero(console: Console, problem: Problem, rows: Sequence[Row]) -> None:
+    """What becomes negative in runs, and not in the reference."""
+    found = [(row, way, low) for row in rows for way in WAYS if (run := row.run(way)) and (low := run.below_zero)]
+    if not found:
+        return
+    row, way, low = min(found, key=lambda one: one[2].value)
+    methods = list(dict.fromkeys(row.method for row, _, _ in found))
+    labels = problem.labels
+    label = labels[low.component]
+    told = low.told(label)
+    console.print(Text(f"{', '.join(methods)}: {told} ({row.method}, {way}, rtol {power(row.rtol)}).", style="yellow"))
+    console.print(Text("If it cannot be negative, give the problem nonnegative=.", style="yellow"))
     console.print()
 
 

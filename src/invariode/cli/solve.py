@@ -95,6 +95,12 @@ PlotOption = Annotated[
         help="Draw the solution and the drift of its invariants: .png, .svg or .pdf.",
     ),
 ]
+NonnegativeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--nonnegative", metavar="LIST", help="What is not to be negative: labels or indices, as in x,y,3, or all."
+    ),
+]
 ComponentsOption = Annotated[
     str | None,
     typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, such as x,y,3."),
@@ -107,6 +113,7 @@ def solve(
     rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
     atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
     project: ProjectOption = True,
+    nonnegative: NonnegativeOption = None,
     t_eval: TimesOption = None,
     dense: DenseOption = False,
     output: OutputOption = None,
@@ -137,7 +144,8 @@ def solve(
         raise typer.BadParameter("is for the picture: give --plot FILE too", param_hint="--components, --log")
     with guarded():
         problem = load(file)
-        drawn = _drawn(problem, components)
+        problem = _nonnegative(problem, nonnegative)
+        drawn = _components(problem, components, "--components")
         options = _options(problem, rtol, atol, t_eval, dense)
         shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
@@ -184,8 +192,15 @@ def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
         raise stop(f"Interrupted{where}; nothing was saved.", INTERRUPTED) from None
 
 
-def _drawn(problem: Problem, given: str | None) -> list[int] | None:
-    """Indices of the components to draw, refused before the work is done."""
+def _nonnegative(problem: Problem, given: str | None) -> Problem:
+    if given is None:
+        return problem
+    chosen = True if given == "all" else _components(problem, given, "--nonnegative")
+    return problem.replace(nonnegative=chosen)
+
+
+def _components(problem: Problem, given: str | None, option: str) -> list[int] | None:
+    """Indices of the components that an option names, refused before the work is done."""
     if given is None:
         return None
     names = [name.strip() for name in given.split(",")]
@@ -193,7 +208,7 @@ def _drawn(problem: Problem, given: str | None) -> list[int] | None:
         return [component(problem.labels, name if name in problem.labels else int(name)) for name in names]
     except ValueError:
         known = listed(problem.labels)
-        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint="--components") from None
+        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint=option) from None
 
 
 def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
