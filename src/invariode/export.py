@@ -35,7 +35,7 @@ __all__ = [
 ]
 __all__ += ["to_xarray", "write_arrays"]
 
-#: What every file says of itself, and the version of its contents: raised whenever they change.
+#: What every file says about itself, and the version of its contents: raised whenever they change.
 FORMAT, VERSION = "invariode solution", 2
 
 #: The fields of a Solution that JSON takes as they are.
@@ -124,7 +124,7 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
         variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
     attributes = {
-        name: int(value) if isinstance(value, bool) else value  # netCDF has no truth values
+        name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
         for name, value in _attributes(solution).items()
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, attributes)

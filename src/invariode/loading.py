@@ -155,7 +155,7 @@ def _array(archive: ZipFile, member: ZipInfo) -> Array:
             read = {(1, 0): header.read_array_header_1_0, (2, 0): header.read_array_header_2_0}
             shape, by_columns, dtype = read[header.read_magic(stream)](stream)
             size = math.prod(shape) * dtype.itemsize
-        except Exception as wrong:  # a header is Python's text: tokenizer, parser and NumPy have an error each
+        except Exception as wrong:  # a header is Python source: tokenizer, parser and NumPy each have their own error
             raise ValueError(f"{member.filename} is not an array: {type(wrong).__name__}: {wrong}") from None
         contents = stream.read()
     kinds = "U" if member.filename == "about.npy" else "fci"
@@ -237,7 +237,7 @@ def _last_time(arrays: dict[str, Any], dense: Dense | None) -> float:
     return float(arrays["t"][-1]) if len(arrays["t"]) else float("nan")
 
 
-#: At so many outputs the invariants given to `load` are compared with those of the run.
+#: At this many outputs the invariants given to `load` are compared with those of the run.
 _COMPARED = 16
 
 
@@ -267,7 +267,7 @@ def _bind_again(
     pieces = stored.pieces_of_output(len(t))
     now = bound.distance(t[some], y[:, some], rtol, atol, pieces[some])
     before = stored.distance(t, y, rtol, atol)[:, some]
-    # equal but for the roundoff of another machine; what the tolerance does not see is not held against them
+    # equal except for another machine's roundoff; differences below the tolerance are ignored
     differs = ~(np.abs(now - before) <= 1) & ~(now == before) & ~(np.isnan(now) & np.isnan(before))
     if differs.any():
         i, p = (int(one[0]) for one in np.nonzero(differs))

@@ -25,7 +25,7 @@ __all__ = ["odeint"]
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
 
-#: What `mused` says of a method: 1 for those without Jacobians, 2 for the others.
+#: The value of `mused` for a method: 1 for those without Jacobians, 2 for the others.
 _NONSTIFF, _STIFF = 1, 2
 
 

@@ -28,7 +28,7 @@ __all__ += ["power", "reference", "unprojected"]
 #: With and without projection.
 WAYS = ("plain", "projected")
 
-#: Two solutions of different formulas make a reference and say how good it is, at the first of these rtol with which
+#: Two solutions by different formulas give a reference and its accuracy, at the first of these rtol with which
 #: both reach the end.
 _EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", {}))
 _IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
@@ -46,7 +46,7 @@ _REPEATS, _BUDGET = 10, 0.2
 #: Errors below this many times the disagreement of the references say nothing.
 _FLOOR = 3
 
-#: Ratios of costs closer to 1 than this are no reason for either.
+#: Ratios of costs closer to 1 than this favour neither.
 _MARGIN = 0.1
 
 

@@ -44,7 +44,7 @@ __all__ = [
     "writable",
 ]
 
-#: The tolerances where none are given.
+#: The default tolerances.
 RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 
 #: Exit code of a command ended by Ctrl-C: 128 + SIGINT.

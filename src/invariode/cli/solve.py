@@ -146,7 +146,7 @@ def solve(
             limits = {"max_steps": max_steps, "time_limit": time_limit}
             sol = _solved(run, method, {"progress": shown, **limits, **options})
             seconds = perf_counter() - start
-    _write(sol, output, plot, (problem.name, drawn, log))  # first of all: what is printed may get lost
+    _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
         with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
