@@ -53,7 +53,7 @@ class _Storage:
         return np.ascontiguousarray(dense, dtype=float)
 
     def mass_values(self, given: Any) -> Any:
-        """The same of a mass matrix, which is given whole also where the Jacobian is banded."""
+        """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
         matrix = _matrix("mass", given, self.complex)
         if matrix.shape != (self.n, self.n):
             raise ValueError(f"mass has shape {matrix.shape}, expected shape {(self.n, self.n)}")

@@ -51,7 +51,7 @@ class Exports(Result):
         Returns
         -------
         xarray.Dataset
-            `y` (component, t), with the problem's labels and the times as coordinates, complex where the problem is.
+            `y` (component, t), with the problem's labels and the times as coordinates, complex if the problem is.
             With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
             `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
             a name are numbered. If the steps were kept, `h, order, error, correction` (t_step). The attributes
@@ -276,7 +276,7 @@ def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any])
 
 
 def _nameless(folder: Path) -> Any:
-    """A file without a name, which is gone when the process is killed; None where the system has no such files."""
+    """A file without a name, which is gone when the process is killed; None if the system has no such files."""
     if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
         return None
     try:

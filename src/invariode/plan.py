@@ -352,7 +352,7 @@ def _functions(
 def _linear_algebra(
     problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
 ) -> tuple[_core.Linear | None, Array]:
-    """What an implicit method knows of its matrices; and y0, moved where the algebraic equations of a singular mass
+    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
     if "jac" not in method.options:
         return None, problem.y0

@@ -285,7 +285,7 @@ class _Curve:
         self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
 
     def __call__(self, error: float) -> float:
-        """The cost of at most this error; infinite where no run has it."""
+        """The cost of at most this error; infinite if no run has it."""
         if error < self.least * (1 - 1e-12):
             return math.inf
         return float(np.exp(np.interp(math.log(error), self._errors, self._costs)))
@@ -367,7 +367,7 @@ def best(rows: Sequence[Row], floor: float) -> Judgement:
 
 
 def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
-    """The least cost of the error and the method that has it; infinite where it may be another one's."""
+    """The least cost of the error and the method that has it; infinite if it may be another one's."""
     cost, method = min((c[way](error), method) for method, c in curves.items())
     open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
     return (math.inf if open_ended else cost), method

@@ -168,7 +168,7 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 
 
 def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
-    """The solution; Ctrl-C ends the command with a line about where the run was."""
+    """The solution; Ctrl-C ends the command with a line that says how far the run got."""
     reached = [problem.t_span[0], 0.0]
 
     def note(t: float, y: Array) -> None:
