@@ -35,7 +35,7 @@ __all__ = [
 ]
 __all__ += ["to_xarray", "write_arrays"]
 
-#: What every file says of itself, and the version of its contents: raised whenever they change.
+#: What every file says about itself, and the version of its contents: raised whenever they change.
 FORMAT, VERSION = "invariode solution", 3
 
 #: The fields of a Solution that JSON takes as they are.
@@ -51,7 +51,7 @@ class Exports(Result):
         Returns
         -------
         xarray.Dataset
-            `y` (component, t), with the problem's labels and the times as coordinates, complex where the problem is.
+            `y` (component, t), with the problem's labels and the times as coordinates, complex if the problem is.
             With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
             `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
             a name are numbered. If the steps were kept, `h, order, error, correction` (t_step). The attributes
@@ -126,7 +126,7 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
         variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
     attributes = {
-        name: int(value) if isinstance(value, bool) else value  # netCDF has no truth values
+        name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
         for name, value in _attributes(solution).items()
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, attributes)
@@ -295,7 +295,7 @@ def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any],
 
 
 def _nameless(folder: Path) -> Any:
-    """A file without a name, which is gone when the process is killed; None where the system has no such files."""
+    """A file without a name, which is gone when the process is killed; None if the system has no such files."""
     if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
         return None
     try:

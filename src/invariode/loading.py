@@ -309,7 +309,7 @@ def _last_time(arrays: dict[str, Any], dense: Dense | None) -> float:
     return float(arrays["t"][-1]) if len(arrays["t"]) else float("nan")
 
 
-#: At so many outputs the invariants given to `load` are compared with those of the run.
+#: At this many outputs the invariants given to `load` are compared with those of the run.
 _COMPARED = 16
 
 
@@ -339,7 +339,7 @@ def _bind_again(
     pieces = stored.pieces_of_output(len(t))
     now = bound.distance(t[some], y[:, some], rtol, atol, pieces[some])
     before = stored.distance(t, y, rtol, atol)[:, some]
-    # equal but for the roundoff of another machine; what the tolerance does not see is not held against them
+    # equal except for another machine's roundoff; differences below the tolerance are ignored
     differs = ~(np.abs(now - before) <= 1) & ~(now == before) & ~(np.isnan(now) & np.isnan(before))
     if differs.any():
         i, p = (int(one[0]) for one in np.nonzero(differs))

@@ -28,7 +28,7 @@ from .result import LIMIT_REACHED, Names
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
-#: Errors of ode15s at rtol 1e-4 are as large as those asked for if its steps are ten times as accurate (measured on the
+#: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
 CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
 
@@ -107,7 +107,7 @@ class Plan(NamedTuple):
     demanded: list[bool]  # of the invariants, whether their values were
     senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
-    called: Names  # what tables and pictures call things
+    called: Names  # the names in tables and pictures
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
@@ -239,7 +239,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     span = abs(tf - t0)
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
     if keep == "end" and (times is not None or options["dense_output"]):
         raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
@@ -352,11 +352,11 @@ def _functions(
 def _linear_algebra(
     problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
 ) -> tuple[_core.Linear | None, Array]:
-    """What an implicit method knows of its matrices; and y0, moved where the algebraic equations of a singular mass
+    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
     if "jac" not in method.options:
         return None, problem.y0
-    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
+    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than everything else
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))

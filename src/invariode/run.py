@@ -44,7 +44,7 @@ class Source(Protocol):
 
     @property
     def problem(self) -> Description:
-        """The problem, with the whole interval where the run goes on from another."""
+        """The problem, with the whole interval if the run continues another."""
 
     @property
     def method(self) -> MethodName:
