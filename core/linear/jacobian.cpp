@@ -45,6 +45,7 @@ void Jacobian::group_columns() {
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
+  matrix_.provide();
   switch (kind_) {
     case Kind::constant: return Status::ok;
     case Kind::function: {

@@ -19,6 +19,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           ng,
           ngjac,
           ngdiff,
+          switches,
           static_cast<std::int64_t>(dropped.size()),
           harm.component + 1};
 }
@@ -188,6 +189,7 @@ RunResult Run::take_result() {
   result.report = loop.report();
   result.counts = loop.counts();
   result.stiffness = loop.stiffness();
+  result.switches = loop.step().switches();
   result.linear = loop.step().linear_work();
   count_evaluations(result);
   describe_invariants(result);

@@ -110,6 +110,7 @@ class EnsembleStats(Record):
     ng: Array
     ngjac: Array
     ngdiff: Array
+    switches: Array
     clipped_amount: Array
 
 

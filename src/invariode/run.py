@@ -141,7 +141,7 @@ def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> 
     if exception := plan.exception(run):
         raise exception
     dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
-    sol = _solution(run, plan, source)
+    sol = _solution(run, plan, source, core.members)
     fun = source.problem.fun
     if isinstance(fun, CoreFunction):
         work: Any = core.motion_work
@@ -171,7 +171,7 @@ def _integrated(core: _core.Solver, plan: Plan, name: str) -> _core.Run:
         return core.integrate(y0, told, request)
 
 
-def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
+def _solution(run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...]) -> Solution:
     problem, dtype = source.problem, plan.y0.dtype
     status, message = plan.verdict(run)
     bound = plan.bound
@@ -197,7 +197,7 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         message=message,
         success=status >= 0,
         stats=stats,
-        steps=Steps(run.take_steps()) if plan.settings.record else None,
+        steps=Steps(run.take_steps(), members) if plan.settings.record else None,
         t_end=t_end,
         _invariants=bound,
         _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
@@ -325,7 +325,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         y_events = [np.concatenate(parts) for parts in zip(old.y_events, new.y_events, strict=True)]
     steps = None
     if old.steps is not None and new.steps is not None:
-        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
+        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)
     first, then = old._drift, new._drift
     return new.changed(
         t=np.concatenate([old.t[:points], new.t[known:]]),
