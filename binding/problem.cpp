@@ -129,7 +129,8 @@ Lapack read_lapack(const nb::object& capsules) {
 }
 
 LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
-  LinearTerms linear{.kind = spec.kind, .jacobian = Matrix(spec.structure), .function = {}, .mass = {}, .lapack = {}};
+  LinearTerms linear{
+      .kind = spec.kind, .jacobian = Matrix::without_values(spec.structure), .function = {}, .mass = {}, .lapack = {}};
   nb::object known = spec.jacobian;  // values or pattern
   if (spec.kind == Jacobian::Kind::function) {
     nb::object code = std::exchange(known, nb::none());
@@ -321,6 +322,18 @@ nb::object get_times(const RunSettings& s) {
   return nb::cast(to_array<Vector>(std::vector<double>(s.times), s.times.size()), nb::rv_policy::move);
 }
 
+/// A method by its name; "": none.
+template <auto member>
+constexpr Setting named_method(const char* name) {
+  return {name,
+          [](RunSettings& s, nb::handle value) {
+            const auto given = nb::cast<std::string>(value);
+            s.*member = given.empty() ? nullptr : find_method(given);
+            if (s.*member == nullptr && !given.empty()) throw std::invalid_argument("unknown method '" + given + "'");
+          },
+          [](const RunSettings& s) { return nb::cast(s.*member ? (s.*member)->name : ""); }};
+}
+
 /// In the order of `Settings` in plan.py, which tests/test_binding.py compares.
 constexpr Setting settings[] = {
     plain<&RunSettings::t0>("t0"),
@@ -342,6 +355,8 @@ constexpr Setting settings[] = {
      [](const RunSettings& s) { return nb::cast(name_of(s.fsal)); }},
     plain<&RunSettings::max_order>("max_order"),
     plain<&RunSettings::bdf>("bdf"),
+    named_method<&RunSettings::prefer_explicit>("prefer_explicit"),
+    named_method<&RunSettings::prefer_implicit>("prefer_implicit"),
     plain<&RunSettings::iterations>("iterations"),
     plain<&RunSettings::negligible>("negligible"),
     plain<&RunSettings::max_steps>("max_steps"),

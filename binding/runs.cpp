@@ -569,6 +569,15 @@ void define_solver(nb::module_& module) {
           "native", [](const BoundSolver& self) { return self.bound.native(); },
           "Whether no function needs the interpreter.")
       .def_prop_ro(
+          "members",
+          [](const BoundSolver& self) {
+            const Method& method = self.solver.method();
+            if (!method.switches()) return nb::make_tuple(method.name);
+            const auto [first, second] = members(self.solver.options());
+            return nb::make_tuple(first.name, second.name);
+          },
+          "The names of the methods that make the steps: one, or the explicit and the implicit one that take turns.")
+      .def_prop_ro(
           "motion_work",
           [](const BoundSolver& self) -> nb::object {
             const auto motions = self.bound.motions();

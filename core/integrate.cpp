@@ -216,6 +216,7 @@ State Integration::advance() {
 bool Integration::begin_step() {
   if (bounded_slope_ && !meet_bounds()) return false;
   const double t = step_->t();
+  if (step_->hand_over({target_, settings_.hmax, hmin_ulps * ulp(t)}) == Outcome::stop) return end(State::interrupted);
   interpolant_->start_at(t, step_->y());
   attempt_ = {.hmin = hmin_ulps * ulp(t)};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
@@ -426,7 +427,8 @@ bool Integration::record() {
                      .h = t - interpolant_->start_t(),
                      .order = static_cast<double>(step_->order()),
                      .error = attempt_.error / weights_.rtol(),
-                     .correction = attempt_.correction / weights_.rtol()});
+                     .correction = attempt_.correction / weights_.rtol(),
+                     .member = static_cast<double>(step_->member())});
   if (!dense) return true;
   const Segment segment = interpolant_->segment();
   if (!segment.data) return end(State::interrupted);

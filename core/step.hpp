@@ -14,6 +14,8 @@
 
 namespace invariode {
 
+struct Matrix;
+
 /// How an operation of a step ended. `not_finite`: a needed value of f is NaN or infinite.
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
 
@@ -65,6 +67,10 @@ class Step {
   /// Builds the memory at (t, y), also after a jump: evaluates f there and chooses the first |h|.
   virtual Outcome start(double t, const double* y, const Span& span) = 0;
 
+  /// Between two steps: a method that consists of several goes on with another one where that suits the problem better.
+  /// The next |h| may change.
+  virtual Outcome hand_over(const Span&) { return Outcome::ok; }
+
   /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly.
   virtual Attempt attempt(double h, double t1) = 0;
 
@@ -98,6 +104,8 @@ class Step {
   /// An estimate of |h λ| in the step just accepted, λ the dominant eigenvalue of ∂f/∂y, in units of what the formula
   /// is stable for on the negative real axis. 0: nobody knows, or there is no such limit.
   [[nodiscard]] virtual double stability() const { return 0; }
+  /// So long is its interval of stability on the negative real axis; 0: nobody knows, or there is no limit.
+  [[nodiscard]] virtual double real_limit() const { return 0; }
   /// y' at the end of the accepted step as the method has it, without another evaluation; after an implicit step only
   /// to the accuracy of its iteration.
   [[nodiscard]] virtual const double* slope() const = 0;
@@ -105,6 +113,11 @@ class Step {
   [[nodiscard]] virtual int undefined_component() const = 0;
   /// What the linear algebra of an implicit method did, and what went wrong with it in the last attempt.
   [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
+  /// ∂f/∂y as an implicit method has it; null: it needs none.
+  [[nodiscard]] virtual const Matrix* jacobian() const { return nullptr; }
+  /// Of a method that consists of several: which of them made the last step, and how often they have changed.
+  [[nodiscard]] virtual int member() const { return 0; }
+  [[nodiscard]] virtual std::int64_t switches() const { return 0; }
 
   /// The memory between two steps: all that the next `attempt` and those after it read. Methods archive this part and
   /// then their own.

@@ -140,7 +140,7 @@ def test_settings_are_what_they_were_set_to() -> None:
         if isinstance(before, bool):
             after: Any = not before
         elif isinstance(before, str):
-            after = {"reuse": "evaluate", "projected": "raw"}[before]
+            after = {"reuse": "evaluate", "projected": "raw", "": "ode45"}[before]
         elif before is None:
             after = np.arange(3.0)
         else:

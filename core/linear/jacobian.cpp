@@ -53,6 +53,7 @@ void Jacobian::group_columns() {
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
+  matrix_.provide();
   switch (kind_) {
     case Kind::constant: return Status::ok;
     case Kind::function: {
@@ -110,9 +111,9 @@ void Jacobian::matrix_state(Archive& archive) {
     archive.resizable(matrix_.starts);
     archive.resizable(matrix_.rows);
   }
-  const std::size_t dense_size = matrix_.values.size();
   const bool kept = archive.matrix(matrix_.values);
-  if (archive.reading() && kept) archive.require(sparse ? well_formed(matrix_) : matrix_.values.size() == dense_size);
+  if (!archive.reading() || !kept || matrix_.values.empty()) return;  // empty: it has not been needed yet
+  archive.require(sparse ? well_formed(matrix_) : matrix_.values.size() == matrix_.size());
 }
 
 void Jacobian::widen_increments() {

@@ -186,7 +186,9 @@ MassSlope::MassSlope(const Callback& f, const LinearAlgebra& linear, const Weigh
       weights_(weights),
       lapack_(linear.lapack),
       w_(weights.size()),
-      rate_(weights.size()) {}
+      rate_(weights.size()) {
+  jacobian_.provide();  // with a regular M its values do not matter, and are never evaluated
+}
 
 Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   if (f_(t, y, out) == Status::stop) return Status::stop;

@@ -43,6 +43,7 @@ class Adams final : public Step {
 
   [[nodiscard]] int order() const override { return previous_order_; }
   [[nodiscard]] double stability() const override;
+  [[nodiscard]] double real_limit() const override;
   [[nodiscard]] const double* slope() const override { return slope_; }
   [[nodiscard]] int undefined_component() const override;
 

@@ -50,6 +50,7 @@ class Ndf final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return newton_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &newton_.jacobian(); }
 
  private:
   void restart(double t, const double* y, double h, int order);

@@ -43,6 +43,7 @@ class Radau final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
 
  private:
   using Complex = std::complex<double>;

@@ -149,7 +149,6 @@ class Pair final : public Step {
 
   [[nodiscard]] int order() const override { return T.order; }
   [[nodiscard]] double stability() const override {
-    static const double limit = real_limit<T>();
     MaxNorm slopes, arguments;
     for (std::size_t i = 0; i < n(); ++i) {
       const double w = weights_.at(i, start_[i], y_[i]);
@@ -160,7 +159,11 @@ class Pair final : public Step {
       arguments.add(argument / w);
     }
     const double moved = std::abs(purified_) * arguments.value();
-    return moved > indistinct ? slopes.value() / arguments.value() / limit : 0;
+    return moved > indistinct ? slopes.value() / arguments.value() / real_limit() : 0;
+  }
+  [[nodiscard]] double real_limit() const override {
+    static const double limit = runge_kutta::real_limit<T>();
+    return limit;
   }
   [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
   [[nodiscard]] int undefined_component() const override {

@@ -40,6 +40,7 @@ class TrBdf2 final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return newton_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &newton_.jacobian(); }
 
  private:
   Newton::Result solve_stage(double t, double* y, double* z);

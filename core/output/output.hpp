@@ -34,9 +34,10 @@ struct Trajectory {
   }
 };
 
-/// An accepted step: where it ended, its signed size, order, error and correction, both in units of rtol.
+/// An accepted step: where it ended, its signed size, order, error and correction, both in units of rtol, and which
+/// member of the method made it, where it has several.
 struct AcceptedStep {
-  double t, h, order, error, correction;
+  double t, h, order, error, correction, member;
 };
 
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.

@@ -54,7 +54,7 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require_sizes(problem_, weights_);
   require_settings(settings_);
   require(static_cast<bool>(problem_.f), "the problem has no f");
-  require(!method_.implicit() || problem_.linear,
+  require(!method_.implicit() || method_.switches() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
   require(takes_mass(method_, problem_),
           std::string(method_.name) + " takes a constant and regular mass matrix only; use ode15s or radau");

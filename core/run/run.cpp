@@ -20,6 +20,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           ng,
           ngjac,
           ngdiff,
+          switches,
           static_cast<std::int64_t>(dropped.size()),
           harm.component + 1,
           stiffness.found ? 1 : 0};
@@ -199,6 +200,7 @@ void Run::describe(RunResult& result) const {
   result.report = loop.report();
   result.counts = loop.counts();
   result.stiffness = loop.stiffness();
+  result.switches = loop.step().switches();
   result.linear = loop.step().linear_work();
   count_evaluations(result);
   describe_invariants(result);

@@ -33,6 +33,7 @@ struct RunResult {
   State state = State::created;
   Report report;
   Counts counts;
+  std::int64_t switches = 0;  ///< from an explicit to an implicit method, or back
   LinearWork linear;
   std::int64_t nfev = 0;
   std::int64_t nfev_check = 0;  ///< evaluations of f by the tests that invariants are some
@@ -51,7 +52,7 @@ struct RunResult {
 
   static constexpr const char* count_names[] = {"steps",  "failed",      "nfev",    "nfev_check", "njev", "nlu",
                                                 "nsolve", "projections", "skipped", "clipped",    "ng",   "ngjac",
-                                                "ngdiff", "dropped",     "harmed",  "stiff"};
+                                                "ngdiff", "switches",    "dropped", "harmed",  "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
   /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
   /// "stiff" is 1 where `stiffness` was found.

@@ -161,6 +161,18 @@ class Settings:
     def bdf(self, arg: object, /) -> None: ...
 
     @property
+    def prefer_explicit(self) -> object: ...
+
+    @prefer_explicit.setter
+    def prefer_explicit(self, arg: object, /) -> None: ...
+
+    @property
+    def prefer_implicit(self) -> object: ...
+
+    @prefer_implicit.setter
+    def prefer_implicit(self, arg: object, /) -> None: ...
+
+    @property
     def iterations(self) -> object: ...
 
     @iterations.setter
@@ -305,7 +317,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -387,6 +399,12 @@ class Solver:
     @property
     def native(self) -> bool:
         """Whether no function needs the interpreter."""
+
+    @property
+    def members(self) -> tuple:
+        """
+        The names of the methods that make the steps: one, or the explicit and the implicit one that take turns.
+        """
 
     @property
     def motion_work(self) -> object:

@@ -18,11 +18,15 @@ from ._arguments import EPS, Array, as_array, shown, warn
 from .compiled import is_native, to_native
 from .description import Matrices
 
-__all__ = ["prepare"]
+__all__ = ["prepare", "too_large_to_be_dense"]
 
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
+
+
+#: Compressed columns (starts, rows, values) of a matrix without columns.
+_NO_COLUMNS = (np.zeros(1, dtype=np.int32), np.zeros(0, dtype=np.int32), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Arr
         kind=kind,
         jacobian=jacobian,
         mass=mass,
-        null_basis=_columns(sp.csc_array((n, 0)) if mass is None else _null_basis(storage, mass, t0)),
+        null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, t0)),
         lapack=_lapack(),
     )
 
@@ -117,13 +121,23 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: A
     held = storage(given.jac_sparsity is not None)
     if held.kind == "sparse":
         return held, "differences", held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
-    bytes_needed = 8 * (n * (2 if is_complex else 1)) ** 2
-    if held.kind == "dense" and bytes_needed > _DENSE_LIMIT:
+    if too_large_to_be_dense(given, y0):
+        size = _dense_bytes(y0) / 2**30
         warn(
-            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: give jac_sparsity, "
-            "or lband and uband, to say which entries are zero"
+            f"a dense Jacobian of {n} components takes {size:.1f} GiB: give jac_sparsity, or lband and uband, to say "
+            "which entries are zero"
         )
     return held, "differences", None
+
+
+def too_large_to_be_dense(given: Matrices, y0: Array) -> bool:
+    """Whether nothing is known of the Jacobian, and a dense one would fill the memory."""
+    known = (given.jac, given.jac_sparsity, given.lband, given.uband)
+    return all(one is None for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
+
+
+def _dense_bytes(y0: Array) -> int:
+    return 8 * y0.view(float).size ** 2
 
 
 def _native_jacobian(

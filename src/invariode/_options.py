@@ -57,6 +57,18 @@ def as_given(name: str, value: Any) -> Any:
     return value
 
 
+def to_members(name: str, value: Any) -> tuple[str, str]:
+    """The names of an explicit and an implicit method."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise TypeError(f"{name} must be the names of an explicit and an implicit method, got {value!r}")
+    explicit_one, implicit_one = (find_method(one)[0] for one in value)
+    if "jac" in explicit_one.options or "jac" not in implicit_one.options or "prefer" in implicit_one.options:
+        raise ValueError(
+            f"{name} must be an explicit method and then an implicit one, as in ('ode45', 'ode15s'); got {value!r}"
+        )
+    return explicit_one.name, implicit_one.name
+
+
 @dataclass(frozen=True)
 class Option:
     """A row of the table, without the name and the type of the option."""
@@ -138,6 +150,18 @@ class MethodOptions(TypedDict, total=False):
             "Backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5 are "
             "stable in wider sectors. Default: False, except with ``method='BDF'``.",
             flag,
+            every_method=False,
+        ),
+    ]
+    prefer: Annotated[
+        tuple[str, str] | None,
+        Option(
+            None,
+            "(str, str)",
+            "The explicit and the implicit method between which ``method='auto'`` switches. Default: 'ode113' and "
+            "'ode15s', which evaluate f least often. With a compiled, cheap f the pairs 'ode45' and 'ode78' are faster "
+            "than 'ode113'.",
+            to_members,
             every_method=False,
         ),
     ]

@@ -99,6 +99,7 @@ class Checkpoint:
             **{name: part[name] for name in PLAIN},
             "t_end": part.t_end,
             "stats": dict(part.stats),
+            "methods": [] if part.steps is None else list(part.steps._methods),
             **about,
         }
         drift = part._drift

@@ -114,6 +114,7 @@ class EnsembleStats(Record):
     ngjac: Array
     ngdiff: Array
     stiff: Array
+    switches: Array
     clipped_amount: Array
 
 

@@ -125,6 +125,7 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["order"] = ("t_step", solution.steps.order)
         variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
         variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
+        variables["method"] = ("t_step", solution.steps.method)
     attributes = {
         name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
         for name, value in _attributes(solution).items()
@@ -346,6 +347,7 @@ def _to_arrays(solution: Result) -> dict[str, Any]:
         **{name: solution[name] for name in PLAIN},
         "t_end": solution.t_end,
         "stats": dict(solution.stats),
+        "methods": [] if solution.steps is None else list(solution.steps._methods),
         "dense": {name: part for name, part in parts.items() if not isinstance(part, np.ndarray)},
         "imposed": dense is not None and dense._imposed is not None,
         "origin": origin,

@@ -212,7 +212,7 @@ def _of_checkpoint(path: PathLike, stored: Stored, problem: Description, given: 
         y_events=[arrays[f"y_events.{e}"] for e in events] if events else None,
         **{name: about[name] for name in PLAIN},
         stats=Stats(**about["stats"]),
-        steps=Steps(arrays["steps"]) if "steps" in arrays else None,
+        steps=_steps(arrays["steps"], about["methods"]) if "steps" in arrays else None,
         t_end=t_end,
         _invariants=bound,
         _drift=BeforeProjection(arrays["drift.residual"], arrays["drift.distance"], float(arrays["drift.correction"])),
@@ -288,8 +288,8 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         y_events=None if events is None else [arrays[f"y_events.{i}"] for i in range(events)],
         **{name: about[name] for name in PLAIN},
         t_end=about["t_end"] if about["version"] > 1 else _last_time(arrays, dense),
-        stats=Stats(**about["stats"]),
-        steps=Steps(arrays["steps"]) if "steps" in arrays else None,
+        stats=Stats(**{"switches": 0, **about["stats"]}),
+        steps=_steps(arrays["steps"], about.get("methods", [""])) if "steps" in arrays else None,
         _invariants=g,
         _rtol=arrays["rtol"].tolist(),
         _atol=arrays["atol"].tolist(),
@@ -297,6 +297,15 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         _names=Names(about["name"], about["title"], about["labels"], len(y), about["event_names"]),
     )
     return solution, dense
+
+
+def _steps(rows: Array, methods: list[Any]) -> Steps:
+    """Those of a file. In files of 0.1 rows do not say which of several methods made the step."""
+    if rows.shape[1:] == (5,):
+        rows = np.hstack([rows, np.zeros((len(rows), 1))])
+    if rows.shape[1:] != (6,) or not np.isin(rows[:, 5], np.arange(len(methods))).all():
+        raise ValueError("steps do not match")
+    return Steps(rows, [str(one) for one in methods])
 
 
 def _last_time(arrays: dict[str, Any], dense: Dense | None) -> float:

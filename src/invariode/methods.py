@@ -19,7 +19,7 @@ class Method:
     Attributes
     ----------
     name : str
-        As in MATLAB, or as the authors call methods that MATLAB does not have.
+        As in MATLAB, or as the authors call methods that MATLAB does not have; 'auto' chooses between two.
     summary : str
         What it is and what it is for, in a few words.
     family : str
@@ -80,11 +80,6 @@ def _from_core(row: _core.Method) -> Method:
 #: The methods by name, as the core lists them.
 METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for row in _core.methods()})
 
-#: What to use instead of the methods of SciPy that have no counterpart here.
-_INSTEAD = {
-    "LSODA": "use method='ode15s' if the problem is stiff, 'ode113' if it is not",
-}
-
 
 def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     """The method of that name, of that name in SciPy, or of that class there or in `invariode.scipy`; and what SciPy's
@@ -97,8 +92,6 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
             return candidate, {}
         if name == candidate.scipy_name:
             return candidate, candidate.scipy_options
-    if name in _INSTEAD:
-        raise ValueError(f"method {name!r} of SciPy is not available: {_INSTEAD[name]}. Methods: {_names()}")
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""

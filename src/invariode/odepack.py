@@ -16,7 +16,7 @@ from ._options import Options
 from ._types import Function, MethodName, Numbers
 from .compiled import is_native
 from .invariants import InvariantsLike
-from .methods import find_method
+from .methods import METHODS, find_method
 from .problem import Problem
 from .solution import Solution
 
@@ -24,6 +24,8 @@ __all__ = ["odeint"]
 
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
+
+_BY_ORDER = " or ".join(f"method={name!r}" for name in ("ode113", "ode15s"))
 
 #: The value of `mused` for a method: 1 for those without Jacobians, 2 for the others.
 _NONSTIFF, _STIFF = 1, 2
@@ -88,7 +90,8 @@ def odeint(
     mxstep : int, default 0
         Most steps between two times of the output; 0: no limit.
     mxordn, mxords : int, default 12 and 5
-        Highest order of ode113 and of ode15s.
+        Highest order of ode113 and of ode15s, with ``method`` of that name. 'auto' uses all orders, and a warning says
+        so where lower ones are asked for.
     printmessg : bool, default False
         Whether the message is printed.
     hmin, ixpr, mxhnil : optional
@@ -96,8 +99,7 @@ def odeint(
     tfirst : bool, default False
         Whether t is the first argument of `func` and ``Dfun``.
     method : str, optional
-        A name in `METHODS`. Default: 'ode15s' if ``Dfun``, `ml` or `mu` is given, else 'ode113'. Stiff problems
-        take many steps with ode113: give ``method="ode15s"``.
+        A name in `METHODS`. Default: 'auto', which switches between ode113 and ode15s as the problem requires.
     invariants : callable, Invariants, or list of these, optional
         What the solution keeps, ``g(t, y, *args)``: see `solve_ivp`.
 
@@ -108,9 +110,9 @@ def odeint(
     infodict : dict
         With `full_output`. Arrays of one value for each time except the first: `hu`, the size of the step that reached
         it; `tcur`, where that step ended; `nqu`, its order; `nst`, the steps so far; `nfe`, the evaluations of f and
-        `nje` those of its Jacobian (without ``Dfun`` the total, at every time); `mused`, 1 for methods without
-        Jacobians and 2 for the others. Also the `message`. ODEPACK's `tolsf`, `tsw`, `lenrw`, `leniw` and `imxer` have
-        no meaning here.
+        `nje` those of its Jacobian (without ``Dfun`` the total, at every time); `mused`, 1 if that step was made by a
+        method without Jacobians and 2 otherwise. Also the `message`. ODEPACK's `tolsf`, `tsw`, `lenrw`, `leniw` and
+        `imxer` have no meaning here.
 
     Raises
     ------
@@ -147,7 +149,7 @@ def odeint(
         uband=max(mu or 0, 0) if banded else None,
         name=call_name(func, "func"),
     )
-    chosen = method or ("ode15s" if banded or Dfun is not None else "ode113")
+    chosen = method or "auto"
     options: Options = {
         "rtol": _TOLERANCE if rtol is None else rtol,
         "atol": _TOLERANCE if atol is None else atol,
@@ -170,6 +172,8 @@ def _warn_idle(given: dict[str, float]) -> None:
 
 def _highest_order(method: MethodName, limits: dict[str, int]) -> Options:
     about = find_method(method)[0]
+    if "prefer" in about.options and any(limits[name] < METHODS[name].order for name in limits):
+        warn(f"mxordn and mxords have no effect on {about.name}: for formulas of low order give {_BY_ORDER}")
     if about.name not in limits:
         return {}
     return {"max_order": min(positive_integer("mxordn and mxords", limits[about.name]), about.order)}
@@ -326,7 +330,7 @@ def _information(parts: list[Solution], asked: _Times, counter: _Counter, messag
     times = asked.times[asked.place][1:]
     steps = np.minimum(np.searchsorted(forward * ends, forward * times), max(len(ends) - 1, 0))
     counts = np.array(counter.after, dtype=np.int64).reshape(-1, 2)
-    stiff = any(part.njev for part in parts)
+    used = [_STIFF if "jac" in METHODS[name].options else _NONSTIFF for part in parts for name in part.steps.method]
     if not len(ends):  # nothing to integrate
         steps = steps[:0]
     return {
@@ -336,6 +340,6 @@ def _information(parts: list[Solution], asked: _Times, counter: _Counter, messag
         "nst": (steps + 1).astype(np.int64),
         "nfe": counts[steps, 0],
         "nje": counts[steps, 1] if counter.jacobians else np.full(len(steps), sum(part.njev for part in parts)),
-        "mused": np.full(len(steps), _STIFF if stiff else _NONSTIFF),
+        "mused": np.array(used, dtype=np.int64)[steps],
         "message": message,
     }

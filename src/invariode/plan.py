@@ -58,6 +58,8 @@ class Settings(NamedTuple):
     fsal: str
     max_order: int
     bdf: bool
+    prefer_explicit: str  # of the methods that take turns; "": what suits the tolerance
+    prefer_implicit: str
     iterations: int  # of the projection of a step
     negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
     max_steps: int = LARGEST_COUNT
@@ -246,6 +248,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
     max_points, max_bytes = _most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0))
+    explicit_one, implicit_one = options["prefer"] or ("", "")
     first, largest = options["first_step"], options["max_step"]
     if first is not None and first > span:
         raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first!r}")
@@ -264,7 +267,9 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         fsal=options["fsal"],
         max_order=_highest_order(method, options["max_order"]),
         bdf=bool(options["bdf"]),
-        iterations=method.iterations,
+        prefer_explicit=explicit_one,
+        prefer_implicit=implicit_one,
+        iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
         max_steps=options["max_steps"] or LARGEST_COUNT,
         time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
         max_points=max_points,
@@ -356,10 +361,13 @@ def _linear_algebra(
     matrix ask for it."""
     if "jac" not in method.options:
         return None, problem.y0
-    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than everything else
+    # SciPy's sparse matrices take longer to import than everything else
+    from ._matrices import prepare, too_large_to_be_dense
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
+    if "prefer" in method.options and matrices.mass is None and too_large_to_be_dense(matrices, y0):
+        return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     linear = prepare(matrices, t0, y0, problem.args, parameters)
     if not linear.algebraic:
         return linear, y0

@@ -57,6 +57,7 @@ class PreparedSolver:
         core = solver(plan)
         #: Idle solvers: a thread takes one, or makes another.
         self._idle = deque([core])
+        self._members = core.members
         self._complex = plan.functions.complex
         self._max_step = None if options.get("max_step") is None else plan.settings.max_step
         # Whether the plan stays as it is with another y0, other args, another interval.
@@ -100,7 +101,8 @@ class PreparedSolver:
             cover = None if t_span is None else self._covering(t_span)
             run = self._run(start, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
-                return presented(run, self._as_run(run, args, cover), _Changed(self, run, args, t_span))
+                source = _Changed(self, run, args, t_span)
+                return presented(run, self._as_run(run, args, cover), source, self._members)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
 

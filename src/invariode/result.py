@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -85,6 +85,8 @@ class Stats(Record):
         Evaluations of their Jacobians, likewise.
     ngdiff : int
         Those of `ng` that served Jacobians: complex steps and differences, and the choice between them at the start.
+    switches : int
+        How often ``method="auto"`` continued with its other method.
     derivatives : str or None
         How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
         differences', several of these, or None.
@@ -115,6 +117,7 @@ class Stats(Record):
     ng: int
     ngjac: int
     ngdiff: int
+    switches: int
     derivatives: str | None
     projected_start: bool
     clipped_amount: float = 0.0
@@ -141,10 +144,13 @@ class Steps(Record):
         The estimated error e, ``max_i |e_i| / w_i``, in units of rtol.
     correction : ndarray of float
         The size of the correction by projection, in the same norm and unit.
+    method : ndarray of str
+        The method that made the step: with ``method="auto"`` one of two. '' in files of former versions.
     """
 
-    def __init__(self, rows: Array) -> None:
-        self._rows = rows  # (n_steps, 5)
+    def __init__(self, rows: Array, methods: Sequence[str]) -> None:
+        self._rows = rows  # (n_steps, 6)
+        self._methods = methods  # of which the last column has the numbers
 
     @cached_property
     def t(self) -> Array:
@@ -166,8 +172,12 @@ class Steps(Record):
     def correction(self) -> Array:
         return self._rows[:, 4].copy()
 
+    @cached_property
+    def method(self) -> Array:
+        return np.array(self._methods)[self._rows[:, 5].astype(np.int32)]
+
     def __iter__(self) -> Iterator[str]:
-        return iter(("t", "h", "order", "error", "correction"))
+        return iter(("t", "h", "order", "error", "correction", "method"))
 
     def __repr__(self) -> str:
         return f"Steps({len(self._rows)} steps)"

@@ -176,16 +176,20 @@ def _carried_out(
     """The solution of a plan, or of what is left of it."""
     core = solver(plan)
     keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
-    sol = presented(_integrated(core, plan, source.problem.name, resumed, keep), plan, source, checkpoint)
+    run = _integrated(core, plan, source.problem.name, resumed, keep)
+    sol = presented(run, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _work(core, source.problem.fun)
     return sol
 
 
-def presented(run: _core.Run, plan: Plan, source: Source, checkpoint: Checkpoint | None = None) -> Solution:
-    """The solution that a run of the plan came to, or the exception, with its warnings."""
+def presented(
+    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None = None
+) -> Solution:
+    """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
+    took turns."""
     if exception := plan.exception(run):
         raise exception
-    sol = _solution(run, plan, source, checkpoint)
+    sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
     if run.stiff:
@@ -204,7 +208,7 @@ def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source
     if plan.exception(part) is not None:
         return
     memory, running = np.frombuffer(part.memory, dtype=np.uint8), part.state == "running"
-    sol = _solution(part, plan, source, checkpoint)
+    sol = _solution(part, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
     origin = cast("RunOrigin", sol._origin)
     about = {"next_h": origin.next_h, "memory_version": _core.MEMORY_VERSION}
@@ -236,7 +240,9 @@ def _integrated(
         return core.integrate(plan.y0.view(float), told, request, keep, every)
 
 
-def _solution(run: _core.Run, plan: Plan, source: Source, checkpoint: Checkpoint | None) -> Solution:
+def _solution(
+    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None
+) -> Solution:
     dtype = plan.y0.dtype
     status, message = plan.verdict(run)
     bound = plan.bound
@@ -260,7 +266,7 @@ def _solution(run: _core.Run, plan: Plan, source: Source, checkpoint: Checkpoint
         message=message,
         success=status >= 0,
         stats=stats,
-        steps=Steps(run.take_steps()) if plan.settings.record else None,
+        steps=Steps(run.take_steps(), members) if plan.settings.record else None,
         t_end=t_end,
         _invariants=bound,
         _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
@@ -380,7 +386,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         y_events = [np.concatenate(parts) for parts in zip(old.y_events, new.y_events, strict=True)]
     steps = None
     if old.steps is not None and new.steps is not None:
-        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
+        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)
     return new.changed(
         t=np.concatenate([old.t[:points], new.t]),
         y=np.concatenate([old.y[:, :points], new.y], axis=1),

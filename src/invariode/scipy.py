@@ -33,5 +33,7 @@ def _class_of(method: Method) -> type[Stepper]:
 
 
 _CLASSES = {name.upper(): _class_of(method) for name, method in METHODS.items()}
+#: SciPy's own name, as in ``method=LSODA``.
+_CLASSES["LSODA"] = _CLASSES["AUTO"]
 __all__ = [*_CLASSES]
 globals().update(_CLASSES)

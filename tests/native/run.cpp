@@ -41,7 +41,8 @@ TEST(a_run_of_each_method_keeps_its_invariant_and_reaches_the_end) {
     CHECK(result.nfev + result.nfev_check == oscillator.calls);
     CHECK(result.derivatives.size() == 1 && result.derivatives[0] == Derivative::given);
     CHECK(result.counted()[0] == result.counts.steps);
-    CHECK((result.linear.jacobians > 0) == method.implicit());
+    CHECK((result.linear.jacobians > 0) == (method.implicit() && !method.switches()));
+    CHECK(result.switches == 0);
   }
 }
 
