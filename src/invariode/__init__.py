@@ -12,6 +12,7 @@ from .compiled import CompiledFunction, compile
 from .dissipation import Dissipated
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from .ensemble_store import EnsembleStore
 from .events import Event
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
@@ -40,6 +41,7 @@ __all__ = [
     "EnsembleEvents",
     "EnsembleSolution",
     "EnsembleStats",
+    "EnsembleStore",
     "Event",
     "ImposeResult",
     "Input",

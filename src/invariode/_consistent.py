@@ -24,7 +24,7 @@ _BESIDE = (1e-2, 1e-3, 1e-4)
 _FEW = 10
 #: What is left of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
-#: Sparse factors are faster from so many velocities on, where at most this part of the entries is other than 0.
+#: Sparse factors are faster from this many velocities on, if at most this fraction of the entries is nonzero.
 _LARGE = 100
 _SPARSE = 0.1
 #: What is left of rows that are surely no roundoff, though the factors lose half of the digits.
@@ -57,8 +57,8 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
             )
         raise InvariantError(
             f"no velocities satisfy the constraints at t = {start.t}: what is left of the rate of {names[i]} is "
-            f"{left[i]:.3g}. Constraints that contradict each other, or a position where they are singular, show like "
-            "this: check their formulas, or start from another q0"
+            f"{left[i]:.3g}. The constraints may contradict each other, or be singular at this position: check their "
+            "formulas, or start from another q0"
         )
     return after
 
@@ -93,13 +93,13 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
             )
         raise InvariantError(
             f"no position near q0 satisfies the constraints at t = {t}: {names[i]} is {residual[i]:.6g} at the best "
-            "one found. Constraints that contradict each other show like this; or start from a q0 nearer to a solution"
+            "one found. The constraints may contradict each other: check them, or start from a q0 nearer to a solution"
         )
     return q
 
 
 def _off(residual: Array, rows: Array, q: Array, q0: Array) -> Array:
-    """Which residuals are no roundoff."""
+    """Which residuals are more than roundoff."""
     roundoff: Array = _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0))
     off: Array = ~(np.abs(residual) <= roundoff)
     return off

@@ -1,4 +1,4 @@
-"""Derivatives of functions of t, q and v without symbols: complex steps where they take them, else differences."""
+"""Derivatives of functions of t, q and v without symbols: complex steps if they take them, else differences."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _GOLDEN = 0.6180339887498949
 
 
 class Forms(NamedTuple):
-    """A function in the forms that the core takes."""
+    """A function in the forms the core takes."""
 
     function: Any
     complex: Any  # of complex t and x; None: there is no such form
@@ -36,7 +36,7 @@ class Forms(NamedTuple):
 
 
 class Quiet:
-    """A function without NumPy's warnings, which are no news where it is asked outside of its domain."""
+    """A function without NumPy's warnings, which are expected when it is evaluated outside its domain."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -59,12 +59,12 @@ class Derivatives:
     name : str
         For messages.
     m : int, optional
-        Number of its values, where a native function does not tell.
+        Number of its values, which a native function does not say.
 
     Attributes
     ----------
     kind : {'complex step', 'differences'}
-        Where derivatives come from.
+        How derivatives are formed.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ def _count_values(
         returned = np.asarray(function(t, *(part.copy() for part in parts), *([parameters] if len(parameters) else [])))
     elif is_native(function):
         raise ValueError(
-            f"{name} is native and does not tell how many values it has: give it as "
+            f"{name} is native, so the number of its values is unknown: give it as "
             "Invariants(function, value=0, names=[...]), with one name for each"
         )
     else:

@@ -1,4 +1,4 @@
-"""Ctrl-C as a request: the run ends after its present step, and returns what there is."""
+"""Ctrl-C as a request: the run ends after the current step, and returns the results so far."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class _Storage:
         row = self.upper + entries.row - entries.col
         if ((row < 0) | (row > self.lower + self.upper)).any():
             raise ValueError(
-                f"mass has entries outside of the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
+                f"mass has entries outside the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
                 "give a band that holds both"
             )
         packed = np.zeros(self.given_shape, dtype=entries.dtype)
@@ -120,8 +120,8 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: A
     bytes_needed = 8 * (n * (2 if is_complex else 1)) ** 2
     if held.kind == "dense" and bytes_needed > _DENSE_LIMIT:
         warn(
-            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: say what is zero in it by "
-            "jac_sparsity, or by lband and uband"
+            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: give jac_sparsity, "
+            "or lband and uband, to say which entries are zero"
         )
     return held, "differences", None
 
@@ -195,7 +195,7 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
             return units
     if n > _NULL_SPACE_LIMIT:
         raise ValueError(
-            f"mass is singular beyond its rows of zeros, and its {n} rows are too many to find its null space: "
+            f"mass is singular beyond its rows of zeros, and with {n} rows too large to find its null space: "
             "transform the system so that each algebraic equation has a row of zeros in mass"
         )
     safe = np.where(scale == 0, 1, scale)
@@ -243,7 +243,7 @@ def _matrix(name: str, given: Any, is_complex: bool) -> Any:
 def _sound(name: str, given: Any) -> Any:
     """A sparse matrix, once its indices are seen to fit its shape.
 
-    SciPy's constructors do not look at them all, and nothing stops who changes them later; its conversions, and the
+    SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
     core, would write where they point.
     """
     matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()

@@ -34,7 +34,7 @@ def _attributes_from(old: str, new: str) -> Callable[[str], Any]:
     def moved_attribute(name: str) -> Any:
         if name.startswith("__") or not hasattr(module := importlib.import_module(new), name):
             raise AttributeError(f"module {old!r} has no attribute {name!r}")
-        message = f"{old}.{name} has moved, and will be gone in invariode 0.3: use {new}.{name}"
+        message = f"{old}.{name} has moved, and will be removed in invariode 0.3: use {new}.{name}"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return getattr(module, name)
 

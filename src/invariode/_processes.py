@@ -41,12 +41,12 @@ MOST_WORKERS = 61 if sys.platform == "win32" else sys.maxsize
 INTERVAL = 0.5
 #: Seconds that the parent waits for outcomes until it listens for Ctrl-C.
 LISTENING = 0.05
-#: So many times in a row a process may die before it comes to a row: a few may be killed by accident.
+#: How often in succession a process may die before it comes to a row: a few may be killed by accident.
 PATIENCE = 5
 
 NOTHING_SOLVED = (
-    "the worker processes end before they solve anything: where processes are started afresh, define the functions in "
-    'a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
+    "the worker processes end before they solve anything: if processes are spawned, not forked, define the functions "
+    'in a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
 )
 
 

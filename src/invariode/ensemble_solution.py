@@ -152,6 +152,8 @@ class EnsembleSolution:
         The same at the outputs and the end.
     correction : ndarray, (N,)
         Largest correction by projection of a step, in units of rtol.
+    attempt : ndarray of int, (N,)
+        Whose result each trajectory is: 0 of the method and options given, k of the k-th of `retry`.
     """
 
     t: Array
@@ -167,6 +169,7 @@ class EnsembleSolution:
     residual_before: Array
     residual_after: Array
     correction: Array
+    attempt: Array
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
 
     def _repr_html_(self) -> str:
@@ -183,6 +186,11 @@ class EnsembleSolution:
             first = min(self.messages)
             text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
         return text
+
+    @property
+    def failed(self) -> Array:
+        """The numbers of the trajectories that failed; `messages` say why."""
+        return np.flatnonzero(~self.success)
 
     def keys(self) -> list[str]:
         """The names of the fields."""
@@ -355,6 +363,7 @@ class EnsembleSolution:
                 for name in [name for name in arrays if "." in name]:
                     room, _, field = name.rpartition(".")
                     parts.setdefault(room, {})[field] = arrays.pop(name)
+                arrays.setdefault("attempt", np.zeros(len(arrays["status"]), dtype=np.int8))  # 0.1 had no `retry`
                 return cls(
                     **arrays,
                     stats=EnsembleStats(**parts["stats"]),

@@ -54,7 +54,7 @@ class Exports(Result):
             `y` (component, t), with the problem's labels and the times as coordinates, complex where the problem is.
             With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
             `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
-            a name are numbered. Of the accepted steps, if kept, `h, order, error, correction` (t_step). The attributes
+            a name are numbered. If the steps were kept, `h, order, error, correction` (t_step). The attributes
             are the problem's name, the outcome, the tolerances, and all counts of `stats`.
 
         Raises
@@ -89,8 +89,8 @@ class Exports(Result):
         Parameters
         ----------
         path : str or path-like
-            The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced, all at
-            once when the new one is complete, which keeps its mode. A pipe or a device is written to.
+            The file, under exactly this name; conventionally it ends in ``.npz``. An existing file is replaced, all at
+            once when the new one is complete, and keeps its mode. A pipe or a device is written to.
 
         Raises
         ------
@@ -160,7 +160,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
     variables: dict[str, Any] = {
         "y": (whole, ensemble.y),
         "y_end": (whole[:2], ensemble.y_end),
-        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "correction")},
+        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "attempt", "correction")},
         **{name: ("trajectory", counts) for name, counts in ensemble.stats.items()},
     }
     if ensemble.value.shape[1]:

@@ -1,4 +1,4 @@
-"""Files that `Solution.save` wrote, read again."""
+"""Reading the files that `Solution.save` writes."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def load(
 ) -> Solution:
     """The Solution that ``Solution.save`` wrote to a file.
 
-    All its values, those of ``sol(t)`` included, are those of the original to the last bit. Functions are not in the
-    file: `residual` and ``drift()`` are what they were when it was saved, and ``impose()`` needs `invariants`. So does
+    All its values, including those of ``sol(t)``, equal the original's to the last bit. The file holds no functions:
+    `residual` and ``drift()`` are as they were when it was saved. ``impose()`` needs `invariants`, and so does
     ``sol(t)`` between the steps of a run that projects there (``interpolation="projected"``, the default): without
     them it warns once and returns the values of ``interpolation="corrected"``, continuous and of the same order but off
     the manifold.
@@ -43,7 +43,7 @@ def load(
     path : str or path-like
         The file.
     invariants : callable, Invariants, or list of these, optional
-        The invariants that the run had, in their order. They are held at the values in the file.
+        The run's invariants, in their order. They are held at the values in the file.
     args : tuple, optional
         Their extra arguments.
 
@@ -54,8 +54,8 @@ def load(
     Raises
     ------
     ValueError
-        The file was not written by `Solution.save`, is damaged, or is of a newer version of invariode; or the
-        invariants are not those of the run, by their names or by their values.
+        The file was not written by `Solution.save`, is damaged, or comes from a newer version of invariode; or the
+        invariants differ from the run's in their names or values.
     OSError
         It cannot be read.
 
@@ -90,7 +90,7 @@ def load(
 
 @dataclasses.dataclass
 class _StoredInvariants(BoundInvariants):
-    """Those of a file, without functions: at its outputs what was computed when it was saved."""
+    """The invariants of a file, without functions: at its outputs, what was computed when it was saved."""
 
     at_outputs: tuple[Array, Array] = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t)
 
@@ -108,7 +108,7 @@ class _StoredInvariants(BoundInvariants):
 
 
 class _Unprojected(DenseSolution):
-    """That of a file which needs functions to project, and has none."""
+    """The continuous solution of a file, which needs functions to project and has none."""
 
     _told = False
 
@@ -123,7 +123,7 @@ class _Unprojected(DenseSolution):
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """All arrays of the file, every byte of it checked, and what it says of itself."""
+    """All arrays of the file, with every byte checked, and its description of itself."""
     import zipfile
 
     with open(path, "rb") as file:
@@ -148,7 +148,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]
 
 
 def _array(archive: ZipFile, member: ZipInfo) -> Array:
-    """An array, once its header is seen to agree with its size; the archive checks its bytes as they are read."""
+    """An array whose header agrees with its size; the archive checks its bytes as they are read."""
     header = np.lib.format
     with archive.open(member) as stream:
         try:
@@ -247,7 +247,7 @@ def _bind_again(
     """The invariants of the file with their functions, once these are seen to be the same."""
     stored, t, y = solution._invariants, solution.t, solution.y
     if not len(stored):
-        raise ValueError(f"invariants are given, and the run in {os.fspath(path)} had none")
+        raise ValueError(f"invariants are given, but the run in {os.fspath(path)} had none")
     if len(t):
         t0, y0 = float(t[0]), y[:, 0].copy()
     elif dense is not None:

@@ -1,4 +1,4 @@
-"""The plan of a run: a problem with a method and its options, checked, in the form that the core takes.
+"""The plan of a run: a problem with a method and its options, checked, in the form the core takes.
 
 It is made in four stages: options, functions, linear algebra, invariants.
 """
@@ -70,7 +70,7 @@ class Settings(NamedTuple):
         return 1.0 if self.tf >= self.t0 else -1.0
 
     def limit(self, kind: str) -> float:
-        """The limit that the core calls so."""
+        """The limit that has this name in the core."""
         limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
         return limits[kind]
 
@@ -93,7 +93,7 @@ class Functions(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does, and what its messages call things."""
+    """What a run does, and the names in its messages."""
 
     method: Method
     tolerances: Tolerances
@@ -137,7 +137,7 @@ class Plan(NamedTuple):
         return status_and_message(run, self.laws, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
-        """The exception with which a single solve ends where the run did."""
+        """The exception that a single solve raises if the run ended like this."""
         state = run.state
         if state in MESSAGES:
             return None
@@ -241,7 +241,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     times = None if t_eval is None else output_times(t_eval, t0, tf)
     keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
     if keep == "end" and (times is not None or options["dense_output"]):
-        raise ValueError('keep="end" keeps the final state only: t_eval and dense_output need keep="outputs" or "all"')
+        raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
@@ -278,7 +278,7 @@ def _calibrated(weights: Tolerances, order: int) -> Tolerances:
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
 
-#: What is kept without `max_points`. Of a few components so many points are less than a gigabyte.
+#: What is kept without `max_points`. With a few components this many points are less than a gigabyte.
 _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
 
 
@@ -388,7 +388,7 @@ def _require_free_directions(bound: BoundInvariants, problem: Description) -> No
         return
     what = "bounds" if problem.limits is not None else "a mass matrix"
     raise ValueError(
-        f'invariants with direction="stages" cannot be imposed together with {what}, which ask for other corrections: '
+        f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
         'use direction="gradient"'
     )
 

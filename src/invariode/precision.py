@@ -1,4 +1,4 @@
-"""Work and precision: what runs of all methods cost, plain and projected, and what projection costs at equal error."""
+"""Work and precision: the cost of runs with all methods, plain and projected, and of projection at equal error."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", 
 _IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
 _TIGHT = (1e-12, 1e-11, 1e-10)
 
-#: A run of the reference may take so many times the limit of the others.
+#: A run of the reference may take this many times the limit of the others.
 _PATIENCE = 6
 
-#: Stiff is what takes ode45 so many times the steps of ode15s, and so many more, at rtol 1e-3.
+#: A problem is stiff if ode45 takes this many times the steps of ode15s, and this many more, at rtol 1e-3.
 _STIFF, _FEW = 20, 1000
 
-#: Runs are repeated for their times up to so often, or until so many seconds are spent; the smallest time counts.
+#: To be timed, runs are repeated up to this often, or until this many seconds are spent; the smallest time counts.
 _REPEATS, _BUDGET = 10, 0.2
 
-#: Errors below so many times the disagreement of the references tell nothing.
+#: Errors below this many times the disagreement of the references say nothing.
 _FLOOR = 3
 
 #: Ratios of costs closer to 1 than this are no reason for either.
@@ -215,9 +215,9 @@ def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
 def compare_runs(
     problem: Problem, methods: Sequence[Method], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
 ) -> Iterator[Row]:
-    """All runs, method after method from the crudest tolerance on. A method that takes too long is given up.
+    """All runs, method by method from the crudest tolerance on. A method that takes too long is given up.
 
-    Raises InvariantError where a run finds that f does not conserve an invariant.
+    Raises InvariantError if a run finds that f does not conserve an invariant.
     """
     plain = unprojected(problem)
     for method in methods:
@@ -234,7 +234,7 @@ def compare_runs(
 def _measured(
     problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
 ) -> tuple[Run, Run | None]:
-    """Plain and projected in turn, so that what disturbs the machine disturbs both."""
+    """Plain and projected in turn, so that disturbances of the machine affect both."""
     ways = [plain, problem] if problem.invariants else [plain]
     runs: list[tuple[Problem, Solution, float]] = []
     below: list[BelowZero | None] = []

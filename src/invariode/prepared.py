@@ -1,4 +1,4 @@
-"""A solver that is made once and called often: what does not change from solve to solve is checked once."""
+"""A solver that is made once and called often: whatever does not change between solves is checked once."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ _OF_SPAN: tuple[Literal["t_eval", "breakpoints", "first_step"], ...] = ("t_eval"
 class PreparedSolver:
     """A problem with a method and options, checked once: what `Problem.prepare` returns.
 
-    ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=...)`` one that differs in these. Several threads
-    may call it at once.
+    ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=...)`` the same problem with these changed.
+    Several threads may call it at once.
 
     Attributes
     ----------
     problem : Problem
         The problem.
     method : str
-        The method, as given.
+        The method as given.
     """
 
     def __init__(self, problem: Description, method: MethodName, options: Options) -> None:
@@ -80,17 +80,17 @@ class PreparedSolver:
         args : tuple, optional
             Other extra arguments.
         t_span : (float, float), optional
-            Another interval. `t_eval`, if it was given, must lie in it.
+            Another interval. It must contain `t_eval`, if that was given.
 
         Returns
         -------
         Solution
-            The same, bit for bit, as that of ``problem.replace(...).solve(method, **options)``.
+            Bit for bit the same as that of ``problem.replace(...).solve(method, **options)``.
 
         Raises
         ------
         TypeError, ValueError, InvariantError
-            As `Problem.solve`.
+            As for `Problem.solve`.
         """
         if args is not None and type(args) is not tuple:
             args = extra_arguments(args)
@@ -139,7 +139,7 @@ class PreparedSolver:
 
 def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
-    mechanical system counts its work, and algebraic equations and events at the start ask for steps before the run."""
+    mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
     if plan.progress or plan.on_interrupt != "raise" or isinstance(problem.fun, CoreFunction):
         return False
     if any(event.at_start for event in problem.events):
@@ -174,7 +174,7 @@ def _changed(
 
 
 class _Changed:
-    """What a solution of a prepared solver was made from. Few ask for it, so its problem is made when asked for."""
+    """What a solution of a prepared solver was made from. It is rarely needed, so its problem is made on demand."""
 
     __slots__ = ("_args", "_made", "_prepared", "_run", "_t_span")
 

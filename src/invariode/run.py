@@ -30,14 +30,14 @@ __all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
 
 
 class Resumed(NamedTuple):
-    """Of each event of a run that goes on from another: its occurrences so far, and whether it is at one now."""
+    """For each event of a run that continues another: its occurrences so far, and whether one is at the start."""
 
     seen: list[int]
     asleep: list[bool]
 
 
 class Source(Protocol):
-    """What a run is made from."""
+    """The problem, method and options of a run."""
 
     @property
     def problem(self) -> Description:
@@ -62,7 +62,7 @@ class Solved(NamedTuple):
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
-    """What a solution was made from, and where it ended: what it takes to go on."""
+    """What a solution was made from, and where it ended: what is needed to continue it."""
 
     source: Source
     t: float
@@ -184,7 +184,7 @@ def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
 
 
 def _integrated(core: _core.Solver, plan: Plan, name: str) -> _core.Run:
-    """The run, with its bar, and with Ctrl-C as a request, where they are asked for."""
+    """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
     y0 = plan.y0.view(float)
     if not plan.progress and plan.on_interrupt != "return":
         return core.integrate(y0, None, None)
@@ -264,12 +264,10 @@ def _warn_dropped(
     several = len(dropped) > 1
     off = max(drift.distance[i] for i in dropped)
     if off <= 1:
-        then = (
-            f"That does no harm: {'they' if several else 'it'} never left the tolerance (by {off:.2g} of it at most)."
-        )
+        then = f"That does no harm: {'they were' if several else 'it was'} off by at most {off:.2g} of the tolerance."
     else:
         then = (
-            f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
+            f"{'They were' if several else 'It was'} off by up to {off:.2g} tolerances before a projection: impose "
             "fewer invariants, or try a smaller rtol."
         )
     if along_steps:
@@ -327,9 +325,9 @@ def _resumed(old: Solution, origin: RunOrigin, rest: Description) -> Resumed:
 
 
 def _times(origin: RunOrigin, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
-    """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
+    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension."""
     if origin.source.options.get("t_eval") is None:
-        raise ValueError("the run has output at its steps, and so will its extension: leave out t_eval")
+        raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
     beyond = times[forward * (times - tf) > 0]
     if t_eval is not None:
@@ -337,12 +335,14 @@ def _times(origin: RunOrigin, t_eval: Any, forward: float, tf: float) -> tuple[A
     else:
         now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
         if now.size == 0:
-            raise ValueError(f"the run has output at t_eval, which has no times left up to t_end = {tf}: give t_eval")
+            raise ValueError(
+                f"the run has output at t_eval, which has no times left up to t_end = {tf}: give new ones as t_eval"
+            )
     return now, np.concatenate([now, beyond])
 
 
 def _uncounted(seen: int, terminal: int) -> int:
-    """Occurrences that count towards the one that ends the run; one that did ends a count."""
+    """Occurrences since the last one that ended the run."""
     return seen % terminal if terminal else 0
 
 

@@ -1,4 +1,4 @@
-"""`invariode check`: are these invariants invariants? At the start, and along a solution."""
+"""`invariode check`: are these functions invariants? At the start, and along a solution."""
 
 from __future__ import annotations
 
@@ -29,23 +29,26 @@ def check(
     along: Annotated[
         int,
         typer.Option(
-            "--along", metavar="N", min=0, help="Check at N points along a solution, too.", show_default=False
+            "--along", metavar="N", min=0, help="Also check at N points along a solution.", show_default=False
         ),
     ] = 0,
     method: Annotated[
         str,
-        typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="For that solution."),
+        typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="Its method."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Unit of distances.")] = RTOL,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Where components count as small.")] = ATOL,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="The unit of distances.")] = RTOL,
+    atol: Annotated[
+        float, typer.Option("--atol", metavar="NUMBER", help="Size below which a component counts as small.")
+    ] = ATOL,
 ) -> None:
-    """Report whether the invariants of a problem are invariants of its equations.
+    """Report whether a problem's equations conserve its invariants.
 
-    At the initial point: the value held, how far the point is off, the rate d/dt of the invariant along the equations,
-    absolute and in units of its terms (roundoff for invariants). What is dissipated must have a rate of the right sign,
-    and stands there as "falls", or "rises". What is conserved there is tested at points near it
-    too, and along a short run. With [bold]--along[/], at points along a solution that is computed without projection,
-    with tolerances a thousand times smaller; and what falls below 0 by more than 100 atol there without them.
+    At the initial point: the value held, how far the point is off, and the rate d/dt of the invariant along the
+    equations, absolute and in units of its terms (roundoff for invariants). A dissipated function must have a rate of
+    the right sign; the table then says "falls" or "rises". What is conserved there is also tested at
+    points nearby and along a short run. [bold]--along[/] adds points along a solution computed without projection, with
+    tolerances a thousand times smaller, and names a component that falls below 0 by more than 100 atol at the given
+    tolerances only.
 
     Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -141,7 +144,7 @@ def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]
     for finding in findings:
         console.print(Text(finding, style="red"))
     if not findings:
-        console.print(Text("All is well there, too.", style="green"))
+        console.print(Text("All is well there too.", style="green"))
     return findings
 
 

@@ -45,7 +45,7 @@ EXAMPLES = examples(
     "compare kinetics.py --limit 20 --atol-ratio 1e-6",
 )
 
-#: Columns of the table of ratios: as many as fit beside the rest in 80 characters.
+#: Columns of the table of ratios: the number that fits beside the rest in 80 characters.
 _RATIOS = 4
 
 
@@ -67,7 +67,7 @@ def compare(
     ] = "3-9",
     atol_ratio: Annotated[float, typer.Option("--atol-ratio", metavar="NUMBER", help="atol / rtol.")] = 1e-3,
     limit: Annotated[
-        float, typer.Option("--limit", metavar="SECONDS", help="A method with a run that takes longer is given up.")
+        float, typer.Option("--limit", metavar="SECONDS", help="Give up a method if a run takes longer.")
     ] = 5.0,
     plot: Annotated[
         Path | None,
@@ -77,16 +77,16 @@ def compare(
     progress: Annotated[
         bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the answer and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the answer.")] = False,
 ) -> None:
     """Is projection worth it here, or is tightening the tolerance cheaper?
 
-    Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one
-    that two methods agree on. An error is the largest of a component, relative to the largest size of the component
-    along the solution. What falls below 0 by more than 100 atol in a run, and not in the reference, is told.
+    Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one on
+    which two methods agree. The error is the largest over the components, each relative to its largest size along the
+    solution. A component that falls below 0 by more than 100 atol in a run, but not in the reference, is named.
     Evaluations of f include those that test the invariants; times are the smallest of several.
 
-    Exit codes: 0 compared, 1 a solve failed on which all depends, 2 the arguments or the file are wrong, 130 Ctrl-C.
+    Exit codes: 0 compared, 1 an essential solve failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
     rtols = _rtols(decades)
     if not (math.isfinite(atol_ratio) and atol_ratio >= 0):
@@ -158,7 +158,7 @@ def _own_name(name: str) -> Method:
     """The method; SciPy's BDF means options too, which are not compared."""
     found = method_of(name)
     if name == found.scipy_name and found.scipy_options:
-        raise typer.BadParameter(f"{name} is {found.name} with options; say {found.name}", param_hint="--method")
+        raise typer.BadParameter(f"{name} is {found.name} with options; give {found.name}", param_hint="--method")
     return found
 
 

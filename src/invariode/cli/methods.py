@@ -25,7 +25,7 @@ def methods() -> None:
 
     Columns: SciPy's name of the method; the order of its formulas and of its continuous extension; evaluations of f
     per step, where they are a fixed number; projection iterations per step with invariants; points per step by default.
-    Options: those that not every method can use, and what SciPy's name implies.
+    Options: those that only some methods can use, and what SciPy's name implies.
     """
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method", style="bold", no_wrap=True)

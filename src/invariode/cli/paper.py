@@ -26,7 +26,7 @@ ROOM_FOR_COUNTS = 112
 def paper(
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="Where the report goes."),
+        typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="The file for the report."),
     ] = Path("paper-report.html"),
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Only print the table; the extra plot is not needed.")
@@ -34,7 +34,7 @@ def paper(
 ) -> None:
     """Run the experiments of Shampine's paper and compare each published number.
 
-    Prints the table 'paper | here' and writes a report with the figures, one HTML file.
+    Prints the table 'paper | here' and writes a report with the figures as one HTML file.
     The exit code is 1 if any number differs.
 
     Example: [bold]invariode paper --output paper-report.html[/bold]

@@ -58,10 +58,10 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 DENSE = 10
 
 MaxSteps = Annotated[
-    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after so many steps, exit code 1.")
+    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after this many steps, exit code 1.")
 ]
 TimeLimit = Annotated[
-    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long, exit code 1.")
+    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after this time, exit code 1.")
 ]
 Progress = Annotated[
     bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
@@ -74,7 +74,7 @@ MethodOption = Annotated[
     typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
 ]
 ProjectOption = Annotated[
-    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
+    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only report their drift.")
 ]
 TimesOption = Annotated[
     int | None,
@@ -83,7 +83,7 @@ TimesOption = Annotated[
 DenseOption = Annotated[bool, typer.Option("--dense", help=f"Output between the steps too, {DENSE} points per step.")]
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="Where the solution goes: .csv, .parquet, .nc or .npz."),
+    typer.Option("--output", "-o", metavar="FILE", help="The file for the solution: .csv, .parquet, .nc or .npz."),
 ]
 PlotOption = Annotated[
     Path | None,
@@ -103,7 +103,7 @@ NonnegativeOption = Annotated[
 ]
 ComponentsOption = Annotated[
     str | None,
-    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, as in x,y,3."),
+    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, such as x,y,3."),
 ]
 
 
@@ -119,17 +119,17 @@ def solve(
     output: OutputOption = None,
     plot: PlotOption = None,
     components: ComponentsOption = None,
-    log: Annotated[bool, typer.Option("--log", help="Draw over a logarithmic axis of time.")] = False,
+    log: Annotated[bool, typer.Option("--log", help="Draw with a logarithmic time axis.")] = False,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
     progress: Progress = None,
     max_steps: MaxSteps = None,
     time_limit: TimeLimit = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors and warnings.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and warnings.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
 
     The file is Python and says [bold]problem = invariode.Problem(fun, t_span, y0, invariants=...)[/].
-    Prints how the run went and what became of the invariants.
+    Reports on the run and on the drift of its invariants.
 
     Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -212,7 +212,7 @@ def _components(problem: Problem, given: str | None, option: str) -> list[int] |
 
 
 def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
-    """Those of the solve: output at so many points, or between the steps."""
+    """The options of the solve: output at this many points, or between the steps."""
     return {
         "rtol": rtol,
         "atol": atol,
@@ -225,7 +225,7 @@ def _options(problem: Problem, rtol: float, atol: float, points: int | None, den
 def _times(problem: Problem, size: int) -> Array:
     if not np.isfinite(problem.t_span).all():
         raise typer.BadParameter(
-            f"equally spaced times need a finite interval, and that of {problem.name} is {problem.t_span}",
+            f"equally spaced times need a finite interval, but that of {problem.name} is {problem.t_span}",
             param_hint="--t-eval",
         )
     return np.linspace(*problem.t_span, size)
@@ -276,7 +276,7 @@ def _print_drift(console: Console, problem: Problem, sol: Solution, projected: b
         )
         console.print(table)
     elif any(event.action for event in problem.events):
-        note = "Nothing is imposed. Which values the invariants should have after the actions of events is not known."
+        note = "Nothing is imposed. The values that the invariants should have after event actions are not known."
     else:
         threshold = tolerances(rtol, atol, problem.y0)[1]
         g = bind(problem.invariants, problem.t_span[0], problem.y0, problem.args, threshold)

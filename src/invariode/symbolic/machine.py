@@ -41,8 +41,8 @@ _SIGNS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", 
 def translated(name: str, lines: Callable[[], list[str]]) -> Callable[..., Any]:
     """A function ``name(t, y, a, out, p)`` for numba's compiled functions to call, of `lines`, which assign numbers.
 
-    The lines are asked for when the function is compiled or called first. Where they have what is not translated, numba
-    compiles them in its own way.
+    The lines are requested when the function is first compiled or called. If they contain anything that is not
+    translated, numba compiles them in its own way.
     """
     executed: list[Callable[..., Any]] = []
 
