@@ -651,7 +651,7 @@ def test_verdict_on_ratios(ratios, kind):
     [
         ([0.5, 0.6], [0.5, 0.6], "is worth it here: at equal error it takes 0.5 to 0.6 × the time of a tighter"),
         ([2.0, 2.0], [2.0, 2.0], "is not worth it here: at equal error it takes 2 × the time of a tighter"),
-        ([2.0, 2.0], [0.5, 0.5], "it takes 0.5 × the evaluations of f, so it is worth it where f is costly."),
+        ([2.0, 2.0], [0.5, 0.5], "it takes 0.5 × the evaluations of f, so it is worth it if f is costly."),
         ([0.5, 2.0], [0.5, 2.0], "at errors from 1e-2 up, where it takes 0.5 × the time"),
         ([2.0, 0.5], [2.0, 0.5], "at errors from 1e-3 down, where it takes 0.5 × the time"),
         ([1.0, 1.0], [1.0, 1.0], "costs as much here as a tighter tolerance"),

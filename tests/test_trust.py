@@ -318,7 +318,7 @@ def test_a_projection_that_harms_a_component_says_so_once(tolerance):
     held = iv.Invariants(car_constraints, value=0)
     options = {"rtol": tolerance, "atol": tolerance}
     exact = iv.solve_ivp(car_axis, (0, 3), CAR, "dop853", rtol=1e-12, atol=1e-13).y[:, -1]
-    with pytest.warns(iv.AccuracyWarning, match="atol per component") as said:
+    with pytest.warns(iv.AccuracyWarning, match="atol for each component") as said:
         projected = iv.solve_ivp(car_axis, (0, 3), CAR, "ode45", invariants=held, **options).y[:, -1]
     assert len(said) == 1
     plain = iv.solve_ivp(car_axis, (0, 3), CAR, "ode45", **options).y[:, -1]

@@ -53,6 +53,20 @@ void Invariants::note_kinds() {
   }
 }
 
+void Invariants::state(Archive& archive) {
+  archive(value_, derivative_calls_);
+  for (InvariantBlock& block : blocks_) {
+    const Derivative before = block.derivative;
+    archive(block.derivative);
+    archive.require(block.derivative == before ||
+                    (before == Derivative::complex_step && block.derivative == Derivative::central));
+    block.g.state(archive);
+    block.jacobian.state(archive);
+    block.complex_g.state(archive);
+  }
+  if (archive.reading()) note_kinds();
+}
+
 Status Invariants::hold(double t, const double* y) {
   double* value = value_.data();
   for (InvariantBlock& block : blocks_) {

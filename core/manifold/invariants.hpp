@@ -63,6 +63,8 @@ class Invariants {
   [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
   bool leave_complex_steps(std::size_t i);
+  /// Values, kinds of derivatives, counts.
+  void state(Archive& archive);
   [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
   /// Of invariant i: 0, −1 or 1, as of its block.
   [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }

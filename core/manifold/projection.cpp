@@ -496,6 +496,14 @@ void Projector::leave_out(std::size_t i, double t) {
   ++dropped_[i];
 }
 
+/// The latest linearization, and the counts.
+void Projector::state(Archive& archive) {
+  archive(linearized_, bent_, r_, J_, norm_, w_, point_, left_out_, dropped_, corrections_, deficient_, corrected_at_);
+  archive(covered_, covered_deficient_, dropped_at_);
+  archive(idle_, idle_count_);
+  archive.resizable(linearized_w_);
+}
+
 std::vector<char> Projector::dropped() const {
   std::vector<char> result(dropped_.size());
   const auto all = static_cast<double>(corrections_);

@@ -106,6 +106,7 @@ class Projector {
   [[nodiscard]] std::vector<char> dropped() const;
   /// The t at which some were first left out.
   [[nodiscard]] double dropped_at() const { return dropped_at_; }
+  void state(Archive& archive);
   /// Whether the latest correction left out invariant i.
   [[nodiscard]] bool left_out(std::size_t i) const { return left_out_[i] != 0; }
 

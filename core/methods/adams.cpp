@@ -294,6 +294,18 @@ void Adams::choose_order_and_step() {
     h_ *= std::max(0.5, std::min(0.9, std::pow(goal / error, 1.0 / (order_ + 1))));
 }
 
+void Adams::state(Archive& archive) {
+  Step::state(archive);
+  archive(order_, previous_order_, previous_h_, steps_at_h_, phase1_, lower_, erk_, erkm1_, failures_);
+  archive(phi_);
+  for (Coefficients* one : {&psi_, &alpha_, &beta_, &sigma_, &g_, &v_, &w_}) archive.values(one->data(), one->size());
+  archive.values(slope_, n());
+  if (!archive.reading()) return;
+  for (const int k : {order_, previous_order_, lower_}) archive.require(k >= 1 && k <= max_order_);
+  archive.require(steps_at_h_ >= 0 && steps_at_h_ <= highest_order + 1);
+  predicted_ = false;
+}
+
 Interpolate Adams::interpolate() const { return integrate_polynomial; }
 
 std::size_t Adams::extension_size() const { return n() + (static_cast<std::size_t>(previous_order_) + 1) * (n() + 1); }

@@ -32,6 +32,7 @@ class Adams final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(max_order_) + 1; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override;

@@ -278,6 +278,13 @@ void Ndf::choose_order_and_step() {
   }
 }
 
+void Ndf::state(Archive& archive) {
+  Step::state(archive);
+  newton_.state(archive);
+  archive(order_, memory_order_, memory_h_, steps_at_h_, failed_, differences_, weight_, slope_);
+  for (const int k : {order_, memory_order_}) archive.require(k >= 1 && k <= options_.max_order);
+}
+
 Interpolate Ndf::interpolate() const { return newton_backward; }
 std::size_t Ndf::extension_size() const { return static_cast<std::size_t>(memory_order_ + 1) * n(); }
 std::size_t Ndf::max_extension_size() const { return static_cast<std::size_t>(options_.max_order + 1) * n(); }

@@ -156,6 +156,12 @@ Outcome Rosenbrock::accept(const double* y1) {
   return Outcome::ok;
 }
 
+void Rosenbrock::state(Archive& archive) {
+  Step::state(archive);
+  jacobian_.state(archive, [this](double c) { return lu_->factor(jacobian_.mass_matrix(), c, jacobian_.jacobian()); });
+  archive(f0_, slope_, ft_, ft_known_, failed_);
+}
+
 Interpolate Rosenbrock::interpolate() const { return runge_kutta::nested_polynomial; }
 
 /// y + h (θ (1 − θ) k₁ + θ (θ − 2d) k₂) / (1 − 2d) = y + θ (h k₂ + (1 − θ) h (k₁ − k₂) / (1 − 2d))

@@ -118,6 +118,14 @@ class Pair final : public Step {
     return Outcome::ok;
   }
 
+  /// Of the stages only the first of the next step is read again.
+  void state(Archive& archive) override {
+    Step::state(archive);
+    if (archive.reading()) accepted_ = false;
+    archive.values(next_first_stage(), n());
+    archive(failed_);
+  }
+
   [[nodiscard]] Interpolate interpolate() const override { return nested_polynomial; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
@@ -179,6 +187,10 @@ class Pair final : public Step {
     else
       std::swap(k_[0], k_[last]);
     accepted_ = false;
+  }
+  double* next_first_stage() {
+    if (!accepted_) return k_[0];
+    return T.last_in_error() && evaluates_again() ? reevaluated_ : k_[last];
   }
 
   /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later

@@ -180,6 +180,12 @@ Outcome TrBdf2::accept(const double* y1) {
   return Outcome::ok;
 }
 
+void TrBdf2::state(Archive& archive) {
+  Step::state(archive);
+  newton_.state(archive);
+  archive(slope_, last_y_, last_slope_, last_h_, failed_);
+}
+
 Status TrBdf2::extension(double* data) {
   for (const std::vector<double>* row : {&last_y_, &z0_, &middle_, &z1_, &candidate_, &z2_})
     data = std::copy(row->begin(), row->end(), data);

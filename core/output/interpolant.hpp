@@ -88,6 +88,9 @@ class StepInterpolant {
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
 
+  /// What is known of the start of the next step.
+  void state(Archive& archive) { archive(g_known_, g_t_, g_end_); }
+
   Status value(double t, double* y);
   Status corrected(double t, double* y);
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }

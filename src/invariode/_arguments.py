@@ -24,10 +24,10 @@ EPS = float(np.finfo(float).eps)
 #: The largest number that the core's `int` holds.
 LARGEST_INT = 2**31 - 1
 
-#: The same of its counts.
+#: The same for its counts.
 LARGEST_COUNT = 2**63 - 1
 
-#: The kinds of NumPy's types that are numbers; objects may be, which is found out.
+#: The kinds of NumPy's types that are numbers; objects may be, which is tested.
 _NUMERIC = "biufcO"
 
 _Value = TypeVar("_Value")
@@ -130,6 +130,12 @@ def positive(name: str, value: object) -> float:
     return result
 
 
+def path(name: str, value: object) -> str:
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a str or path-like, got {shown(value)}")
+    return os.fspath(value)
+
+
 def positive_integer(name: str, value: object) -> int:
     try:
         result = operator.index(value)  # type: ignore[arg-type]  # the same
@@ -170,7 +176,9 @@ def flag(name: str, value: object) -> bool:
 
 def items(value: object) -> list[Any] | None:
     """The items of a list, a tuple, an array and the like; None for what has no items."""
-    if not isinstance(value, Iterable) or hasattr(value, "tocsr"):  # a sparse matrix, whose items are such again
+    if not isinstance(value, Iterable) or hasattr(
+        value, "tocsr"
+    ):  # a sparse matrix, whose items are sparse matrices again
         return None
     try:
         return list(value)
@@ -203,7 +211,7 @@ def as_array(name: str, value: object) -> Array:
     try:
         return np.asarray(value)
     except ValueError:
-        if hasattr(value, "__array__"):  # an error of its own
+        if hasattr(value, "__array__"):  # has its own error
             raise
         raise ValueError(
             f"{name} must be a number or an array of numbers, with rows of equal length, got {shown(value)}"

@@ -44,6 +44,6 @@ def _takes(fun: Any, args: Iterable[Any]) -> bool:
         inspect.signature(fun).bind(None, None, *args)
     except TypeError:
         return False
-    except ValueError:  # of a builtin, which tells no signature
+    except ValueError:  # a builtin, which has no signature
         return True
     return True

@@ -15,8 +15,8 @@ __all__ = ["stopped_by_interrupt"]
 
 @contextmanager
 def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
-    """Within the block the first Ctrl-C makes the request; the second is as before. None where no Ctrl-C arrives: in
-    another than the main thread, or where the process ignores it."""
+    """Within the block the first Ctrl-C makes the request; the second is as before. None if no Ctrl-C arrives: outside
+    the main thread, or if the process ignores it."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
         yield None

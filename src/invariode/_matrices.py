@@ -20,7 +20,7 @@ from .description import Matrices
 
 __all__ = ["prepare"]
 
-_DENSE_LIMIT = 2**30  # bytes: above, a dense Jacobian is worth a word
+_DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
 
@@ -53,7 +53,7 @@ class _Storage:
         return np.ascontiguousarray(dense, dtype=float)
 
     def mass_values(self, given: Any) -> Any:
-        """The same of a mass matrix, which is given whole also where the Jacobian is banded."""
+        """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
         matrix = _matrix("mass", given, self.complex)
         if matrix.shape != (self.n, self.n):
             raise ValueError(f"mass has shape {matrix.shape}, expected shape {(self.n, self.n)}")
@@ -304,7 +304,7 @@ def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
 
 def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
     """(starts, rows, values) of compressed columns with ascending rows."""
-    # A new object: one that was changed may still say of itself that its rows ascend.
+    # A new object: one that was changed may still claim that its rows ascend.
     A = sp.csc_array((A.data, A.indices, A.indptr), A.shape)
     if not A.has_canonical_format:
         A = A.copy()  # the user's arrays stay as they are

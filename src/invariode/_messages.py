@@ -9,10 +9,11 @@ from ._arguments import EPS
 from ._bounds import Limits
 from ._core import Run
 
-#: How runs end that do not fail: status and message, those of SciPy where it has them.
+#: Runs that do not fail: status and message, SciPy's if it has them.
 MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
+    "running": (-3, "The run had not ended when this was written: Solution.extend goes on."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
 }
 

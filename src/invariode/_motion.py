@@ -20,7 +20,7 @@ __all__ = ["Accelerations", "FunctionOfState", "Functions", "Motion", "MotionFun
 DEPENDENT = 1e-10
 #: From this many entries on it is worth knowing which entries of M are always zero.
 _LARGE = 500
-#: Where the patterns of M and Φ are looked for: at q, and beside it by so much of the sizes of its components.
+#: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
 _BESIDE = (0.1, -0.07)
 
 Columns = tuple[Array, Array, Array]  # a sparse matrix: starts of its columns, rows, values
@@ -57,7 +57,7 @@ class Functions(NamedTuple):
     velocity_constraints: Any
     kinematics: Any
     jacobian: Any
-    counts: dict[str, int]  # of values, where a native function does not tell it
+    counts: dict[str, int]  # number of values, which a native function does not say
 
 
 class Motion:
@@ -356,7 +356,7 @@ class _Entries:
         self._function, self._pattern, self._shape, self._name = function, pattern, shape, name
 
     def __call__(self, t: float, q: Array, *args: Any) -> Array:
-        from scipy.sparse import csc_array  # takes longer to import than all the rest
+        from scipy.sparse import csc_array  # takes longer to import than everything else
 
         given = csc_array(self._function(t, q, *args), dtype=float)
         if given.shape != self._shape:

@@ -11,7 +11,7 @@ from typing import Any
 
 __all__ = ["MOVED", "announce_moves"]
 
-#: Since 0.2. What a module on the left had, and has no more, is in the one on the right.
+#: Since 0.2. Former contents of the module on the left are in the one on the right.
 MOVED = {
     "invariode.check": "invariode.invariant_check",
     "invariode.discovery": "invariode.invariant_search",

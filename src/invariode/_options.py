@@ -5,6 +5,7 @@ holds the rest. The classes say which function takes a row: an entry point takes
 Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,7 +13,7 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, choice, count, flag, function, positive, positive_integer, unknown_option, warn
+from ._arguments import Array, choice, count, flag, function, path, positive, positive_integer, unknown_option, warn
 from ._types import (
     BreakpointsLike,
     EventsLike,
@@ -237,6 +238,25 @@ class LimitOptions(TypedDict, total=False):
     ]
 
 
+class CheckpointOptions(TypedDict, total=False):
+    """What a run writes while it goes on."""
+
+    checkpoint: Annotated[
+        str | os.PathLike[str] | None,
+        Option(
+            None,
+            "str or path-like",
+            "A file from which ``load(path, problem).extend(tf)`` goes on, to the last bit, if the process dies: the "
+            "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to PATH.output "
+            "beside it. A run of another process that has not ended is not overwritten. An extension goes on writing.",
+            path,
+        ),
+    ]
+    checkpoint_every: Annotated[
+        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive)
+    ]
+
+
 class BreakingOptions(TypedDict, total=False):
     """Where a run starts anew."""
 
@@ -255,7 +275,7 @@ class BreakingOptions(TypedDict, total=False):
     ]
 
 
-class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, total=False):
+class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, CheckpointOptions, BreakingOptions, total=False):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[

@@ -18,7 +18,7 @@ from typing import Any
 
 __all__ = ["INTERVAL", "PATIENCE", "bar", "in_passing", "run_bar"]
 
-#: Seconds between two pictures, and before a bar that is shown in passing appears.
+#: Seconds between two updates, and before a transient bar appears.
 INTERVAL, PATIENCE = 0.1, 0.3
 
 _in_passing = ContextVar("_in_passing", default=False)
@@ -111,7 +111,7 @@ def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, floa
 
 def _notebook() -> ModuleType | None:
     """How this process shows HTML in a notebook's cell, or None outside a notebook."""
-    ipython = sys.modules.get("IPython")  # who runs in a notebook has imported it
+    ipython = sys.modules.get("IPython")  # code that runs in a notebook has imported it
     if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
         return None
     display: ModuleType = ipython.display

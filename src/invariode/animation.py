@@ -20,19 +20,19 @@ from .result import Result
 
 __all__ = ["Film", "Motion", "film_size", "motion", "polylines"]
 
-#: Seconds of a film whose length was not told: that of the motion, within these bounds.
+#: Seconds of a film without a given length: those of the motion, within these bounds.
 _SHORTEST, _LONGEST = 4.0, 8.0
 
-#: Points of a path that is drawn behind a point: the eye sees no corners.
+#: Points of the path drawn behind a point: enough that the eye sees no corners.
 _PATH = 2000
 
-#: Inches: the width of a new figure, its least and largest height, and what titles and labels take of that.
+#: Inches: the width of a new figure, its least and largest height, and the room for titles and labels.
 _WIDTH, _LOWEST, _HIGHEST, _WORDS = 5.6, 2.6, 6.2, 0.9
 
 #: Room around the motion, in units of its extent.
 _MARGIN = 0.06
 
-#: An extent is at least this part of the largest one: motion along a line has room to be seen in.
+#: An extent is at least this fraction of the largest one, so that motion along a line is visible.
 _THINNEST = 0.2
 
 #: matplotlib's page of controls takes its icons from the network; these signs are in every font.

@@ -35,14 +35,14 @@ __all__ = ["CompiledFunction", "compile", "event_value", "is_native", "to_native
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
 
-#: Tuples of more values, all of one type, are stored by a loop, which is compiled in less time.
+#: Longer tuples, with values of one type, are stored by a loop, which compiles faster.
 _UNROLLED = 32
 
 
 class CoreFunction:
     """A function of (t, y, *args) that the core itself evaluates: callable from Python; the core takes `for_core`."""
 
-    #: Whether it calls machine code of the user's, which takes the arguments as numbers.
+    #: Whether it calls the user's machine code, which takes the arguments as numbers.
     native = False
     #: How its derivatives are formed, by the name of the function.
     derivatives: Mapping[str, str] = MappingProxyType({})

@@ -80,7 +80,7 @@ class Event:
         self.at_start = flag("at_start", at_start)
         if self.at_start and self.action is not None:
             raise ValueError(
-                "at_start is not possible with an action: where the event is zero at t0, apply the action to y0 first"
+                "at_start is not possible with an action: if the event is zero at t0, apply the action to y0 first"
             )
         self.samples = _samples(samples)
         self.__name__ = call_name(fun, "event")

@@ -102,7 +102,7 @@ def _polynomial(times: Array, values: Array, kind: str) -> _core.PiecewisePolyno
     elif kind == "linear":
         powers = np.stack([np.diff(rows, axis=0) / np.diff(times)[:, None], rows[:-1]])
     else:
-        from scipy.interpolate import CubicSpline  # takes longer to import than all the rest
+        from scipy.interpolate import CubicSpline  # takes longer to import than everything else
 
         powers = CubicSpline(times, rows).c
     ordered = np.ascontiguousarray(np.moveaxis(powers, 0, -1), dtype=float)  # (pieces, size, powers)

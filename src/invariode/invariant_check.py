@@ -183,7 +183,7 @@ def check_invariants(
 #: Points near the one that is checked, and their distance in units of the sizes of the components.
 _NEARBY, _SPREAD = 4, 0.05
 
-#: The short run: so many steps of ode45, of which so many points are checked.
+#: The short run: the number of steps of ode45, and of points checked among them.
 _STEPS, _ALONG = 20, 4
 
 
@@ -196,7 +196,7 @@ def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
         run.append((at, state.copy()))
         return len(run) >= _STEPS
 
-    # outside of its domain f may raise anything: what the run has reached by then will do
+    # outside its domain f may raise anything: the part of the run so far is enough
     with quietly(), suppress(Exception):
         solve(problem, "ode45", {"callback": note, "keep": "end", "max_step": np.inf})
     sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
@@ -221,7 +221,7 @@ def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Toleran
     """The examination; None if something is not defined there."""
     try:
         found = _core.examine(t, y.view(float), problem, weights)
-    except Exception:  # of a function of the user, where the user did not send it
+    except Exception:  # from a user's function, at a point that the user did not choose
         return None
     return None if found is None else _Elsewhere(t, y, found)
 

@@ -216,7 +216,7 @@ class _Search:
                 sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
                 if not sol.success or sol.status == 2:
                     sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
-        except (ArithmeticError, ValueError):  # a perturbed start outside of the domain of f
+        except (ArithmeticError, ValueError):  # a perturbed start outside the domain of f
             return None
         return (sol.t, sol.y) if len(sol.t) > 1 else None
 

@@ -20,11 +20,11 @@ from .problem import Problem
 
 __all__ = ["MechanicalSystem"]
 
-#: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms are one.
+#: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms mean one.
 _INCONSISTENT = 1e-6
-#: ψ is linear in v where a combination of values is the value of the combination to this part of its terms.
+#: ψ is linear in v if a combination of values is the value of the combination to this fraction of its terms.
 _LINEAR = 1e-9
-#: The mass matrix is symmetric to this part of its largest entry.
+#: The mass matrix must be symmetric to this fraction of its largest entry.
 _SYMMETRIC = 1e-12
 
 
@@ -149,7 +149,7 @@ class MechanicalSystem(HasPoints):
         self.args = extra_arguments(args)
         self.labels = None if labels is None else list(labels)
         self.name = name
-        self._n_q: int | None = None  # what `problem` was told, where lengths of q and v differ
+        self._n_q: int | None = None  # known from `problem`, if lengths of q and v differ
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})" if self.name else f"{type(self).__name__}()"

@@ -16,7 +16,7 @@ from ._arguments import call_name
 
 __all__ = ["html_of_check", "html_of_ensemble", "html_of_problem", "html_of_solution", "latex_of_polynomial"]
 
-#: Of more components, failures and lines of source so many are shown.
+#: The most components, failures and lines of source that are shown.
 _MOST = 12
 
 #: A picture of a run with more outputs would take longer than the eye waits.

@@ -25,7 +25,7 @@ __all__ = ["odeint"]
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
 
-#: What `mused` says of a method: 1 for those without Jacobians, 2 for the others.
+#: The value of `mused` for a method: 1 for those without Jacobians, 2 for the others.
 _NONSTIFF, _STIFF = 1, 2
 
 
@@ -256,7 +256,7 @@ def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> A
 
 
 def _pieces(times: Array, tcrit: ArrayLike | None) -> list[Array]:
-    """The times of the output, cut where the method is to start again; each piece begins where the last ends."""
+    """The times of the output, cut where the method must start again; each piece begins where the last ends."""
     forward = 1.0 if times[-1] >= times[0] else -1.0
     low, high = sorted((times[0], times[-1]))
     points = np.zeros(0) if tcrit is None else np.atleast_1d(real_numbers("tcrit", tcrit))
@@ -285,7 +285,7 @@ def _run(
 
 
 def _message(last: Solution, counter: _Counter) -> str:
-    """How the run ended; a warning where it was not at the last time."""
+    """How the run ended; a warning if that was not at the last time."""
     from scipy.integrate import ODEintWarning
 
     if last.status == 0:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
 from ._bounds import Limits
+from ._files import PathLike
 from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
@@ -27,7 +28,7 @@ from .result import LIMIT_REACHED, Names
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
-#: Errors of ode15s at rtol 1e-4 are as large as those asked for if its steps are ten times as accurate (measured on the
+#: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
 CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
 
@@ -106,11 +107,13 @@ class Plan(NamedTuple):
     demanded: list[bool]  # of the invariants, whether their values were
     senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
-    called: Names  # what tables and pictures call things
+    called: Names  # the names in tables and pictures
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
+    checkpoint: PathLike | None
+    checkpoint_every: float  # seconds
 
     @property
     def laws(self) -> Laws:
@@ -121,11 +124,6 @@ class Plan(NamedTuple):
         """The same with the invariants held at these values."""
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
-
-    def beyond(self, t: float) -> Plan:
-        """The same without the actions of breakpoints at t, which have been taken."""
-        points = [point._replace(action=None) if point.t == t else point for point in self.functions.breakpoints]
-        return self._replace(functions=self.functions._replace(breakpoints=points))
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
@@ -227,6 +225,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         atol=kept(atol),
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
+        checkpoint=options["checkpoint"],
+        checkpoint_every=options["checkpoint_every"],
     )
 
 
@@ -239,7 +239,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     span = abs(tf - t0)
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
     if keep == "end" and (times is not None or options["dense_output"]):
         raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
@@ -352,11 +352,11 @@ def _functions(
 def _linear_algebra(
     problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
 ) -> tuple[_core.Linear | None, Array]:
-    """What an implicit method knows of its matrices; and y0, moved where the algebraic equations of a singular mass
+    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
     if "jac" not in method.options:
         return None, problem.y0
-    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
+    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than everything else
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))

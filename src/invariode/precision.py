@@ -29,7 +29,7 @@ __all__ += ["power", "reference", "unprojected"]
 #: With and without projection.
 WAYS = ("plain", "projected")
 
-#: Two solutions of different formulas make a reference and say how good it is, at the first of these rtol with which
+#: Two solutions by different formulas give a reference and its accuracy, at the first of these rtol with which
 #: both reach the end.
 _EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", {}))
 _IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
@@ -47,7 +47,7 @@ _REPEATS, _BUDGET = 10, 0.2
 #: Errors below this many times the disagreement of the references say nothing.
 _FLOOR = 3
 
-#: Ratios of costs closer to 1 than this are no reason for either.
+#: Ratios of costs closer to 1 than this favour neither.
 _MARGIN = 0.1
 
 
@@ -301,7 +301,7 @@ class _Curve:
         self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
 
     def __call__(self, error: float) -> float:
-        """The cost of at most this error; infinite where no run has it."""
+        """The cost of at most this error; infinite if no run has it."""
         if error < self.least * (1 - 1e-12):
             return math.inf
         return float(np.exp(np.interp(math.log(error), self._errors, self._costs)))
@@ -383,7 +383,7 @@ def best(rows: Sequence[Row], floor: float) -> Judgement:
 
 
 def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
-    """The least cost of the error and the method that has it; infinite where it may be another one's."""
+    """The least cost of the error and the method that has it; infinite if it may be another one's."""
     cost, method = min((c[way](error), method) for method, c in curves.items())
     open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
     return (math.inf if open_ended else cost), method

@@ -55,7 +55,7 @@ class PreparedSolver:
                 self._options[name] = kept(options[name])
         plan = self._plan = make_plan(problem, method, self._options)
         core = solver(plan)
-        #: Solvers that no call uses at the moment: a thread takes one, or makes another.
+        #: Idle solvers: a thread takes one, or makes another.
         self._idle = deque([core])
         self._complex = plan.functions.complex
         self._max_step = None if options.get("max_step") is None else plan.settings.max_step
@@ -101,7 +101,7 @@ class PreparedSolver:
             run = self._run(start, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
                 return presented(run, self._as_run(run, args, cover), _Changed(self, run, args, t_span))
-        # Where the plan may be another one, or a start failed: a single solve knows what to say.
+        # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
 
     def _run(self, y0: Array, args: tuple[Any, ...] | None, cover: Cover | None) -> _core.Run | None:
@@ -140,7 +140,8 @@ class PreparedSolver:
 def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
     mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
-    if plan.progress or plan.on_interrupt != "raise" or isinstance(problem.fun, CoreFunction):
+    alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
+    if alone or isinstance(problem.fun, CoreFunction):
         return False
     if any(event.at_start for event in problem.events):
         return False
@@ -153,7 +154,7 @@ def _as_state(y0: ArrayLike, like: Array) -> Array | None:
     if not isinstance(y0, np.ndarray):
         try:
             y0 = np.array(y0)
-        except ValueError:  # `solve` knows what to say
+        except ValueError:  # `solve` finds the right message
             return None
     if y0.dtype.kind in "iu" and like.dtype.kind == "f":
         y0 = y0.astype(float)

@@ -28,7 +28,7 @@ __all__ = [
     "StiffnessWarning",
 ]
 
-#: The status of a run that a limit has ended: its results are right, and it can be extended.
+#: The status of a run ended by a limit: its results are right, and it can be extended.
 LIMIT_REACHED = -3
 
 
@@ -311,7 +311,7 @@ def default_labels(size: int) -> list[str]:
     return [f"y{i}" for i in range(size)]
 
 
-#: Of a field that was not given, where None would be a value.
+#: Marks a field that was not given, since None is a value.
 _ABSENT: Any = object()
 
 
@@ -370,7 +370,7 @@ class Result(dict[str, Any]):
         _origin: Any = None,
         **more: Any,
     ) -> None:
-        # One by one, and past __setattr__: a short solve takes 30 µs, of which this is to be no part.
+        # One by one, and past __setattr__: a short solve takes 30 µs, to which this must not add.
         self["t"], self["y"], self["sol"] = t, y, sol
         self["t_events"], self["y_events"] = t_events, y_events
         self["nfev"], self["njev"], self["nlu"] = nfev, njev, nlu

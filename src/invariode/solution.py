@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol, Unpack
+from typing import Any, Protocol, Unpack
 
 from ._arguments import Array, unknown_option, warn
 from ._options import TABLE, ExtensionOptions
@@ -20,10 +20,13 @@ class Origin(Protocol):
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
     def slopes(self, t: Array, y: Array) -> Array | None:
-        """Slopes of the solution at the outputs, (n, n_t), where these are the steps of a differential equation."""
+        """Slopes of the solution at the outputs, (n, n_t), if these are the steps of a differential equation."""
 
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
+
+    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """The same for a file: in JSON's types, and arrays by name."""
 
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""

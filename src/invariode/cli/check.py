@@ -20,7 +20,7 @@ __all__ = ["EXAMPLES", "check"]
 
 EXAMPLES = examples("check pendulum.py", "check orbits.py:kepler --along 20 --method dop853")
 
-#: Tolerances of the solution along which is checked, relative to those that its points have to meet.
+#: Tolerances of the solution used by --along, relative to those that its points must meet.
 TIGHTER = 1e-3
 
 

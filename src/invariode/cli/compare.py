@@ -350,14 +350,14 @@ def _by(one: Judgement) -> str:
 
 
 def _counted(one: Judgement) -> str:
-    """What evaluations of f say, where they say something else than the time."""
+    """What evaluations of f say, if it differs from what the time says."""
     by_f = judge(one.errors, one.f)[0]
     if by_f == one.kind[0]:
         return ""
     costly = {
-        "worth it": ", so it is worth it where f is costly",
-        "not": ", so it is not where f is costly",
-        "even": ", so where f is costly it makes no difference",
+        "worth it": ", so it is worth it if f is costly",
+        "not": ", so it is not if f is costly",
+        "even": ", so if f is costly it makes no difference",
     }
     return f"; it takes {_range(one.f)} × the evaluations of f{costly.get(by_f, '')}"
 

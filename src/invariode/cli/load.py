@@ -15,7 +15,7 @@ from .session import print_traceback, stop
 
 __all__ = ["File", "load"]
 
-#: The name that is taken if none is given.
+#: The name used if none is given.
 DEFAULT = "problem"
 
 #: The argument of the commands that need a problem.

@@ -61,7 +61,7 @@ def paper(
 
 
 def _print_table(console: Console, rows: Iterable[Row], published: str) -> None:
-    """One table for each experiment, under its name and with the columns of the others; counts where there is room."""
+    """One table for each experiment, under its name and with the same columns; counts if there is room."""
     counts = COUNTS if console.width >= ROOM_FOR_COUNTS else ()
     console.print(_table(published, counts, heading=True))
     for experiment, group in groupby(rows, key=lambda row: row.experiment):

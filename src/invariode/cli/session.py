@@ -44,7 +44,7 @@ __all__ = [
     "writable",
 ]
 
-#: The tolerances where none are given.
+#: The default tolerances.
 RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 
 #: Exit code of a command ended by Ctrl-C: 128 + SIGINT.
@@ -166,7 +166,7 @@ def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, ex
 
 
 def write_to(path: Path, write: Callable[[], object]) -> None:
-    """Writes a file; where that fails, the command ends with a line about it, exit code 1."""
+    """Writes a file; if that fails, the command ends with a line about it, exit code 1."""
     try:
         with plain_warnings():
             write()

@@ -154,7 +154,7 @@ def solve(
             limits = {"max_steps": max_steps, "time_limit": time_limit}
             sol = _solved(run, method, {"progress": shown, **limits, **options})
             seconds = perf_counter() - start
-    _write(sol, output, plot, (problem.name, drawn, log))  # first of all: what is printed may get lost
+    _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
         with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
@@ -176,7 +176,7 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 
 
 def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
-    """The solution; Ctrl-C ends the command with a line about where the run was."""
+    """The solution; Ctrl-C ends the command with a line that says how far the run got."""
     reached = [problem.t_span[0], 0.0]
 
     def note(t: float, y: Array) -> None:

@@ -32,10 +32,10 @@ __all__ = [
 ]
 __all__ += ["occurrences", "once", "positive", "properties", "require_matplotlib", "require_points", "unused"]
 
-#: Curves that can be told apart: as many as there are colours, solid and dash-dotted.
+#: The number of distinguishable curves: each colour, solid and dash-dotted.
 MOST = len(COLOURS) * len(DASHES)
 
-#: So few points are marked where the line between them is not the solution; events are marked larger.
+#: Up to this many points are marked if the line between them is not the solution; events are marked larger.
 FEW = 60
 
 #: Powers of ten from which on numbers at an axis have a common factor: written out they would run together.

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Curve", "curve", "draw_over_t", "interrupted", "line_and_marks", "parts"]
 
-#: Points of a smooth curve, and at the most in one step: the eye sees no corners.
+#: Points of a smooth curve, and the most in one step: enough that the eye sees no corners.
 _POINTS, _POINTS_PER_STEP = 4000, 32
 
 #: Up to this many outputs a curve is smoothed by their slopes; with more, the steps are too short to be seen.
 _SLOPES = 20_000
 
-#: Curves over t of more points than this are drawn by columns, of which a page has no more.
+#: Curves over t of more points than this are drawn by columns; a page has about this many.
 _LONG, _COLUMNS = 16_000, 2000
 
 #: With this many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between

@@ -31,7 +31,7 @@ __all__ = ["draw", "draw_groups", "groups_of_scale"]
 #: Components whose sizes differ by more than this cannot be seen on one axis.
 _APART = 1e3
 
-#: More panels would be too low to be read: the smallest components then share one.
+#: More panels would be too small to read: the smallest components then share one.
 _PANELS = 4
 
 #: If there are more components than `MOST`, the number of names in the legend.

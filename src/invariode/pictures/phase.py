@@ -31,7 +31,7 @@ __all__ = ["draw"]
 #: Axes whose extents differ by less than this get the same scale, so that circles are round.
 _ALIKE = 3
 
-#: Arrows of a field of directions along each axis.
+#: Arrows of a direction field along each axis.
 _ARROWS = 21
 
 

@@ -28,7 +28,7 @@ __all__ = ["draw", "plot_work_precision"]
 COLOURS = (*PALETTE, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
-#: So many keys of the legend fit beside each other.
+#: The number of legend keys that fit side by side.
 IN_A_LINE = 7
 
 

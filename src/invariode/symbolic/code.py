@@ -18,10 +18,10 @@ from ..compiled import CompiledFunction, compile
 
 __all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "functions"]
 
-#: What expressions become: a Python function, or one for numba.
+#: The result of expressions: a Python function, or one for numba.
 Function = CompiledFunction | Callable[..., Any]
 
-#: Accelerations, where a linear system determines them.
+#: Accelerations, if a linear system determines them.
 _ACCELERATION = "a"
 
 #: Jacobians with at least this many rows are sparse if at most this fraction of their entries can differ from zero.

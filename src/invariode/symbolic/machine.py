@@ -19,16 +19,16 @@ __all__ = ["translated"]
 
 _DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
 
-#: Functions of `math` that are those of C, by the same names.
+#: Functions of `math` that C has under the same names.
 _ELEMENTARY = {
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("exp", "expm1", "log", "log10", "log1p", "pow", "erf", "erfc"),
 }
-#: Those of Python and `math` that are instructions.
+#: Functions of Python and `math` that are instructions.
 _BUILT_IN = {"abs", "fabs", "float", "max", "min", "sqrt"}
 _CONSTANTS = {name: getattr(math, name) for name in ("pi", "e", "inf", "nan", "tau")}
 
-#: Powers up to this one are products.
+#: Powers up to this one become products.
 _MOST_FACTORS = 16
 
 #: LLVM takes more than linear time for long blocks, and for long code with optimisation: measured on chains

@@ -61,7 +61,7 @@ def _basis(q: Sequence[Any]) -> Iterator[list[Any]]:
 
 
 def _sampled(evaluate: Callable[..., Any], symbols: int, unknowns: int) -> Array | None:
-    """The conditions at random points, a row for each; None where they are not defined at enough of them."""
+    """The conditions at random points, a row for each; None if they are not defined at enough of them."""
     rng = np.random.default_rng(_SEED)
     rows: list[Array] = []
     count = 0

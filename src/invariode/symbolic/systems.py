@@ -33,8 +33,8 @@ __all__ = [
     "label",
 ]
 
-#: Levels of correction: constraints move positions only, their rates and constraints of velocities move velocities
-#: only, and other laws what is left.
+#: Levels of correction: constraints move only positions, their rates and velocity constraints move only
+#: velocities, and other laws move what is left.
 POSITIONS, VELOCITIES, LAWS = 0, 1, 2
 
 #: Longer formulas are not names.
