@@ -34,6 +34,17 @@ Mass::Basis to_sparse(const Matrix& A) {
 Mass::Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis)
     : matrix_(std::move(matrix)), function_(function), Z_(null_basis) {}
 
+std::optional<std::vector<double>> Mass::diagonal() const {
+  if (!constant()) return {};
+  std::vector<double> entries(matrix_.n());
+  bool diagonal = true;
+  matrix_.for_each([&](std::size_t i, std::size_t j, double m) {
+    if (i == j) entries[i] = m;
+    diagonal = diagonal && (i == j || m == 0);
+  });
+  return diagonal ? std::optional(std::move(entries)) : std::nullopt;
+}
+
 void Mass::algebraic_part(const double* f, double* r) const {
   as_vector(r, Z_.cols()) = Z_.transpose() * as_vector(f, Z_.rows());
 }

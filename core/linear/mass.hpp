@@ -35,6 +35,8 @@ class Mass {
 
   [[nodiscard]] const Matrix& matrix() const { return matrix_; }
   [[nodiscard]] bool constant() const { return !function_; }
+  /// Of a constant diagonal M its diagonal, else nothing.
+  [[nodiscard]] std::optional<std::vector<double>> diagonal() const;
   [[nodiscard]] bool singular() const { return Z_.cols() > 0; }
   /// r, the number of algebraic equations.
   [[nodiscard]] std::size_t equations() const { return static_cast<std::size_t>(Z_.cols()); }

@@ -68,14 +68,16 @@ LinearAlgebra Run::linear_algebra() {
   return {.jacobian = &*jacobian_, .mass = mass_ ? &*mass_ : nullptr, .lapack = lapack ? &*lapack : nullptr};
 }
 
-/// With a mass matrix f is not y', and stays as it is.
+/// With a mass matrix that is not diagonal f_i is not a multiple of y_i', and f stays as it is.
 void Run::keep_within_bounds() {
   const Problem& problem = solver_.problem();
   if (!problem.bounds) return;
   manifold_.bounds = &*problem.bounds;
-  if (mass_) return;
+  std::optional<std::vector<double>> mass = mass_ ? mass_->diagonal() : std::vector<double>{};
+  if (!mass) return;
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
-  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, solver_.method().implicit()).callback();
+  const bool implicit = solver_.method().implicit();
+  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass)).callback();
   manifold_.bounded_slope = &*bounded_slope_;
   method_f_ = &bounded_f_;
 }

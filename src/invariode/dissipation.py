@@ -27,11 +27,11 @@ class Dissipated(Invariants):
     rises : bool, default False
         True: G never falls, like an entropy.
     jac : callable or {'complex-step', '3-point', '2-point'}, optional
-        Its Jacobian, or how to compute it: as for `Invariants`.
+        Its Jacobian, or how to compute it: as for `invariode.Invariants`.
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
     level, moves, metric, direction : optional
-        As for `Invariants`. With constraints in levels, give it a level after theirs.
+        As for `invariode.Invariants`. With constraints in levels, give it a level after theirs.
 
     Notes
     -----
@@ -44,9 +44,9 @@ class Dissipated(Invariants):
 
     A solve evaluates G once per step, and its Jacobian only in steps that are projected. There the law is tested: if
     g_t + J f has the wrong sign beyond roundoff, the run ends with status -2, or is refused at its start with an
-    `InvariantError`. ``sol.residual`` says how far G has risen above its smallest value at earlier outputs.
+    `invariode.InvariantError`. ``sol.residual`` says how far G has risen above its smallest value at earlier outputs.
 
-    `impose` is for invariants: single points have no past.
+    `invariode.impose` is for invariants: single points have no past.
 
     Examples
     --------

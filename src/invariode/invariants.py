@@ -150,7 +150,7 @@ class Invariants:
 
     @property
     def sense(self) -> int:
-        """0: it keeps its value. See `Dissipated`."""
+        """0: it keeps its value. See `invariode.Dissipated`."""
         return 0
 
     def _in_core(self, n: int) -> tuple[Any, Any] | None:

@@ -428,7 +428,8 @@ class Result(dict[str, Any]):
     def residual(self) -> Array:
         """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed on first use.
 
-        For a `Dissipated` function, how far it has risen above its lowest (or fallen below its highest) earlier output.
+        For an `invariode.Dissipated` function, how far it has risen above its lowest earlier output, or fallen
+        below its highest.
         """
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 

@@ -47,7 +47,8 @@ def check(
     equations, absolute and in units of its terms (roundoff for invariants). A dissipated function must have a rate of
     the right sign; the table then says "falls" or "rises". What is conserved there is also tested at
     points nearby and along a short run. [bold]--along[/] adds points along a solution computed without projection, with
-    tolerances a thousand times smaller, and names what falls below 0 by more than 100 atol without them.
+    tolerances a thousand times smaller, and names a component that falls below 0 by more than 100 atol at the given
+    tolerances only.
 
     Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
