@@ -82,7 +82,7 @@ def loops(repetitions: int) -> str:
     for name, error in errors.items():
         if not error <= LARGEST_ERROR:
             raise SystemExit(f"not timed: {name} is off by {error:.1e}")
-    times = interleaved(ends, repetitions)
+    times = interleaved(ends, repetitions, process_time)
     rows = [
         [
             name,
@@ -159,7 +159,7 @@ def fixed(repetitions: int) -> str:
         for _ in range(many):
             call()
 
-    times = interleaved({name: partial(each, call) for name, call in calls.items()}, 4 * repetitions)
+    times = interleaved({name: partial(each, call) for name, call in calls.items()}, 4 * repetitions, process_time)
     rows = [[name, f"{min(s) / many / US:.1f}", f"{median(s) / many / US:.1f}"] for name, s in times.items()]
     return table(["a call without steps", "least, µs", "median, µs"], rows)
 

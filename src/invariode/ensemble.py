@@ -190,7 +190,7 @@ def solve_ensemble(
         the other until one attempt succeeds; what it does not name stays.
     chunk : int, optional
         Trajectories in a part. Default: as many as take a second, judged by the first ones, on executors of more than
-        100 places a hundredth of a second for each of them; at most 32 MiB.
+        50 places a fiftieth of a second for each of them; at most 32 MiB.
     seed : int, list of int or str, optional
         What made the random rows, for the record: it is kept in the attributes of the store.
 
@@ -707,8 +707,8 @@ def _died(i: int) -> _Outcome:
 
 #: Seconds that a part should take, and the seconds that it may take to find that out.
 _PART, _PILOT = 1.0, 0.1
-#: Seconds that client and scheduler need for a part, all places one after the other (measured in benchmarks/many.py).
-_HANDLING = 0.01
+#: Twice the seconds that client and scheduler need for a part, one after the other (measured in benchmarks/many.py).
+_HANDLING = 0.02
 #: Trajectories that the pilot solves at most, and bytes of a part.
 _PILOTS, _LARGEST = 256, 32 * 2**20
 
