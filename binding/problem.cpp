@@ -57,6 +57,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.moves = spec.moves;
   block.metric = make_metric(spec, functions);
   block.sense = spec.sense;
+  block.along_steps = spec.along_steps;
   if (nb::isinstance<MotionPart>(spec.jac)) {
     const auto& [mechanics, part] = nb::cast<const MotionPart&>(spec.jac);
     if (Motion& motion = functions.motion(mechanics); motion.sparse()) {
@@ -212,14 +213,13 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
-             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size, int sense) {
-            new (self)
-                InvariantSpec{std::move(fun),    std::move(jac), m,    std::move(name), held, level, std::move(moves),
-                              std::move(metric), metric_size,    sense};
+             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size, int sense, bool along_steps) {
+            new (self) InvariantSpec{std::move(fun),   std::move(jac),    m,           std::move(name), held, level,
+                                     std::move(moves), std::move(metric), metric_size, along_steps,     sense};
           },
           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
           nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
-          nb::arg("sense") = 0);
+          nb::arg("sense") = 0, nb::arg("along_steps") = false);
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
       .def(
           "__init__",

@@ -1,6 +1,6 @@
 #pragma once
-// The step contract: five operations that every method obeys, so that the loop, the projection, the events and the
-// output exist once.
+// The step contract: five operations that every method obeys, and its memory as data, so that the loop, the projection,
+// the events and the output exist once, and a run can go on in another process.
 
 #include <algorithm>
 #include <cmath>
@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "archive.hpp"
 #include "callback.hpp"
 #include "weights.hpp"
 
@@ -70,6 +71,12 @@ class Step {
   /// The estimated error of the attempt, component by component, into out (n,). False: the method has none.
   virtual bool errors(double*) const { return false; }
 
+  /// What the attempt is made of, slopes or differences of the solution, as vectors (n) that stay until the next
+  /// operation: every linear function that f keeps vanishes on them. Returns how many, at most `max_directions`. None:
+  /// the method does not tell.
+  virtual std::size_t directions(const double**) const { return 0; }
+  [[nodiscard]] virtual std::size_t max_directions() const { return 0; }
+
   /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
   virtual bool reject(Cause cause, double hmin) = 0;
 
@@ -99,6 +106,10 @@ class Step {
   /// What the linear algebra of an implicit method did, and what went wrong with it in the last attempt.
   [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
 
+  /// The memory between two steps: all that the next `attempt` and those after it read. Methods archive this part and
+  /// then their own.
+  virtual void state(Archive& archive) = 0;
+
   [[nodiscard]] std::size_t n() const { return y_.size(); }
   [[nodiscard]] double t() const { return t_; }
   [[nodiscard]] const double* y() const { return y_.data(); }
@@ -125,5 +136,7 @@ class Step {
   double h_ = 0;
   bool moved_onto_bounds_ = false;
 };
+
+inline void Step::state(Archive& archive) { archive(t_, y_, h_, moved_onto_bounds_); }
 
 }  // namespace invariode

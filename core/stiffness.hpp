@@ -26,6 +26,8 @@ class StiffnessDetector {
     return sustained_ && most ? Stiffness{.found = true, .since = since_} : Stiffness{};
   }
 
+  void state(Archive& archive) { archive(looks_, limited_, streak_, free_, sustained_, since_); }
+
  private:
   void look(const Step& method, double t0, const double* y0);
   void limited(double t0);

@@ -73,7 +73,7 @@ MISFITS: dict[str, Callable[[], object]] = {
     "no Jacobian": lambda: solver(method="ode15s"),
     "refine": lambda: solver({"refine": 0}),
     "fsal": lambda: solver({"fsal": "never"}),
-    "resumed events": lambda: solver().resume([1], [False]),
+    "memory": lambda: solver().resume(bytes(8), False),
     "rows of residual": lambda: _core.residual(t, y[:2], problem()),
     "columns of residual": lambda: _core.residual(t, np.ones((3, n + 1)), problem()),
     "values of distance": lambda: _core.distance(t, y, problem(value=NOTHING), tolerances()),

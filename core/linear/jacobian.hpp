@@ -36,6 +36,9 @@ class Jacobian {
   [[nodiscard]] double noise() const { return noise_; }
   /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
   void widen_increments();
+  /// Counts and increments; `matrix_state`: the matrix.
+  void state(Archive& archive) { archive(count_, noise_, factor_); }
+  void matrix_state(Archive& archive);
 
  private:
   struct Column {

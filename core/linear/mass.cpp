@@ -196,7 +196,7 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
     if (time_derivative(f_, t, y, out, h, rate_.size(), rate_.data()) == Status::stop) return Status::stop;
     ft = rate_.data();
   }
-  if (!factored_ || mass_.singular() || !mass_.constant()) {
+  if (!factored_ || !factors_stay()) {
     if (mass_.evaluate(t) == Status::stop) return Status::stop;
     weights_.fill(y, w_.data());
     factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
@@ -206,6 +206,14 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   else
     std::fill(out, out + rate_.size(), std::numeric_limits<double>::quiet_NaN());
   return Status::ok;
+}
+
+void MassSlope::state(Archive& archive) {
+  f_.state(archive);
+  jacobian_.state(archive);
+  archive(w_, factored_);
+  if (archive.reading() && factored_ && factors_stay())
+    factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
 }
 
 }  // namespace invariode

@@ -65,6 +65,7 @@ class BoundedSlope {
   Status begin_step(double t, const double* y, bool& changed);
   /// How often it did.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
+  void state(Archive& archive) { archive(rests_, evaluations_); }
 
   /// Refers to this object.
   Callback callback() { return {&entry, this}; }

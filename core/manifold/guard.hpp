@@ -64,6 +64,11 @@ class Guard {
   Outcome examine(double t, const double* y, std::vector<Examination>& result);
 
   [[nodiscard]] bool projected_start() const { return projected_start_; }
+  void state(Archive& archive) {
+    projector_.state(archive);
+    archive(gt_, time_dependent_, projected_start_, quiet_until_, patient_until_, unworried_until_, next_flow_);
+    archive(next_look_, trustful_until_);
+  }
 
  private:
   Outcome detect_time_dependence(double t, const double* y, double h);

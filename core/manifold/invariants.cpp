@@ -34,6 +34,7 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
     layout_.add(block.m, block.pattern);
     sense_.insert(sense_.end(), block.m, block.sense);
     any_one_sided_ = any_one_sided_ || block.sense != 0;
+    along_steps_ = along_steps_ || block.along_steps;
   }
   note_kinds();
 }
@@ -50,6 +51,20 @@ void Invariants::note_kinds() {
     increment_.insert(increment_.end(), block.m, increment);
     certain_.insert(certain_.end(), block.m, block.certain);
   }
+}
+
+void Invariants::state(Archive& archive) {
+  archive(value_, derivative_calls_);
+  for (InvariantBlock& block : blocks_) {
+    const Derivative before = block.derivative;
+    archive(block.derivative);
+    archive.require(block.derivative == before ||
+                    (before == Derivative::complex_step && block.derivative == Derivative::central));
+    block.g.state(archive);
+    block.jacobian.state(archive);
+    block.complex_g.state(archive);
+  }
+  if (archive.reading()) note_kinds();
 }
 
 Status Invariants::hold(double t, const double* y) {

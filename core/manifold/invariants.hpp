@@ -30,6 +30,7 @@ struct InvariantBlock {
   int sense = 0;                   ///< 0: it keeps its value; −1: in the direction of integration it never rises above
                                    ///< it; 1: never falls below it
   bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
+  bool along_steps = false;        ///< its correction is sought among the directions that its step is made of
   int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
   std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
   Metric metric;                   ///< in which its correction is the least; none: that of the error test
@@ -62,10 +63,14 @@ class Invariants {
   [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
   bool leave_complex_steps(std::size_t i);
+  /// Values, kinds of derivatives, counts.
+  void state(Archive& archive);
   [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
   /// Of invariant i: 0, −1 or 1, as of its block.
   [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }
   [[nodiscard]] bool any_one_sided() const { return any_one_sided_; }
+  /// Whether corrections are sought among the directions that the step is made of.
+  [[nodiscard]] bool along_steps() const { return along_steps_; }
   /// By how much a residual of invariant i violates it.
   [[nodiscard]] double excess(std::size_t i, double residual) const {
     return sense_[i] == 0 ? std::abs(residual) : std::max(0.0, -sense_[i] * residual);
@@ -120,7 +125,7 @@ class Invariants {
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
   std::vector<char> certain_;
   std::vector<int> sense_;
-  bool any_one_sided_ = false;
+  bool any_one_sided_ = false, along_steps_ = false;
   std::int64_t derivative_calls_ = 0;
   std::vector<double> point_, plus_, minus_, sizes_;
   std::vector<double> complex_point_, complex_value_;

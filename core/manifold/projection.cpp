@@ -21,8 +21,13 @@ constexpr double sharp_bend = 1, bend_of_correction = 0.2, slight_bend = 0.05;
 // Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
 // it runs away from a pole.
 constexpr double slowest_newton = 0.45;
-constexpr double often = 0.2;         // share of corrections and of time in which redundant ones depend on others,
-constexpr double now_and_then = 0.1;  // and in which each of them is the one that is left out
+// Along given directions: an invariant whose gradient has less than this share of its length among them is left out of
+// a step, since its correction would be longer by the inverse; which matters if it is off by so much of the tolerance.
+constexpr double least_share = 0.01;
+constexpr double matters = 1e-3;
+constexpr double least_direction = 1e-12;  // of vectors that are good to some ε
+constexpr double often = 0.2;              // share of corrections and of time in which redundant ones depend on others,
+constexpr double now_and_then = 0.1;       // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
 constexpr int impose_patience = 2;         // iterations without a gain: roundoff is reached, or there is no way on
 constexpr double recovery = 0.5;           // of the residual before: Newton's iteration comes back from a step too far
@@ -109,6 +114,27 @@ Outcome Projector::onto(double t, const double* w, const double* target, double*
     if (settled()) break;
   }
   return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
+}
+
+void Projector::seek_along(std::span<const double* const> vectors) {
+  if (!directions_) directions_.emplace(w_.size());
+  directions_->take(vectors);
+}
+
+/// Rows are cut to the directions. A part p of a vector that the others do not have has roundoff ε / p in the laws that
+/// the vectors keep; in a correction of size d that is no more than ε where p ≥ d.
+void Projector::keep_to_directions() {
+  double largest = least_direction;
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (!idle(i)) largest = std::max(largest, linearization().distance(i));
+  directions_->orthonormalize(w_.data(), std::min(largest, largest_pivot));
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (norm_[i] > 0) directions_->cut(&scaled_(0, index(i)));
+}
+
+/// Whether only `share` of the length of gradient i is left among the directions, too little to correct its residual.
+bool Projector::out_of_reach(std::size_t i, double share) const {
+  return directions_ && share < least_share && std::abs(r_[i]) > matters * tolerances_.rtol() * norm_[i];
 }
 
 Outcome Projector::linearize_at(double t, const double* y) {
@@ -274,6 +300,7 @@ Outcome Projector::linearize_known(double t, const double* y) {
     if (linearized_ && !idle(i)) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
   }
   linearized_ = true;
+  if (directions_) keep_to_directions();
   return Outcome::ok;
 }
 
@@ -318,7 +345,8 @@ void Projector::count_correction(double t, std::size_t rank) {
   corrected_at_ = t;
   ++corrections_;
   covered_ += since;
-  if (rank == r_.size() - idle_count_) return;
+  if (rank == r_.size() - idle_count_ || std::count(left_out_.begin(), left_out_.end(), 0) == std::ssize(left_out_))
+    return;
   ++deficient_;
   covered_deficient_ += since;
 }
@@ -330,8 +358,17 @@ std::size_t Projector::solve_one(double t) {
     std::fill(delta_.begin(), delta_.end(), 0);
     return 0;
   }
-  const double distance = r_[0] / norm_[0];
+  double distance = r_[0] / norm_[0];
   const double* row = scaled_.data();
+  if (directions_) {
+    const double share = scaled_.col(0).norm();
+    if (share < least_share) {
+      if (out_of_reach(0, share)) leave_out(0, t);
+      std::fill(delta_.begin(), delta_.end(), 0);
+      return 0;
+    }
+    distance /= share * share;
+  }
   for (std::size_t j = 0; j < n; ++j) delta_[j] = w_[j] * (row[j] * distance);
   return 1;
 }
@@ -418,12 +455,14 @@ std::size_t Projector::factor(double t) {
     for (std::size_t l = 0; l < rank; ++l) remove_component(order_[rank], order_[l]);
     const double size = column(rank).norm();
     if (rank == 0) first = size;
+    if (directions_ && size < least_share) break;
     if (size <= (invariants_.sense(order_[rank]) == 0 ? threshold : least_pivot) * first) break;
     column(rank) /= size;
     R_(index(order_[rank]), index(order_[rank])) = size;
     for (std::size_t k = rank + 1; k < m; ++k) remove_component(order_[k], order_[rank]);
   }
-  for (std::size_t k = rank; k < m; ++k) leave_out(order_[k], t);
+  for (std::size_t k = rank; k < m; ++k)
+    if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
   return rank;
 }
 
@@ -455,6 +494,14 @@ void Projector::leave_out(std::size_t i, double t) {
   if (deficient_ == 0) dropped_at_ = t;
   left_out_[i] = 1;
   ++dropped_[i];
+}
+
+/// The latest linearization, and the counts.
+void Projector::state(Archive& archive) {
+  archive(linearized_, bent_, r_, J_, norm_, w_, point_, left_out_, dropped_, corrections_, deficient_, corrected_at_);
+  archive(covered_, covered_deficient_, dropped_at_);
+  archive(idle_, idle_count_);
+  archive.resizable(linearized_w_);
 }
 
 std::vector<char> Projector::dropped() const {

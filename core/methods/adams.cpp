@@ -125,6 +125,13 @@ bool Adams::errors(double* out) const {
   return true;
 }
 
+/// The predicted differences and the defect, of which y* − y is a combination.
+std::size_t Adams::directions(const double** vectors) const {
+  for (int i = 1; i <= order_; ++i) *vectors++ = phi(i);
+  *vectors = defect_;
+  return static_cast<std::size_t>(order_) + 1;
+}
+
 /// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
 void Adams::update_coefficients() {
   const double h = signed_h_;
@@ -285,6 +292,18 @@ void Adams::choose_order_and_step() {
     h_ *= 2;
   else if (goal < error)
     h_ *= std::max(0.5, std::min(0.9, std::pow(goal / error, 1.0 / (order_ + 1))));
+}
+
+void Adams::state(Archive& archive) {
+  Step::state(archive);
+  archive(order_, previous_order_, previous_h_, steps_at_h_, phase1_, lower_, erk_, erkm1_, failures_);
+  archive(phi_);
+  for (Coefficients* one : {&psi_, &alpha_, &beta_, &sigma_, &g_, &v_, &w_}) archive.values(one->data(), one->size());
+  archive.values(slope_, n());
+  if (!archive.reading()) return;
+  for (const int k : {order_, previous_order_, lower_}) archive.require(k >= 1 && k <= max_order_);
+  archive.require(steps_at_h_ >= 0 && steps_at_h_ <= highest_order + 1);
+  predicted_ = false;
 }
 
 Interpolate Adams::interpolate() const { return integrate_polynomial; }

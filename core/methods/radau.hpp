@@ -27,8 +27,11 @@ class Radau final : public Step {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return stages; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return (stages + 1) * n(); }
@@ -47,6 +50,7 @@ class Radau final : public Step {
   double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
   [[nodiscard]] double norm(const double* v) const;
   Outcome factor();
+  bool factorize();
   Status take_masses();
   void predict();
   Newton::Result solve_stages();

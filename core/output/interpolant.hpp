@@ -54,6 +54,7 @@ class Interpolant {
 
  private:
   void correct_ends(const double* e0, double theta, double* y) const;
+  void choose_directions(const Segment& segment);
 
   std::size_t n_, m_;
   Interpolation mode_;
@@ -61,6 +62,8 @@ class Interpolant {
   Projector* projector_;
   const Bounds* bounds_;
   std::vector<double> target_;
+  std::vector<double> path_;               // points of the segment less its start,
+  std::vector<const double*> directions_;  // as vectors
 
   friend class StepInterpolant;
 };
@@ -84,6 +87,9 @@ class StepInterpolant {
   void accept();
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
+
+  /// What is known of the start of the next step.
+  void state(Archive& archive) { archive(g_known_, g_t_, g_end_); }
 
   Status value(double t, double* y);
   Status corrected(double t, double* y);

@@ -21,6 +21,13 @@ struct Trajectory {
     y.append(point, n);
   }
   [[nodiscard]] std::size_t bytes() const { return (t.size() + y.size()) * sizeof(double); }
+  /// A copy of the points from number `first` on.
+  [[nodiscard]] Trajectory from(std::size_t first, std::size_t n) const {
+    Trajectory rest;
+    rest.t.append(t.data() + first, t.size() - first);
+    rest.y.append(y.data() + first * n, y.size() - first * n);
+    return rest;
+  }
   void clear() {
     t.clear();
     y.clear();
@@ -43,7 +50,9 @@ class DenseOutput {
   /// Adds a step whose segment ends at segment.t1, used up to (t, y).
   void add(const Segment& segment, double t, const double* y);
   /// Goes on with all of `next`, which is of the same kind and starts at the last knot.
-  void append(const DenseOutput& next);
+  void append(const DenseOutput& next) { append(next, 0); }
+  /// What there is from knot number `first` on, as a function of its own.
+  [[nodiscard]] DenseOutput from(std::size_t first) const;
 
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
@@ -78,6 +87,8 @@ class DenseOutput {
   Status evaluate(const double* t, std::size_t count, double* out, Projector* projector) const;
 
  private:
+  void append(const DenseOutput& next, std::size_t first);
+
   std::size_t n_, m_;
   Interpolation mode_;
   Interpolate raw_;

@@ -69,14 +69,4 @@ void Solver::cover(double t0, double tf, double hmax) {
   require_settings(settings_);
 }
 
-void Solver::resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep) {
-  require(seen.size() == problem_.events.size() && asleep.size() == problem_.events.size(),
-          "resume must be told of each event how often it has occurred, and whether it sleeps");
-  settings_.resumed = true;
-  for (std::size_t e = 0; e < seen.size(); ++e) {
-    problem_.events[e].seen = seen[e];
-    problem_.events[e].asleep = asleep[e];
-  }
-}
-
 }  // namespace invariode

@@ -7,6 +7,7 @@
 #include <iterator>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "callback.hpp"
@@ -47,13 +48,13 @@ struct RunResult {
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;
-  std::size_t breakpoints_passed = 0;
 
-  static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
-                                                "nlu",   "nsolve", "projections", "skipped",    "clipped",
-                                                "ng",    "ngjac",  "ngdiff",      "dropped",    "harmed"};
+  static constexpr const char* count_names[] = {"steps",  "failed",      "nfev",    "nfev_check", "njev", "nlu",
+                                                "nsolve", "projections", "skipped", "clipped",    "ng",   "ngjac",
+                                                "ngdiff", "dropped",     "harmed",  "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none.
+  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
+  /// "stiff" is 1 where `stiffness` was found.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };
@@ -81,6 +82,21 @@ class Run {
 
   /// What the run did, when it has ended. Arrays are moved out: once only.
   RunResult take_result();
+  /// How much of the arrays is known already.
+  struct Marks {
+    std::size_t points = 0, steps = 0, jumps = 0, knots = 0;
+    std::vector<std::size_t> occurrences;
+  };
+  /// What the run has done so far, with the arrays from the marks on, which are set to their ends. Rows of jumps count
+  /// from the mark.
+  [[nodiscard]] RunResult result_since(Marks& marks) const;
+
+  /// What the run remembers, between two steps or when it has ended, before the result is taken; without matrices of
+  /// more entries than `most_values`.
+  [[nodiscard]] Memory memory(std::size_t most_values);
+  /// Instead of `Integration::start`: goes on from what another run of the same problem remembered. `anew`: see
+  /// `Integration::resume`. Throws std::invalid_argument where the memory does not fit.
+  State resume(std::span<const std::byte> memory, bool anew);
 
  private:
   void see_pieces();
@@ -92,6 +108,9 @@ class Run {
   [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
   void start_loop();
+  void state(Archive& archive);
+  void archive_prepared(Archive& archive);
+  void describe(RunResult& result) const;
   void count_evaluations(RunResult& result) const;
   void describe_invariants(RunResult& result) const;
   LinearAlgebra linear_algebra();
@@ -119,6 +138,8 @@ class Run {
   Integration::Manifold manifold_;
 
   std::optional<Integration> integration_;
+  std::int64_t prepared_ = 0;  // evaluations of invariants by `prepare`,
+  std::int64_t before_ = 0;    // and by that of the run that goes on here, which did not count them
 };
 
 }  // namespace invariode

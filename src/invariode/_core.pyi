@@ -32,7 +32,7 @@ def capsule_address(capsule: object) -> int:
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0) -> None: ...
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False) -> None: ...
 
 class Breakpoint:
     """A breakpoint, for the core."""
@@ -305,7 +305,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -336,10 +336,11 @@ class Run:
     def clipped(self) -> float: ...
 
     @property
-    def breakpoints_passed(self) -> int: ...
+    def next_h(self) -> float: ...
 
     @property
-    def next_h(self) -> float: ...
+    def memory(self) -> bytes:
+        """What the run remembers, for `Solver.resume`; empty if it cannot go on."""
 
 class EnsembleRun:
     """
@@ -393,14 +394,14 @@ class Solver:
         What a mechanical system has cost so far: calls of its functions and factorisations.
         """
 
-    def resume(self, seen: Sequence[int], asleep: Sequence[bool]) -> None:
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
         """
-        Its runs go on from where another one ended, with so many occurrences of each event.
+        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made. keep(part) is called at the start, after `every` seconds, and at the end, with a Run of what has come since the last time.
         """
 
-    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None) -> Run:
+    def resume(self, memory: bytes, anew: bool, progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
         """
-        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made.
+        Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.
         """
 
     def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
@@ -446,6 +447,10 @@ class Stepper:
     def harm(self) -> float: ...
 
     @property
+    def stiff_since(self) -> float | None:
+        """From which t on stability limits the steps; None: it does not."""
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -453,6 +458,8 @@ class Stepper:
 
     @property
     def nlu(self) -> int: ...
+
+MEMORY_VERSION: int = 1
 
 STATES: list = ...
 

@@ -8,10 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from . import _core
 from ._arguments import Array
 from .ensemble_solution import EnsembleEvents
 
-__all__ = ["ROWS", "Outcomes", "in_order", "joined"]
+__all__ = ["ROWS", "Outcomes", "counts_by_name", "in_order", "joined"]
+
+
+def counts_by_name(counts: Array) -> dict[str, Array]:
+    """The statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one more."""
+    by_name = dict(zip(_core.COUNTS, counts.T, strict=True))
+    del by_name["dropped"], by_name["harmed"]
+    return by_name
 
 
 @dataclasses.dataclass
@@ -52,7 +60,7 @@ class Outcomes:
         return np.flatnonzero(self.status < 0)
 
     def replace(self, rows: Array, other: Outcomes, attempt: int) -> None:
-        """Puts the outcomes of another attempt in the place of these rows where it did not fail."""
+        """Puts the outcomes of another attempt in the place of these rows if it did not fail."""
         better = np.flatnonzero(other.status >= 0)
         if not better.size:
             return

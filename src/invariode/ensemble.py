@@ -33,7 +33,7 @@ from ._docstrings import documented
 from ._identity import identity
 from ._messages import harmful_projection, inconsistent_start
 from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
-from ._outcomes import Outcomes, in_order, joined
+from ._outcomes import Outcomes, counts_by_name, in_order, joined
 from ._parts import (
     GivenRows,
     Part,
@@ -56,7 +56,7 @@ from .ensemble_store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .events import to_events
 from .invariants import AccuracyWarning
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, default_labels
+from .result import LIMIT_REACHED, StiffnessWarning, default_labels
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
@@ -88,7 +88,9 @@ _EXCEPTIONS = (
 _CODES = np.array(
     [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES] + 3 * [_RAISED], dtype=np.int8
 )
-_NG, _NGDIFF, _DROPPED, _HARMED = (_core.COUNTS.index(name) for name in ("ng", "ngdiff", "dropped", "harmed"))
+_NG, _NGDIFF, _DROPPED, _HARMED, _STIFF = (
+    _core.COUNTS.index(name) for name in ("ng", "ngdiff", "dropped", "harmed", "stiff")
+)
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
 _INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
@@ -286,7 +288,7 @@ def _attempts(method: MethodName, options: Options, retry: Retry | None) -> list
 def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     """The options of each trajectory."""
     for name, value in given.items():
-        if name in _OF_SINGLE_RUNS and not (np.isscalar(value) and value == TABLE[name].default):
+        if name in _OF_SINGLE_RUNS and not (value is None or (np.isscalar(value) and value == TABLE[name].default)):
             instead = "; give t_eval" if name in ("refine", "dense_output") else ""
             raise ValueError(f"{name} is not possible for an ensemble{instead}")
     options = given.copy()
@@ -431,7 +433,8 @@ def _solution(task: _Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
     if plan.names:
         dropped = int((found.counts[:, _DROPPED] > 0).sum())
         _warn_of_projection(plan, dropped, found.counts[found.status >= 0, _HARMED])
-    stats = dict(zip(_core.COUNTS[:-2], found.counts.T[:-2], strict=True))  # the last two are warnings
+    _warn_stiff(plan, int(found.counts[:, _STIFF].sum()))
+    stats = counts_by_name(found.counts)
     return EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
         y=found.y_end[:, :, None].copy() if times is None else found.y,
@@ -455,6 +458,12 @@ def _warn_of_projection(plan: Plan, dropped: int, harmed: Array) -> None:
     if dropped:
         warn(f"invariants were redundant in {dropped} trajectories, and were left out there")
     _warn_harmed(plan, harmed)
+
+
+def _warn_stiff(plan: Plan, count: int) -> None:
+    if count:
+        text = f"in {count} trajectories stability, not accuracy, limits most steps (stats['stiff'] tells in which)"
+        warn(f"{plan.method.name}: {text}; try ode15s", StiffnessWarning)
 
 
 def _warn_harmed(plan: Plan, harmed: Array) -> None:
@@ -868,7 +877,7 @@ def _stored(ensemble: _Ensemble, rows: Rows, means: _Means, place: _Place) -> En
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, identity(place.seed), place.resume)
     if means.chunk not in (None, writer.length):
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
-    size = done = dropped = 0
+    size = done = dropped = stiff = 0
     harmed: list[Array] = []
 
     def counted() -> Iterator[Part]:
@@ -886,11 +895,13 @@ def _stored(ensemble: _Ensemble, rows: Rows, means: _Means, place: _Place) -> En
             dropped += int((outcomes.counts[:, _DROPPED] > 0).sum())
             harms = outcomes.counts[outcomes.status >= 0, _HARMED]
             harmed.append(harms[harms > 0])
+            stiff += int(outcomes.counts[:, _STIFF].sum())
             done += len(part.y0)
             if report:
                 report(done)
     writer.finish(size)
     _warn_of_projection(run.plan, dropped, np.concatenate([np.zeros(0, dtype=np.int64), *harmed]))
+    _warn_stiff(run.plan, stiff)
     return EnsembleStore(place.store)
 
 

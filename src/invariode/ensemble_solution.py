@@ -95,7 +95,10 @@ class EnsembleEvents(Record):
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleStats(Record):
-    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve."""
+    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve.
+
+    `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0.
+    """
 
     steps: Array
     failed: Array
@@ -110,6 +113,7 @@ class EnsembleStats(Record):
     ng: Array
     ngjac: Array
     ngdiff: Array
+    stiff: Array
     clipped_amount: Array
 
 
@@ -226,7 +230,7 @@ class EnsembleSolution:
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
         m = len(invariants)
-        stats: dict[str, Any] = {name: counts[i].item() for name, counts in self.stats.items()}
+        stats: dict[str, Any] = {name: counts[i].item() for name, counts in self.stats.items() if name != "stiff"}
         here = [event.trajectory == i for event in self.events]
         t = np.array([self.t_end[i]]) if self._final else self.t[reached]
         return Solution(

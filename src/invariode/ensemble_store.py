@@ -13,7 +13,7 @@ import numpy as np
 
 from . import _core
 from ._arguments import Array
-from ._outcomes import ROWS, Outcomes
+from ._outcomes import ROWS, Outcomes, counts_by_name
 from ._parts import Part, digest
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 
@@ -337,7 +337,7 @@ class EnsembleStore:
         times = bool(self.attributes["kept_times"])
         held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
         y = held["y"] if times else held["y_end"][:, :, None].copy()
-        counts = dict(zip(_core.COUNTS[:-2], held.pop("counts").T[:-2], strict=True))  # the last two are warnings
+        counts = counts_by_name(held.pop("counts"))
         stats = EnsembleStats(**counts, clipped_amount=held.pop("clipped_amount"))
         about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
         return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y})
