@@ -117,6 +117,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/native.py --write
 	$(BIN)/python benchmarks/peers.py --write
 	$(BIN)/python benchmarks/ensembles.py --write
+	$(BIN)/python benchmarks/many.py --write
 	$(BIN)/python benchmarks/large.py --write
 	$(BIN)/python benchmarks/detest.py --write
 	$(BIN)/python benchmarks/events.py --write

@@ -374,6 +374,8 @@ class TestStore:
         iv.solve_ensemble(compiled, SPAN, y0, **given)
         with pytest.raises(ValueError, match=f"another problem: .*{told}"):
             iv.solve_ensemble(compiled, SPAN, y0, **{**given, **changed})
+        with pytest.raises(ValueError, match="parts of 6 trajectories, got chunk=7"):
+            iv.solve_ensemble(compiled, SPAN, y0, **{**given, "chunk": 7})
         with pytest.raises(ValueError, match="fun is"):
             iv.solve_ensemble(stiff, SPAN, y0, **given)
         with pytest.raises(ValueError, match="t_span is"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,14 @@ class Outcomes:
 
     def __len__(self) -> int:
         return len(self.status)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Counts are most of what travels from a worker, and small."""
+        largest = max(int(self.counts.max(initial=0)), -int(self.counts.min(initial=0)))
+        return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1))}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, counts=state["counts"].astype(np.int64))
 
     @property
     def failed(self) -> Array:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import chain, islice
+from time import monotonic
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -23,6 +24,7 @@ __all__ = [
     "executor_of",
     "on_executor",
     "packed",
+    "places_of",
     "rejoined",
     "rows_of",
     "shares_memory",
@@ -34,6 +36,8 @@ T = TypeVar("T")
 AHEAD = 2
 #: Single rows that are taken from an iterator at once: NumPy converts them together faster than one by one.
 BATCH = 256
+#: Seconds between two questions to a cluster how large it is.
+ASKING = 1.0
 #: Bytes of a digest.
 DIGEST = 8
 
@@ -232,16 +236,29 @@ def executor_of(given: Any) -> Executor:
     return given  # type: ignore[no-any-return]  # it has `submit`
 
 
-def _places(given: Any, executor: Executor) -> int:
-    """How many parts are solved at once; those of a cluster come and go."""
-    if hasattr(given, "nthreads"):
-        return max(1, int(sum(given.nthreads().values())))
-    return int(getattr(executor, "_max_workers", 1))
+class _Places:
+    """How many parts an executor solves at once. Those of a cluster come and go: it is asked now and then."""
+
+    def __init__(self, given: Any, executor: Executor) -> None:
+        self._given = given if hasattr(given, "nthreads") else None
+        self._count = int(getattr(executor, "_max_workers", 1))
+        self._due = 0.0
+
+    def count(self) -> int:
+        if self._given is not None and monotonic() >= self._due:
+            self._count = max(1, int(sum(self._given.nthreads().values())))
+            self._due = monotonic() + ASKING
+        return self._count
 
 
 def shares_memory(executor: Any) -> bool:
     """Whether an executor solves in this process: nothing has to travel."""
     return isinstance(executor, ThreadPoolExecutor)
+
+
+def places_of(given: Any) -> int:
+    """How many parts are solved at once."""
+    return 1 if given is None else _Places(given, executor_of(given)).count()
 
 
 def packed(value: Any) -> bytes:
@@ -273,10 +290,11 @@ def on_executor(
         The executor cannot go on: its processes died.
     """
     executor, left = executor_of(given), iter(parts)
+    places = _Places(given, executor)
     pending: dict[Future[T], Part] = {}
     try:
         while True:
-            for part in islice(left, max(0, AHEAD * _places(given, executor) - len(pending))):
+            for part in islice(left, max(0, AHEAD * places.count() - len(pending))):
                 pending[_submitted(executor, part, call, *arguments(part))] = part
             if not pending:
                 return

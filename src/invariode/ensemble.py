@@ -34,7 +34,18 @@ from ._identity import identity
 from ._messages import harmful_projection, inconsistent_start
 from ._options import TABLE, DescribingOptions, EnsembleOptions, Options, parted, table_of
 from ._outcomes import Outcomes, counts_by_name, in_order, joined
-from ._parts import GivenRows, Part, Rows, StreamedRows, on_executor, packed, rejoined, rows_of, shares_memory
+from ._parts import (
+    GivenRows,
+    Part,
+    Rows,
+    StreamedRows,
+    on_executor,
+    packed,
+    places_of,
+    rejoined,
+    rows_of,
+    shares_memory,
+)
 from ._processes import may_start, solve_rows
 from ._progress import bar
 from ._types import EventsLike, Function, MethodName, Span
@@ -180,7 +191,8 @@ def solve_ensemble(
         Options with which trajectories that failed are solved again, ``{"method": "radau", "rtol": 1e-9}``, one after
         the other until one attempt succeeds; what it does not name stays.
     chunk : int, optional
-        Trajectories in a part. Default: as many as take a second, by the first ones, and 32 MiB at most.
+        Trajectories in a part. Default: as many as take a second, judged by the first ones, on executors of more than
+        50 places a fiftieth of a second for each of them; at most 32 MiB.
     seed : int, list of int or str, optional
         What made the random rows, for the record: it is kept in the attributes of the store.
 
@@ -704,6 +716,8 @@ def _died(i: int) -> _Outcome:
 
 #: Seconds that a part should take, and the seconds that it may take to find that out.
 _PART, _PILOT = 1.0, 0.1
+#: Twice the seconds that client and scheduler need for a part, one after the other (measured in benchmarks/many.py).
+_HANDLING = 0.02
 #: Trajectories that the pilot solves at most, and bytes of a part.
 _PILOTS, _LARGEST = 256, 32 * 2**20
 
@@ -804,7 +818,7 @@ class _Parted:
         self._pilot = y0, args
 
     def length(self) -> int:
-        """Trajectories in a part: as many as take a second."""
+        """Trajectories in a part: as many as take a second, on large clusters longer: the scheduler is to keep up."""
         if self.means.chunk is not None:
             return positive_integer("chunk", self.means.chunk)
         y0, args = self._pilot
@@ -818,7 +832,8 @@ class _Parted:
         row = y0.itemsize * n * (2 + (0 if times is None else len(times))) + 24 * m + 120
         most: int = max(1, _LARGEST // row)
         size = most if self.rows.size is None else min(most, self.rows.size)
-        wanted = int(_PART * self.means.workers / max(seconds, 1e-9))
+        enough = max(_PART, _HANDLING * places_of(self.means.executor))
+        wanted = int(enough * self.means.workers / max(seconds, 1e-9))
         return max(1, min(wanted, size))
 
     def _arguments(self, part: Part) -> tuple[Any, ...]:
@@ -860,6 +875,8 @@ def _stored(ensemble: _Ensemble, rows: Rows, means: _Means, place: _Place) -> En
     """All rows, with their results in a store."""
     run = _Parted(ensemble, rows, means)
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, identity(place.seed), place.resume)
+    if means.chunk not in (None, writer.length):
+        raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
     size = done = dropped = stiff = 0
     harmed: list[Array] = []
 
