@@ -250,10 +250,11 @@ class CheckpointOptions(TypedDict, total=False):
             "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to PATH.output "
             "beside it. A run of another process that has not ended is not overwritten. An extension goes on writing.",
             path,
+            command=True,
         ),
     ]
     checkpoint_every: Annotated[
-        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive)
+        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive, command=True)
     ]
 
 
