@@ -390,7 +390,7 @@ def square(t, y):
         ({"bounds": lambda t: (0, 1)}, TypeError, "depend on t"),
         ({"bounds": ("x", 1)}, TypeError, "numbers"),
         ({"nonnegative": True, "bounds": (None, -1)}, ValueError, "no value"),
-        ({"bounds": (0, 0.5)}, ValueError, "outside of its bounds"),
+        ({"bounds": (0, 0.5)}, ValueError, "outside its bounds"),
     ],
 )
 def test_wrong_bounds_are_refused(given, error, text):

@@ -169,7 +169,7 @@ REFUSED = {
     "mass outside of the band": (
         {"mass": np.ones((3, 3)) + np.eye(3), "lband": 1, "uband": 1},
         ValueError,
-        "mass has entries outside of the band",
+        "mass has entries outside the band",
     ),
 }
 

@@ -163,7 +163,7 @@ class TestKeep:
         assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end", save=None).t.tolist() == [1]
 
     def test_two_values_contradict_each_other(self):
-        with pytest.raises(TypeError, match="two names of one option, got keep='all' and save='end': give keep"):
+        with pytest.raises(TypeError, match="two names for one option, got keep='all' and save='end': give keep"):
             iv.solve_ivp(decay, (0, 1), [1.0], keep="all", save="end")
 
     def test_in_an_ensemble(self):

@@ -46,7 +46,7 @@ def ended_at_start(plan: Plan, found: list[int]) -> bool:
 
 
 def without_start(plan: Plan, found: list[int]) -> Plan:
-    """The plan of the rest of the run: nothing, if it ends at the start; else with one occurrence less to come."""
+    """The plan of the rest of the run: nothing, if it ends at the start; else with one occurrence fewer to come."""
     if ended_at_start(plan, found):
         t0, times = plan.settings.t0, plan.settings.times
         times = None if times is None else times[times == t0]

@@ -59,7 +59,7 @@ def _array(archive: ZipFile, member: ZipInfo) -> Array:
             read = {(1, 0): header.read_array_header_1_0, (2, 0): header.read_array_header_2_0}
             shape, by_columns, dtype = read[header.read_magic(stream)](stream)
             size = math.prod(shape) * dtype.itemsize
-        except Exception as wrong:  # a header is Python's text: tokenizer, parser and NumPy have an error each
+        except Exception as wrong:  # a header is Python source: tokenizer, parser and NumPy each have their own error
             raise ValueError(f"{member.filename} is not an array: {type(wrong).__name__}: {wrong}") from None
         contents = stream.read()
     kinds = "U" if member.filename.endswith("about.npy") else "fciu"

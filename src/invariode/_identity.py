@@ -15,7 +15,7 @@ from .compiled import CompiledFunction
 
 __all__ = ["identity"]
 
-#: Numbers of an array that are written out; of more, a digest.
+#: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
 
 

@@ -20,7 +20,7 @@ from .description import Matrices
 
 __all__ = ["prepare"]
 
-_DENSE_LIMIT = 2**30  # bytes: above, a dense Jacobian is worth a word
+_DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
 
@@ -53,7 +53,7 @@ class _Storage:
         return np.ascontiguousarray(dense, dtype=float)
 
     def mass_values(self, given: Any) -> Any:
-        """The same of a mass matrix, which is given whole also where the Jacobian is banded."""
+        """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
         matrix = _matrix("mass", given, self.complex)
         if matrix.shape != (self.n, self.n):
             raise ValueError(f"mass has shape {matrix.shape}, expected shape {(self.n, self.n)}")
@@ -63,7 +63,7 @@ class _Storage:
         row = self.upper + entries.row - entries.col
         if ((row < 0) | (row > self.lower + self.upper)).any():
             raise ValueError(
-                f"mass has entries outside of the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
+                f"mass has entries outside the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
                 "give a band that holds both"
             )
         packed = np.zeros(self.given_shape, dtype=entries.dtype)
@@ -120,8 +120,8 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: A
     bytes_needed = 8 * (n * (2 if is_complex else 1)) ** 2
     if held.kind == "dense" and bytes_needed > _DENSE_LIMIT:
         warn(
-            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: say what is zero in it by "
-            "jac_sparsity, or by lband and uband"
+            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: give jac_sparsity, "
+            "or lband and uband, to say which entries are zero"
         )
     return held, "differences", None
 
@@ -195,7 +195,7 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
             return units
     if n > _NULL_SPACE_LIMIT:
         raise ValueError(
-            f"mass is singular beyond its rows of zeros, and its {n} rows are too many to find its null space: "
+            f"mass is singular beyond its rows of zeros, and with {n} rows too large to find its null space: "
             "transform the system so that each algebraic equation has a row of zeros in mass"
         )
     safe = np.where(scale == 0, 1, scale)
@@ -243,7 +243,7 @@ def _matrix(name: str, given: Any, is_complex: bool) -> Any:
 def _sound(name: str, given: Any) -> Any:
     """A sparse matrix, once its indices are seen to fit its shape.
 
-    SciPy's constructors do not look at them all, and nothing stops who changes them later; its conversions, and the
+    SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
     core, would write where they point.
     """
     matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()
@@ -304,7 +304,7 @@ def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
 
 def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
     """(starts, rows, values) of compressed columns with ascending rows."""
-    # A new object: one that was changed may still say of itself that its rows ascend.
+    # A new object: one that was changed may still claim that its rows ascend.
     A = sp.csc_array((A.data, A.indices, A.indptr), A.shape)
     if not A.has_canonical_format:
         A = A.copy()  # the user's arrays stay as they are

@@ -1,8 +1,8 @@
-"""The options, once: what each is called, its type, default, check and meaning, and who takes it.
+"""The options, each defined once: name, type, default, check, meaning, and the functions that take it.
 
 A row of the table is a line of a TypedDict: its name and type are what type checkers read, the `Option` beside the type
-holds the rest. The classes say who takes a row: an entry point takes the rows of its class, and nothing else. Checks,
-signatures and docstrings follow from the rows, so that a new option is one row here and its use.
+holds the rest. The classes say which function takes a row: an entry point takes the rows of its class, and no others.
+Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
 import os
@@ -53,19 +53,19 @@ __all__ = [
 
 
 def as_given(name: str, value: Any) -> Any:
-    """No check here: what is right depends on the problem, and is checked with it."""
+    """No check here: the value depends on the problem, and is checked with it."""
     return value
 
 
 @dataclass(frozen=True)
 class Option:
-    """A row of the table, but for the name and the type of the option."""
+    """A row of the table, without the name and the type of the option."""
 
     default: Any
     kind: str  # the type in words
-    text: str | None  # the paragraph of the documentation; None: it shares that of the next row
+    text: str | None  # the paragraph of the documentation; None: shared with the next row
     check: Callable[[str, Any], Any] = as_given
-    every_method: bool = True  # False: only those whose row in METHODS names it can use it
+    every_method: bool = True  # False: only methods whose row in METHODS names it can use it
     command: bool = False  # the command line has a flag of this name
     type: Any = field(default=None, compare=False)  # filled in by `table_of`
 
@@ -79,7 +79,7 @@ class StepSizeOptions(TypedDict, total=False):
             1e-3,
             "float or array_like of shape (n,)",
             "The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is "
-            "raised to it.",
+            "raised to 100 ε.",
             command=True,
         ),
     ]
@@ -125,7 +125,7 @@ class MethodOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Highest order of the formulas. Default: that of the method.",
+            "Highest order of the formulas. Default: the method's highest.",
             positive_integer,
             every_method=False,
         ),
@@ -136,7 +136,7 @@ class MethodOptions(TypedDict, total=False):
             None,
             "bool",
             "Backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5 are "
-            "stable in wider sectors. Default: False, but for ``method='BDF'``.",
+            "stable in wider sectors. Default: False, except with ``method='BDF'``.",
             flag,
             every_method=False,
         ),
@@ -154,7 +154,7 @@ class MethodOptions(TypedDict, total=False):
     ]
     check: Annotated[
         bool,
-        Option(True, "bool", "Test that the invariants are invariants, and that their Jacobians are right.", flag),
+        Option(True, "bool", "Test that f conserves the invariants, and that their Jacobians are right.", flag),
     ]
     min_step: Annotated[
         float | None,
@@ -172,7 +172,7 @@ class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
 
 
 class KeepingOptions(TypedDict, total=False):
-    """What a run keeps, and whom it tells."""
+    """What a run keeps, and what it calls after each step."""
 
     callback: Annotated[
         Callable[[float, Array], object] | None,
@@ -188,29 +188,29 @@ class KeepingOptions(TypedDict, total=False):
         Option(
             None,
             "{'all', 'outputs', 'end'}",
-            "Keep the outputs and a record of each step (``Solution.steps``), the outputs only, or the final state "
-            "only; events are kept always. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with "
-            "'outputs' at `t_eval`, memory does not grow with the number of steps, unless `dense_output` is asked for.",
+            "Keep the outputs and a record of each step (``Solution.steps``), only the outputs, or only the final "
+            "state; events are always kept. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with "
+            "'outputs' at `t_eval`, memory does not grow with the number of steps, unless `dense_output` is set.",
             partial(choice, known=get_args(Keep)),
         ),
     ]
     save: Annotated[
         Keep | None,
-        Option(None, "{'all', 'outputs', 'end'}", "Another name of `keep`.", partial(choice, known=get_args(Keep))),
+        Option(None, "{'all', 'outputs', 'end'}", "Another name for `keep`.", partial(choice, known=get_args(Keep))),
     ]
 
 
 class LimitOptions(TypedDict, total=False):
-    """What may end a run early, with status -3 and everything up to there."""
+    """What may end a run early, with status -3 and all results so far."""
 
     max_steps: Annotated[
         int | None,
         Option(
             None,
             "int",
-            "Most accepted steps. Where this or one of the next two limits is reached, the run ends with status -3, a "
-            "message that says how far it came and how fast, and everything up to there; ``Solution.extend`` goes on. "
-            "Default: no limit.",
+            "Largest number of accepted steps. A run that reaches this or one of the next two limits ends with status "
+            "-3, a message that says how far it got and how fast, and all results so far; ``Solution.extend`` "
+            "continues it. Default: no limit.",
             count,
             command=True,
         ),
@@ -220,7 +220,7 @@ class LimitOptions(TypedDict, total=False):
         Option(
             None,
             "float",
-            "Most seconds of the run, looked at after each attempted step. Default: no limit.",
+            "Most seconds that the run may take, checked after each attempted step. Default: no limit.",
             positive,
             command=True,
         ),
@@ -230,9 +230,9 @@ class LimitOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Most points that are kept: outputs (or steps of the continuous solution, if these are more) and "
-            "occurrences of events. Default: 10 million or as many as fill 4 GiB, whichever is less, beyond those of "
-            "`t_eval`: no run fills the memory by accident.",
+            "Most points that are kept: outputs (or steps of the continuous solution, if there are more) and "
+            "occurrences of events. Default: 10 million or the number that fills 4 GiB, whichever is less, beyond "
+            "those of `t_eval`: no run fills the memory by accident.",
             count,
         ),
     ]
@@ -267,10 +267,10 @@ class BreakingOptions(TypedDict, total=False):
             None,
             "list of float or of (float, callable)",
             "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
-            "reached exactly, and the method starts anew there; each piece sees the functions from its own side, at a "
-            "time inside of it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
-            "invariants without a demanded value are held at their new values, and the output has both states. Those "
-            "outside the interval wait for an extension.",
+            "reached exactly, and the method starts anew there; each piece evaluates the functions only at times "
+            "inside it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
+            "invariants without a demanded value are held at their new values, and the output has both states. "
+            "Breakpoints outside the interval wait for an extension.",
             to_breakpoints,
         ),
     ]
@@ -288,8 +288,8 @@ class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, CheckpointOption
         Option(
             "raise",
             "{'raise', 'return'}",
-            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the present step and return what there "
-            "is, with status 2. A second Ctrl-C raises in any case.",
+            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
+            "so far, with status 2. A second Ctrl-C always raises.",
             partial(choice, known=get_args(OnInterrupt)),
         ),
     ]
@@ -298,15 +298,15 @@ class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, CheckpointOption
         Option(
             False,
             "bool",
-            "Whether a bar shows t, h and the time left, ten times a second at most: in notebooks under the cell, else "
-            "on the standard error (by rich).",
+            "Whether a bar shows t, h and the time left, at most ten times a second: under the cell in notebooks, else "
+            "on standard error (with rich).",
             flag,
         ),
     ]
 
 
 class OutputOptions(TypedDict, total=False):
-    """What is computed beside the steps."""
+    """What is computed besides the steps."""
 
     t_eval: Annotated[
         ArrayLike | None,
@@ -321,7 +321,7 @@ class OutputOptions(TypedDict, total=False):
 
 
 class DescribingOptions(TypedDict, total=False):
-    """What is known of the solution and of the equations: arguments of `Problem`, options of its shorter forms."""
+    """What is known about the solution and the equations: arguments of `Problem`, options of its shorter forms."""
 
     invariants: Annotated[
         InvariantsLike | None,
@@ -337,7 +337,7 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "callable, (n, n) array_like or sparse matrix",
-            "The Jacobian of f: ``jac(t, y, *args)``, or a constant. Where it is (or returns) a sparse matrix, the "
+            "The Jacobian of f: ``jac(t, y, *args)``, or a constant. If it is (or returns) a sparse matrix, the "
             "linear algebra is sparse. Default: differences.",
             every_method=False,
         ),
@@ -348,7 +348,7 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "(n, n) array_like or sparse matrix",
             "Which entries of the Jacobian can differ from zero, for differences and sparse linear algebra. An entry "
-            "that is missing here is taken for zero: Newton's iteration then converges slowly or not at all, and the "
+            "missing here is taken to be zero: Newton's iteration then converges slowly or not at all, and the "
             "steps are small.",
             every_method=False,
         ),
@@ -359,8 +359,8 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "The Jacobian is zero but for ``i - lband <= j <= i + uband``. `jac` then has, or returns, the bands as an "
-            "array (lband + uband + 1, n) with ``[uband + i - j, j]`` for entry (i, j).",
+            "The Jacobian is zero except for ``i - lband <= j <= i + uband``. `jac` then is, or returns, the array of "
+            "its bands (lband + uband + 1, n), with entry (i, j) at ``[uband + i - j, j]``.",
             every_method=False,
         ),
     ]
@@ -369,7 +369,7 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "(n, n) array_like or sparse matrix, or callable",
-            "M of M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
+            "M in M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
             "(index 1); y0 is then moved to consistent values.",
             every_method=False,
         ),
@@ -379,11 +379,12 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "bool, indices or labels",
-            "Components that are not to be negative, as concentrations are: True, all. A step that takes one below 0 "
-            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before "
-            "the method commits the step. Output between steps is not negative either; the arguments at which explicit "
-            "methods evaluate f within a step may be. With `invariants` the result is the nearest point that keeps "
-            "both.",
+            "Components that must not become negative, such as concentrations; True means all. A step that takes one "
+            "below 0 by more than its tolerance is repeated with half the size; by less, the component is moved to 0 "
+            "before the method commits the step. Output between steps is not negative either; the arguments at which "
+            "explicit methods evaluate f within a step may be. With `invariants` the result is the nearest point that "
+            "satisfies both.",
+            command=True,
         ),
     ]
     bounds: Annotated[
@@ -391,13 +392,13 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "(lower, upper) or scipy.optimize.Bounds",
-            "The same for any bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
+            "The same for other bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
         ),
     ]
 
 
 class CallingOptions(TypedDict, total=False):
-    """What else describes a problem, by position in SciPy's call."""
+    """The rest of what describes a problem; positional in SciPy's call."""
 
     events: Annotated[
         EventsLike,
@@ -410,7 +411,7 @@ class CallingOptions(TypedDict, total=False):
     ]
     args: Annotated[
         Iterable[Any] | None,
-        Option(None, "tuple", "Extra arguments of `fun`, `jac`, `mass`, invariants, events and actions."),
+        Option(None, "tuple", "Extra arguments for `fun`, `jac`, `mass`, invariants, events and actions."),
     ]
 
 
@@ -439,7 +440,7 @@ class StepperOptions(MethodOptions, DescribingOptions, total=False):
 
 
 class ExtensionOptions(TypedDict, total=False):
-    """Those that `Solution.extend` may have of its own. With any other the parts would not be of one solution."""
+    """Those that `Solution.extend` may change. With any other the parts would not belong to one solution."""
 
     t_eval: ArrayLike | None
     first_step: float | None
@@ -488,8 +489,8 @@ _Part = TypeVar("_Part")
 
 
 def checked(given: Options, method: Method) -> Options:
-    """All options of a run: those given, each checked, and the defaults. One that the method cannot use is a warning,
-    an unknown one an error."""
+    """All options of a run: those given, each checked, and the defaults. One that the method cannot use draws a
+    warning, an unknown one raises an error."""
     complete = dict(_DEFAULTS)
     for name, value in given.items():
         row = _OF_A_RUN.get(name)
@@ -504,7 +505,7 @@ def checked(given: Options, method: Method) -> Options:
     if save is not None:
         if keep is not None and keep != save:
             raise TypeError(
-                f"keep and save are two names of one option, got keep={keep!r} and save={save!r}: give keep"
+                f"keep and save are two names for one option, got keep={keep!r} and save={save!r}: give keep"
             )
         complete["keep"] = save
     return cast("Options", complete)
@@ -525,7 +526,7 @@ def warn_unused(method: Method, name: str, given: object) -> None:
 
 
 def unused(method: MethodName, describing: DescribingOptions) -> None:
-    """The same for what describes the problem. A mass matrix that the method cannot use is an error of the plan."""
+    """The same for what describes the problem. A mass matrix that the method cannot use is an error in the plan."""
     for name, given in describing.items():
         if name in _OF_SOME_METHODS and name != "mass":
             warn_unused(find_method(method)[0], name, given)

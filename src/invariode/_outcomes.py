@@ -51,7 +51,7 @@ class Outcomes:
         return np.flatnonzero(self.status < 0)
 
     def replace(self, rows: Array, other: Outcomes, attempt: int) -> None:
-        """Puts the outcomes of another attempt in the place of these rows where it did not fail."""
+        """Puts the outcomes of another attempt in the place of these rows if it did not fail."""
         better = np.flatnonzero(other.status >= 0)
         if not better.size:
             return

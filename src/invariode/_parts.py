@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 #: Parts under way for each place of an executor: the one that is solved there, and the next, so that it need not wait.
 AHEAD = 2
-#: Single rows that are taken from an iterator at once: NumPy makes an array of them in less time than of each.
+#: Single rows that are taken from an iterator at once: NumPy converts them together faster than one by one.
 BATCH = 256
 #: Bytes of a digest.
 DIGEST = 8

@@ -18,7 +18,7 @@ from typing import Any
 
 __all__ = ["INTERVAL", "PATIENCE", "bar", "in_passing", "run_bar"]
 
-#: Seconds between two pictures, and before a bar that is shown in passing appears.
+#: Seconds between two updates, and before a transient bar appears.
 INTERVAL, PATIENCE = 0.1, 0.3
 
 _in_passing = ContextVar("_in_passing", default=False)
@@ -26,7 +26,7 @@ _in_passing = ContextVar("_in_passing", default=False)
 
 @contextmanager
 def in_passing() -> Iterator[None]:
-    """Bars appear only where it takes longer, and leave nothing behind."""
+    """Bars appear only when it takes longer, and leave nothing behind."""
     token = _in_passing.set(True)
     try:
         yield
@@ -36,7 +36,7 @@ def in_passing() -> Iterator[None]:
 
 @contextmanager
 def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
-    """Shows a bar while the block runs; what it yields is called with how much is done, and of what, if that changes.
+    """Shows a bar while the block runs; call what it yields with how much is done, and with the total if that changes.
 
     It yields None if no bar was asked for.
 
@@ -66,7 +66,7 @@ def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float]
 
 @contextmanager
 def _drawn(what: str, total: float | None, text: str = "", **fields: float) -> Iterator[Callable[..., None]]:
-    """A bar with this text about the fields; what it yields is called with their news."""
+    """A bar with this text about the fields; call what it yields with their new values."""
     if (display := _notebook()) is not None:
         cell = _Cell(display, what, total, text, fields)
         try:
@@ -110,8 +110,8 @@ def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, floa
 
 
 def _notebook() -> ModuleType | None:
-    """How this process shows HTML in a notebook's cell, or None where there is no notebook."""
-    ipython = sys.modules.get("IPython")  # who runs in a notebook has imported it
+    """How this process shows HTML in a notebook's cell, or None outside a notebook."""
+    ipython = sys.modules.get("IPython")  # code that runs in a notebook has imported it
     if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
         return None
     display: ModuleType = ipython.display

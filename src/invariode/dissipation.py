@@ -17,15 +17,15 @@ __all__ = ["Dissipated"]
 class Dissipated(Invariants):
     """Functions G of the solution that never rise as t grows, such as a dissipated energy; or never fall.
 
-    It stands among `invariants`, alone or in a list with others. A step that would raise G above its least value so
-    far is projected onto that value; other steps are left alone.
+    Pass it as `invariants`, alone or in a list with others. A step that would raise G above its smallest value so far
+    is projected onto that value; other steps are left alone.
 
     Parameters
     ----------
     fun : callable
         ``G(t, y, *args)``, a number or an array of shape (m,), each of which is kept from rising.
     rises : bool, default False
-        True: G never falls, as an entropy.
+        True: G never falls, like an entropy.
     jac : callable or {'complex-step', '3-point', '2-point'}, optional
         Its Jacobian, or how to compute it: as for `Invariants`.
     names : str or sequence of m str, optional
@@ -40,11 +40,11 @@ class Dissipated(Invariants):
     one step G may still rise, by no more than the error of the interpolant. After the action of an event, or at a
     breakpoint, G starts from its value there; with ``rehold=False`` an action must not raise it.
 
-    The law is about t: in a run backwards G never falls.
+    The law refers to t: in a backward run G never falls.
 
-    A solve evaluates G once per step, and its Jacobian in steps that are projected only. There the law is tested: where
+    A solve evaluates G once per step, and its Jacobian only in steps that are projected. There the law is tested: if
     g_t + J f has the wrong sign beyond roundoff, the run ends with status -2, or is refused at its start with an
-    `InvariantError`. ``sol.residual`` tells by how much G has risen above its least value at the outputs before.
+    `InvariantError`. ``sol.residual`` says how far G has risen above its smallest value at earlier outputs.
 
     `impose` is for invariants: single points have no past.
 

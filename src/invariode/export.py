@@ -35,7 +35,7 @@ __all__ = [
 ]
 __all__ += ["to_xarray", "write_arrays"]
 
-#: What every file says of itself, and the version of its contents: raised whenever they change.
+#: What every file says about itself, and the version of its contents: raised whenever they change.
 FORMAT, VERSION = "invariode solution", 3
 
 #: The fields of a Solution that JSON takes as they are.
@@ -51,10 +51,10 @@ class Exports(Result):
         Returns
         -------
         xarray.Dataset
-            `y` (component, t), with the problem's labels and the times as coordinates, complex where the problem is.
+            `y` (component, t), with the problem's labels and the times as coordinates, complex if the problem is.
             With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
             `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
-            a name are numbered. Of the accepted steps, if kept, `h, order, error, correction` (t_step). The attributes
+            a name are numbered. If the steps were kept, `h, order, error, correction` (t_step). The attributes
             are the problem's name, the outcome, the tolerances, and all counts of `stats`.
 
         Raises
@@ -91,8 +91,8 @@ class Exports(Result):
         Parameters
         ----------
         path : str or path-like
-            The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced, all at
-            once when the new one is complete, which keeps its mode. A pipe or a device is written to.
+            The file, under exactly this name; conventionally it ends in ``.npz``. An existing file is replaced, all at
+            once when the new one is complete, and keeps its mode. A pipe or a device is written to.
 
         Raises
         ------
@@ -126,7 +126,7 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
         variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
     attributes = {
-        name: int(value) if isinstance(value, bool) else value  # netCDF has no truth values
+        name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
         for name, value in _attributes(solution).items()
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, attributes)
@@ -295,7 +295,7 @@ def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any],
 
 
 def _nameless(folder: Path) -> Any:
-    """A file without a name, which is gone when the process is killed; None where the system has no such files."""
+    """A file without a name, which is gone when the process is killed; None if the system has no such files."""
     if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
         return None
     try:

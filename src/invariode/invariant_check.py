@@ -1,4 +1,4 @@
-"""The pre-flight check of invariants: a report of how they stand at one point."""
+"""The check of invariants before a run: a report on them at one point."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["CheckReport", "check_invariants"]
 
 @dataclass(frozen=True)
 class CheckReport:
-    """How invariants stand at a point; prints as a table. Arrays of one value per invariant.
+    """A report on invariants at a point; prints as a table. Arrays have one value per invariant.
 
     Attributes
     ----------
@@ -35,29 +35,29 @@ class CheckReport:
     residual : ndarray
         g(t, y) - value.
     distance : ndarray
-        That as a distance from the level set, in units of rtol.
+        The residual as a distance from the level set, in units of rtol.
     rate : ndarray
         d/dt of the invariant along f, at the nearest point of the manifold.
     angle : ndarray
-        That in units of the size of its terms: roundoff for invariants.
+        The rate in units of the size of its terms: roundoff for an invariant.
     detectable : ndarray
-        The smallest angle that the check tells from roundoff and from errors of the derivatives. (A run sees smaller
-        ones, where its tolerance asks for it.)
+        The smallest angle that the check can distinguish from roundoff and from errors in the derivatives. (A run
+        detects smaller ones if its tolerance requires it.)
     redundant : ndarray of bool
         Dependent on the others.
     stationary : ndarray of bool
         The gradient is 0.
     conserved : ndarray of bool
-        The rate is roundoff, at the point and at others near it: the angle is not above what is detectable. Of what is
-        `invariode.Dissipated`: or it has the right sign.
+        The rate is roundoff, at the point and at others near it: the angle is at most `detectable`. For
+        `invariode.Dissipated` functions, a rate of the right sign suffices.
     senses : list of int
-        -1: it may only fall as t grows, 1: only rise, 0: it is to be conserved.
+        -1: it may only fall as t grows; 1: it may only rise; 0: it must be conserved.
     on_manifold : ndarray of bool
         The distance is at most 1.
     derivatives : list of str
-        Where the gradient came from.
+        How the gradient was computed.
     findings : list of str
-        What is wrong or worth knowing, in words; empty where all is well.
+        What is wrong or worth knowing, in words; empty if all is well.
     ok : bool
         All are conserved and on the manifold, and no Jacobian is wrong. (Redundant ones do no harm.)
     """
@@ -91,7 +91,7 @@ class CheckReport:
     __repr__ = __str__
 
     def verdict(self, i: int) -> str:
-        """What the table says of invariant i: 'NO', 'yes', or of what is `invariode.Dissipated` 'falls', 'rises'."""
+        """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
         return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
 
     def _repr_html_(self) -> str:
@@ -109,7 +109,7 @@ def check_invariants(
     atol: Numbers = 1e-6,
     nearby: bool = True,
 ) -> CheckReport:
-    """Are these functions invariants of y' = f(t, y)? What a solve asks at its start, as a report.
+    """Checks whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
 
     Parameters
     ----------
@@ -127,14 +127,14 @@ def check_invariants(
     atol : float or array_like of shape (n,), default 1e-6
         The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured.
     nearby : bool, default True
-        Whether what is conserved at the point is tested at points near it too, and along a short run: at points of
-        rest and of symmetry much looks conserved.
+        Whether to test also at points near this one and along a short run: at points of rest and of symmetry many
+        functions look conserved.
 
     Returns
     -------
     CheckReport
-        Finite, on the manifold, independent, conserved on the manifold (constraints are invariant only there), their
-        Jacobians right.
+        Whether they are finite, on the manifold, independent and conserved on the manifold (constraints are invariant
+        only there), and their Jacobians right.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def check_invariants(
 #: Points near the one that is checked, and their distance in units of the sizes of the components.
 _NEARBY, _SPREAD = 4, 0.05
 
-#: The short run: so many steps of ode45, of which so many points are checked.
+#: The short run: the number of steps of ode45, and of points checked among them.
 _STEPS, _ALONG = 20, 4
 
 
@@ -196,7 +196,7 @@ def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
         run.append((at, state.copy()))
         return len(run) >= _STEPS
 
-    # outside of its domain f may raise anything: what the run has reached by then will do
+    # outside its domain f may raise anything: the part of the run so far is enough
     with quietly(), suppress(Exception):
         solve(problem, "ode45", {"callback": note, "keep": "end", "max_step": np.inf})
     sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
@@ -218,20 +218,20 @@ class _Elsewhere(NamedTuple):
 
 
 def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
-    """None where something is not defined."""
+    """The examination; None if something is not defined there."""
     try:
         found = _core.examine(t, y.view(float), problem, weights)
-    except Exception:  # of a function of the user, where the user did not send it
+    except Exception:  # from a user's function, at a point that the user did not choose
         return None
     return None if found is None else _Elsewhere(t, y, found)
 
 
-#: What is said of invariants: they are ..., and where they are not, they ...
+#: Words for messages: an invariant is ..., or it ...
 _CONSERVED = ("conserved", "changes")
 
 
 def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
-    """The report, with invariants refused that are conserved at its point only."""
+    """The report, with those refused that are conserved only at its point."""
     conserved, findings = report.conserved.copy(), []
     for i in np.flatnonzero(report.conserved):
         there = [other for other in others if other is not None and not other.found.conserved[i]]

@@ -1,4 +1,4 @@
-"""Files that `Solution.save` wrote, read again."""
+"""Reading the files that `Solution.save` writes."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def load(
 ) -> Solution:
     """The Solution that ``Solution.save`` wrote to a file, or that a run has come to in its `checkpoint`.
 
-    All its values, those of ``sol(t)`` included, are those of the original to the last bit. Functions are not in the
-    file. With the `problem` of the run the Solution is as good as the original: ``extend`` goes on to the last bit as
-    the run would have that was never interrupted, on the same machine with the same libraries. That needs functions of
+    All its values, including those of ``sol(t)``, equal the original's to the last bit. The file holds no functions.
+    With the `problem` of the run the Solution is as good as the original: ``extend`` continues it, to the last bit, as
+    the uninterrupted run would have gone on, on the same machine with the same libraries. That needs functions of
     (t, y, *args) alone; what functions remember by themselves is not in the file.
 
-    Without it, `residual` and ``drift()`` are what they were when it was saved, and ``impose()`` needs `invariants`. So
+    Without it, `residual` and ``drift()`` are as they were when it was saved, and ``impose()`` needs `invariants`. So
     does ``sol(t)`` between the steps of a run that projects there (``interpolation="projected"``, the default): without
     them it warns once and returns the values of ``interpolation="corrected"``, continuous and of the same order but off
     the manifold.
@@ -55,7 +55,7 @@ def load(
     problem : Problem, optional
         The problem of the run. A checkpoint needs it.
     invariants : callable, Invariants, or list of these, optional
-        Without a problem: the invariants that the run had, in their order. They are held at the values in the file.
+        Without a problem: the run's invariants, in their order. They are held at the values in the file.
     args : tuple, optional
         Their extra arguments.
     **options
@@ -69,9 +69,9 @@ def load(
     Raises
     ------
     ValueError
-        The file was not written by invariode, is damaged, or is of a newer version; it is of another problem, by its
-        sizes, events, arguments, y0 or the value of `fun` at the start, or of a run with other options, which the error
-        names; or the invariants are not those of the run, by their names or by their values.
+        The file was not written by invariode, is damaged, or comes from a newer version; it belongs to another problem,
+        by its sizes, events, arguments, y0 or the value of `fun` at the start, or to a run with other options, which
+        the error names; or the invariants differ from the run's in their names or values.
     OSError
         It cannot be read.
 
@@ -225,7 +225,7 @@ def _of_checkpoint(path: PathLike, stored: Stored, problem: Description, given: 
 
 @dataclasses.dataclass
 class _StoredInvariants(BoundInvariants):
-    """Those of a file, without functions: at its outputs what was computed when it was saved."""
+    """The invariants of a file, without functions: at its outputs, what was computed when it was saved."""
 
     at_outputs: tuple[Array, Array] = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t)
 
@@ -243,7 +243,7 @@ class _StoredInvariants(BoundInvariants):
 
 
 class _Unprojected(DenseSolution):
-    """That of a file which needs functions to project, and has none."""
+    """The continuous solution of a file, which needs functions to project and has none."""
 
     _told = False
 
@@ -309,7 +309,7 @@ def _last_time(arrays: dict[str, Any], dense: Dense | None) -> float:
     return float(arrays["t"][-1]) if len(arrays["t"]) else float("nan")
 
 
-#: At so many outputs the invariants given to `load` are compared with those of the run.
+#: At this many outputs the invariants given to `load` are compared with those of the run.
 _COMPARED = 16
 
 
@@ -319,7 +319,7 @@ def _bind_again(
     """The invariants of the file with their functions, once these are seen to be the same."""
     stored, t, y = solution._invariants, solution.t, solution.y
     if not len(stored):
-        raise ValueError(f"invariants are given, and the run in {os.fspath(path)} had none")
+        raise ValueError(f"invariants are given, but the run in {os.fspath(path)} had none")
     if len(t):
         t0, y0 = float(t[0]), y[:, 0].copy()
     elif dense is not None:
@@ -339,7 +339,7 @@ def _bind_again(
     pieces = stored.pieces_of_output(len(t))
     now = bound.distance(t[some], y[:, some], rtol, atol, pieces[some])
     before = stored.distance(t, y, rtol, atol)[:, some]
-    # equal but for the roundoff of another machine; what the tolerance does not see is not held against them
+    # equal except for another machine's roundoff; differences below the tolerance are ignored
     differs = ~(np.abs(now - before) <= 1) & ~(now == before) & ~(np.isnan(now) & np.isnan(before))
     if differs.any():
         i, p = (int(one[0]) for one in np.nonzero(differs))

@@ -19,7 +19,7 @@ class Method:
     Attributes
     ----------
     name : str
-        As in MATLAB; of dop853, which is not there, as its authors call it.
+        As in MATLAB, or as the authors call methods that MATLAB does not have.
     summary : str
         What it is and what it is for, in a few words.
     family : str
@@ -27,14 +27,14 @@ class Method:
     min_order : int
         Lowest order of the formulas.
     order : int
-        Highest order; the lowest too where the order is fixed.
+        Highest order; also the lowest if the order is fixed.
     extension_order : int
         Order of the continuous extension, of the formula of highest order.
     stages : int or None
-        Evaluations of f per step of a Runge-Kutta pair; None where they are not a fixed number. Where 'fsal' is not
-        among `options` the last of them waits for the accepted value: a failed attempt takes one less.
+        Evaluations of f per step of a Runge-Kutta pair; None if their number is not fixed. If 'fsal' is not among
+        `options` the last of them waits for the accepted value: a failed attempt takes one fewer.
     extra : int
-        Evaluations of f that output or events inside a step take, once per step.
+        Further evaluations of f in a step with output or events inside it.
     iterations : int
         Projection iterations per step when invariants are imposed (paper, section 4).
     refine : int
@@ -42,11 +42,11 @@ class Method:
     scipy_name : str or None
         The name of the corresponding method of `scipy.integrate.solve_ivp`, accepted too.
     scipy_options : mapping
-        What that name implies.
+        The options that this name implies.
     mass : str
-        Which mass matrices it takes: 'none', 'regular' (and constant) ones, or 'any'.
+        Which mass matrices it takes: 'none', 'regular' (constant, regular ones), or 'any'.
     options : tuple of str
-        Options that not every method can use, and this one can.
+        Options that this method can use and others cannot.
     source : str
         Where the formulas come from.
     """

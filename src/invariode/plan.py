@@ -1,4 +1,4 @@
-"""The plan of a run: a problem with a method and its options, checked, in the form that the core takes.
+"""The plan of a run: a problem with a method and its options, checked, in the form the core takes.
 
 It is made in four stages: options, functions, linear algebra, invariants.
 """
@@ -28,7 +28,7 @@ from .result import LIMIT_REACHED, Names
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
-#: Errors of ode15s at rtol 1e-4 are as large as those asked for if its steps are ten times as accurate (measured on the
+#: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
 CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
 
@@ -71,7 +71,7 @@ class Settings(NamedTuple):
         return 1.0 if self.tf >= self.t0 else -1.0
 
     def limit(self, kind: str) -> float:
-        """The limit that the core calls so."""
+        """The limit that has this name in the core."""
         limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
         return limits[kind]
 
@@ -94,7 +94,7 @@ class Functions(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does, and what its messages call things."""
+    """What a run does, and the names in its messages."""
 
     method: Method
     tolerances: Tolerances
@@ -107,7 +107,7 @@ class Plan(NamedTuple):
     demanded: list[bool]  # of the invariants, whether their values were
     senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
-    called: Names  # what tables and pictures call things
+    called: Names  # the names in tables and pictures
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
@@ -135,7 +135,7 @@ class Plan(NamedTuple):
         return status_and_message(run, self.laws, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
-        """The exception with which a single solve ends where the run did."""
+        """The exception that a single solve raises if the run ended like this."""
         state = run.state
         if state in MESSAGES:
             return None
@@ -239,9 +239,9 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     span = abs(tf - t0)
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
     if keep == "end" and (times is not None or options["dense_output"]):
-        raise ValueError('keep="end" keeps the final state only: t_eval and dense_output need keep="outputs" or "all"')
+        raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
@@ -278,7 +278,7 @@ def _calibrated(weights: Tolerances, order: int) -> Tolerances:
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
 
-#: What is kept without `max_points`. Of a few components so many points are less than a gigabyte.
+#: What is kept without `max_points`. With a few components this many points are less than a gigabyte.
 _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
 
 
@@ -352,11 +352,11 @@ def _functions(
 def _linear_algebra(
     problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
 ) -> tuple[_core.Linear | None, Array]:
-    """What an implicit method knows of its matrices; and y0, moved where the algebraic equations of a singular mass
+    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
     if "jac" not in method.options:
         return None, problem.y0
-    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
+    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than everything else
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
@@ -388,7 +388,7 @@ def _require_free_directions(bound: BoundInvariants, problem: Description) -> No
         return
     what = "bounds" if problem.limits is not None else "a mass matrix"
     raise ValueError(
-        f'invariants with direction="stages" cannot be imposed together with {what}, which ask for other corrections: '
+        f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
         'use direction="gradient"'
     )
 

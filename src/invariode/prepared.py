@@ -1,4 +1,4 @@
-"""A solver that is made once and called often: what does not change from solve to solve is checked once."""
+"""A solver that is made once and called often: whatever does not change between solves is checked once."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ _OF_SPAN: tuple[Literal["t_eval", "breakpoints", "first_step"], ...] = ("t_eval"
 class PreparedSolver:
     """A problem with a method and options, checked once: what `Problem.prepare` returns.
 
-    ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=...)`` one that differs in these. Several threads
-    may call it at once.
+    ``solver()`` solves the problem, ``solver(y0=..., args=..., t_span=...)`` the same problem with these changed.
+    Several threads may call it at once.
 
     Attributes
     ----------
     problem : Problem
         The problem.
     method : str
-        The method, as given.
+        The method as given.
     """
 
     def __init__(self, problem: Description, method: MethodName, options: Options) -> None:
@@ -55,7 +55,7 @@ class PreparedSolver:
                 self._options[name] = kept(options[name])
         plan = self._plan = make_plan(problem, method, self._options)
         core = solver(plan)
-        #: Solvers that no call uses at the moment: a thread takes one, or makes another.
+        #: Idle solvers: a thread takes one, or makes another.
         self._idle = deque([core])
         self._complex = plan.functions.complex
         self._max_step = None if options.get("max_step") is None else plan.settings.max_step
@@ -80,17 +80,17 @@ class PreparedSolver:
         args : tuple, optional
             Other extra arguments.
         t_span : (float, float), optional
-            Another interval. `t_eval`, if it was given, must lie in it.
+            Another interval. It must contain `t_eval`, if that was given.
 
         Returns
         -------
         Solution
-            The same, bit for bit, as that of ``problem.replace(...).solve(method, **options)``.
+            Bit for bit the same as that of ``problem.replace(...).solve(method, **options)``.
 
         Raises
         ------
         TypeError, ValueError, InvariantError
-            As `Problem.solve`.
+            As for `Problem.solve`.
         """
         if args is not None and type(args) is not tuple:
             args = extra_arguments(args)
@@ -101,7 +101,7 @@ class PreparedSolver:
             run = self._run(start, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
                 return presented(run, self._as_run(run, args, cover), _Changed(self, run, args, t_span))
-        # Where the plan may be another one, or a start failed: a single solve knows what to say.
+        # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
 
     def _run(self, y0: Array, args: tuple[Any, ...] | None, cover: Cover | None) -> _core.Run | None:
@@ -139,7 +139,7 @@ class PreparedSolver:
 
 def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
-    mechanical system counts its work, and algebraic equations and events at the start ask for steps before the run."""
+    mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
     alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
     if alone or isinstance(problem.fun, CoreFunction):
         return False
@@ -154,7 +154,7 @@ def _as_state(y0: ArrayLike, like: Array) -> Array | None:
     if not isinstance(y0, np.ndarray):
         try:
             y0 = np.array(y0)
-        except ValueError:  # `solve` knows what to say
+        except ValueError:  # `solve` finds the right message
             return None
     if y0.dtype.kind in "iu" and like.dtype.kind == "f":
         y0 = y0.astype(float)
@@ -175,7 +175,7 @@ def _changed(
 
 
 class _Changed:
-    """What a solution of a prepared solver was made from. Few ask for it, so its problem is made when asked for."""
+    """What a solution of a prepared solver was made from. It is rarely needed, so its problem is made on demand."""
 
     __slots__ = ("_args", "_made", "_prepared", "_run", "_t_span")
 

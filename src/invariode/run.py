@@ -33,18 +33,18 @@ __all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
 
 
 class Resumed(NamedTuple):
-    """From where a run goes on."""
+    """Where a run continues from."""
 
     memory: bytes  # of the run that was interrupted
     anew: bool  # the method is to start again
 
 
 class Source(Protocol):
-    """What a run is made from."""
+    """The problem, method and options of a run."""
 
     @property
     def problem(self) -> Description:
-        """The problem, with the whole interval where the run goes on from another."""
+        """The problem, with the whole interval if the run continues another."""
 
     @property
     def method(self) -> MethodName:
@@ -65,7 +65,7 @@ class Solved(NamedTuple):
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
-    """What a solution was made from, and where it ended: what it takes to go on."""
+    """What a solution was made from, and where it ended: what is needed to continue it."""
 
     source: Source
     t: float
@@ -223,7 +223,7 @@ def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
 def _integrated(
     core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
 ) -> _core.Run:
-    """The run, with its bar, and with Ctrl-C as a request, where they are asked for."""
+    """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
     every = plan.checkpoint_every
     with ExitStack() as around:
         told = request = None
@@ -297,12 +297,10 @@ def _warn_dropped(
     several = len(dropped) > 1
     off = max(drift.distance[i] for i in dropped)
     if off <= 1:
-        then = (
-            f"That does no harm: {'they' if several else 'it'} never left the tolerance (by {off:.2g} of it at most)."
-        )
+        then = f"That does no harm: {'they were' if several else 'it was'} off by at most {off:.2g} of the tolerance."
     else:
         then = (
-            f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
+            f"{'They were' if several else 'It was'} off by up to {off:.2g} tolerances before a projection: impose "
             "fewer invariants, or try a smaller rtol."
         )
     if along_steps:
@@ -350,9 +348,9 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
 
 
 def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
-    """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
+    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension."""
     if origin.source.options.get("t_eval") is None:
-        raise ValueError("the run has output at its steps, and so will its extension: leave out t_eval")
+        raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
     beyond = times[forward * (times - tf) > 0]
     if t_eval is not None:
@@ -362,7 +360,9 @@ def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: fl
     else:
         now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
         if now.size == 0:
-            raise ValueError(f"the run has output at t_eval, which has no times left up to t_end = {tf}: give t_eval")
+            raise ValueError(
+                f"the run has output at t_eval, which has no times left up to t_end = {tf}: give new ones as t_eval"
+            )
     return now, np.concatenate([now, beyond])
 
 

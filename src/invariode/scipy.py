@@ -1,4 +1,4 @@
-"""The methods as classes of SciPy's, made from the registry: for `scipy.integrate.solve_ivp`, and for stepping by hand.
+"""The methods as SciPy's classes, made from the registry: for `scipy.integrate.solve_ivp`, and for stepping by hand.
 
 The stub beside this file, for type checkers, is made from it too: ``make stubs``.
 

@@ -61,10 +61,10 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 DENSE = 10
 
 MaxSteps = Annotated[
-    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after so many steps, exit code 1.")
+    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after this many steps, exit code 1.")
 ]
 TimeLimit = Annotated[
-    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long, exit code 1.")
+    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after this time, exit code 1.")
 ]
 Checkpoint = Annotated[
     Path | None,
@@ -85,7 +85,7 @@ MethodOption = Annotated[
     typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
 ]
 ProjectOption = Annotated[
-    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
+    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only report their drift.")
 ]
 TimesOption = Annotated[
     int | None,
@@ -94,7 +94,7 @@ TimesOption = Annotated[
 DenseOption = Annotated[bool, typer.Option("--dense", help=f"Output between the steps too, {DENSE} points per step.")]
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="Where the solution goes: .csv, .parquet, .nc or .npz."),
+    typer.Option("--output", "-o", metavar="FILE", help="The file for the solution: .csv, .parquet, .nc or .npz."),
 ]
 PlotOption = Annotated[
     Path | None,
@@ -106,9 +106,15 @@ PlotOption = Annotated[
         help="Draw the solution and the drift of its invariants: .png, .svg or .pdf.",
     ),
 ]
+NonnegativeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--nonnegative", metavar="LIST", help="What is not to be negative: labels or indices, as in x,y,3, or all."
+    ),
+]
 ComponentsOption = Annotated[
     str | None,
-    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, as in x,y,3."),
+    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, such as x,y,3."),
 ]
 
 
@@ -118,12 +124,13 @@ def solve(
     rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
     atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
     project: ProjectOption = True,
+    nonnegative: NonnegativeOption = None,
     t_eval: TimesOption = None,
     dense: DenseOption = False,
     output: OutputOption = None,
     plot: PlotOption = None,
     components: ComponentsOption = None,
-    log: Annotated[bool, typer.Option("--log", help="Draw over a logarithmic axis of time.")] = False,
+    log: Annotated[bool, typer.Option("--log", help="Draw with a logarithmic time axis.")] = False,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
     progress: Progress = None,
     max_steps: MaxSteps = None,
@@ -131,12 +138,12 @@ def solve(
     checkpoint: Checkpoint = None,
     checkpoint_every: CheckpointEvery = 60,
     resume: Resume = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors and warnings.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and warnings.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
 
     The file is Python and says [bold]problem = invariode.Problem(fun, t_span, y0, invariants=...)[/].
-    Prints how the run went and what became of the invariants.
+    Reports on the run and on the drift of its invariants.
 
     Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -153,7 +160,8 @@ def solve(
         raise typer.BadParameter("needs the file to go on from: give --checkpoint FILE too", param_hint="--resume")
     with guarded():
         problem = load(file)
-        drawn = _drawn(problem, components)
+        problem = _nonnegative(problem, nonnegative)
+        drawn = _components(problem, components, "--components")
         options = _options(problem, rtol, atol, t_eval, dense)
         shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
@@ -165,7 +173,7 @@ def solve(
             from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
             sol = _solved(run, method, options, limits, from_file)
             seconds = perf_counter() - start
-    _write(sol, output, plot, (problem.name, drawn, log))  # first of all: what is printed may get lost
+    _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
         with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
@@ -189,7 +197,7 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 def _solved(
     problem: Problem, method: str, options: dict[str, Any], limits: ExtensionOptions, from_file: Path | None
 ) -> Solution:
-    """The solution, perhaps of a run that began earlier. Ctrl-C ends the command with a line about where it was."""
+    """The solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run got."""
     reached = [problem.t_span[0], 0.0]
 
     def note(t: float, y: Array) -> None:
@@ -209,8 +217,15 @@ def _solved(
         raise stop(f"Interrupted{where}; {saved}.", INTERRUPTED) from None
 
 
-def _drawn(problem: Problem, given: str | None) -> list[int] | None:
-    """Indices of the components to draw, refused before the work is done."""
+def _nonnegative(problem: Problem, given: str | None) -> Problem:
+    if given is None:
+        return problem
+    chosen = True if given == "all" else _components(problem, given, "--nonnegative")
+    return problem.replace(nonnegative=chosen)
+
+
+def _components(problem: Problem, given: str | None, option: str) -> list[int] | None:
+    """Indices of the components that an option names, refused before the work is done."""
     if given is None:
         return None
     names = [name.strip() for name in given.split(",")]
@@ -218,11 +233,11 @@ def _drawn(problem: Problem, given: str | None) -> list[int] | None:
         return [component(problem.labels, name if name in problem.labels else int(name)) for name in names]
     except ValueError:
         known = listed(problem.labels)
-        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint="--components") from None
+        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint=option) from None
 
 
 def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
-    """Those of the solve: output at so many points, or between the steps."""
+    """The options of the solve: output at this many points, or between the steps."""
     return {
         "rtol": rtol,
         "atol": atol,
@@ -235,7 +250,7 @@ def _options(problem: Problem, rtol: float, atol: float, points: int | None, den
 def _times(problem: Problem, size: int) -> Array:
     if not np.isfinite(problem.t_span).all():
         raise typer.BadParameter(
-            f"equally spaced times need a finite interval, and that of {problem.name} is {problem.t_span}",
+            f"equally spaced times need a finite interval, but that of {problem.name} is {problem.t_span}",
             param_hint="--t-eval",
         )
     return np.linspace(*problem.t_span, size)
@@ -286,7 +301,7 @@ def _print_drift(console: Console, problem: Problem, sol: Solution, projected: b
         )
         console.print(table)
     elif any(event.action for event in problem.events):
-        note = "Nothing is imposed. Which values the invariants should have after the actions of events is not known."
+        note = "Nothing is imposed. The values that the invariants should have after event actions are not known."
     else:
         threshold = tolerances(rtol, atol, problem.y0)[1]
         g = bind(problem.invariants, problem.t_span[0], problem.y0, problem.args, threshold)

@@ -1,4 +1,4 @@
-"""How far invariants are from their values, on a logarithmic axis."""
+"""The drift of invariants from their values, on a logarithmic axis."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     """See `Solution.plot_drift`."""
     given_ones = to_invariants(invariants)
     if not given_ones and not len(sol._invariants):
-        raise ValueError("the run had no invariants: tell which to look at, plot_drift(invariants=g)")
+        raise ValueError("the run had no invariants: give those to draw, plot_drift(invariants=g)")
     if not len(sol.t):
-        raise ValueError("the output has no points to look at: t_eval was empty")
+        raise ValueError("the output has no points: t_eval was empty; solve with times in t_eval")
     g = _bound(sol, given_ones) if given_ones else sol._invariants
     pieces = g.pieces_of_output(len(sol.t))
     residual = np.abs(g.residual(sol.t, sol.y, pieces))

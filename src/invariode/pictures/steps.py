@@ -26,7 +26,7 @@ _HEIGHTS = (3, 1.3, 2)
 def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
     """See `Solution.plot_steps`."""
     if sol.steps is None:
-        raise ValueError('the steps are kept with keep="all"')
+        raise ValueError('the run did not keep its steps: solve with keep="all"')
     own = axes is None
     panels = new_panels(sol, _HEIGHTS) if own else np.ravel(np.asarray(axes, dtype=object))
     if not 1 <= len(panels) <= 3:

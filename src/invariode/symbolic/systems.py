@@ -1,4 +1,4 @@
-"""Systems of symbols, and the problems that they make."""
+"""Symbolic systems, and the problems made from them."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ __all__ = [
     "label",
 ]
 
-#: Levels of correction: constraints move positions only, their rates and constraints of velocities move velocities
-#: only, and other laws what is left.
+#: Levels of correction: constraints move only positions, their rates and velocity constraints move only
+#: velocities, and other laws move what is left.
 POSITIONS, VELOCITIES, LAWS = 0, 1, 2
 
 #: Longer formulas are not names.
@@ -60,9 +60,9 @@ class SymbolicSystem(HasPoints):
     states : list of sympy.Expr
         The components of y.
     parameters : dict
-        Symbols and their values, which become `args` of the problem, in this order.
+        Symbols and their values, which become `args` of the problem in this order.
     laws : dict of str to sympy.Expr
-        What the system keeps: invariants that were given, constraints, and laws that were found.
+        What the system keeps: given invariants, constraints, and laws that were found.
     """
 
     def __init__(
@@ -202,8 +202,8 @@ class Equations(SymbolicSystem):
         y0 : dict or array_like
             Initial values, by symbol or in the order of the equations.
         compiled : bool, optional
-            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
-            bodies minutes: give False where the runs are short.
+            Whether numba compiles the functions. Default: if it is installed. It takes seconds, and minutes for chains
+            of twenty bodies: give False if the runs are short.
         name : str, optional
             For tables and plots.
 
@@ -215,7 +215,7 @@ class Equations(SymbolicSystem):
 
 
 class Phase(SymbolicSystem):
-    """A mechanical system: its state are coordinates q, and momenta p or velocities v."""
+    """A mechanical system: its state consists of coordinates q, and momenta p or velocities v."""
 
     _second: str
 
@@ -241,12 +241,12 @@ def equations(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Equations:
-    """Differential equations by formulas.
+    """Differential equations given by formulas.
 
     Parameters
     ----------
     rates : dict
-        States, symbols or functions of the time, and their derivatives: ``{x: -y, y: x}``.
+        States, symbols or functions of time, and their derivatives: ``{x: -y, y: x}``.
     invariants : sequence of sympy.Expr or sympy.Eq, or dict of names and these, optional
         What the solution keeps: expressions keep their initial values, equations ``Eq(a, b)`` hold.
     parameters : dict, optional
@@ -262,12 +262,12 @@ def equations(
     Raises
     ------
     TypeError, ValueError
-        A formula is no expression of SymPy's, or has a symbol without meaning; a symbol has two.
+        A formula is not a SymPy expression, or has an unknown symbol; a symbol has two meanings.
 
     Notes
     -----
-    The time is what the states are functions of, else the symbol t. Jacobians are exact, sparse where there are many
-    equations and few entries.
+    Time is the argument of the states if they are functions, else the symbol t. Jacobians are exact, and sparse if
+    there are many equations and few entries.
 
     Examples
     --------
