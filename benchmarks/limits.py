@@ -51,7 +51,7 @@ def main() -> None:
         lines.append(told.stdout.strip())
         print(lines[-1], flush=True)
     if "--write" in sys.argv:
-        write_section("limits", f"{machine("numpy")}\n\n" + "\n".join(lines))
+        write_section("limits", f"{machine('numpy')}\n\n" + "\n".join(lines))
 
 
 if __name__ == "__main__":
