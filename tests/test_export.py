@@ -158,7 +158,7 @@ def test_only_the_final_state(method, tmp_path):
     assert_same(sol, again)
     assert again.sol is None
     assert again.steps is None
-    with pytest.raises(ValueError, match="kept with keep"):
+    with pytest.raises(ValueError, match='solve with keep="all"'):
         again.correction  # noqa: B018  # the property raises
 
 
