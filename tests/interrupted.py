@@ -85,6 +85,14 @@ def ball(t, y):
     return [y[1], -1.0]
 
 
+def damped(t, y):
+    return [y[1], -y[0] - 0.01 * y[1]]
+
+
+def quadratic(t, y):
+    return y[0] ** 2 + y[1] ** 2
+
+
 def height(t, y):
     return y[0]
 
@@ -146,6 +154,15 @@ def _bouncing(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Probl
     return lambda: iv.Problem(ball, (0, 8), [1.0, 0.0], events=event, invariants=laws), {"max_step": 0.2}
 
 
+def _dissipating(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Problem], dict[str, Any]]:
+    return lambda: iv.Problem(damped, (0, 20), [1.0, 0.0], invariants=iv.Dissipated(quadratic)), {}
+
+
+def _along_steps(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Problem], dict[str, Any]]:
+    law = iv.Invariants(energy, direction="stages")
+    return lambda: iv.Problem(kepler, (0, 12), [0.4, 0.0, 0.0, 2.0], invariants=law), {}
+
+
 def _complex(rng: random.Random, implicit: bool) -> tuple[Callable[[], iv.Problem], dict[str, Any]]:
     return lambda: iv.Problem(rotation, (0, 10), [1 + 0j, 0.5j], invariants=lambda t, y: abs(y[0]) ** 2), {}
 
@@ -161,7 +178,7 @@ def random_case(seed: int, method: str | None = None) -> Case:
     method = method or rng.choice(METHODS)
     about = iv.METHODS[method]
     implicit = "jac" in about.options
-    kinds = [_orbit, _orbit, _chemistry, _pulses, _bouncing, _complex]
+    kinds = [_orbit, _orbit, _chemistry, _pulses, _bouncing, _complex, _dissipating, _along_steps]
     if about.mass == "any":
         kinds.append(_algebraic)
     kind = rng.choice(kinds)

@@ -562,6 +562,22 @@ def test_compare_gives_up_explicit_methods_on_stiff_problems(monkeypatch):
     assert len(re.findall("too long", outcome.output)) == 2
 
 
+def test_a_run_goes_on_from_its_checkpoint(tmp_path):
+    files = {name: str(tmp_path / name) for name in ("run.checkpoint", "on.npz", "whole.npz")}
+    kept = ["solve", "pendulum.py", "--checkpoint", files["run.checkpoint"]]
+    assert invariode(*kept, "--max-steps", "20").exit_code == 1
+    outcome = invariode(*kept, "--resume", "-o", files["on.npz"])
+    assert outcome.exit_code == 0, outcome.output
+    assert invariode("solve", "pendulum.py", "-o", files["whole.npz"]).exit_code == 0
+    on, whole = iv.load(files["on.npz"]), iv.load(files["whole.npz"])
+    np.testing.assert_array_equal(on.y, whole.y)
+    assert dict(on.stats) == dict(whole.stats)
+    assert invariode(*kept, "--resume").exit_code == 0  # there is nothing left to do
+    other = invariode(*kept, "--resume", "--rtol", "1e-4")
+    assert (other.exit_code, "rtol is 0.0001 here" in flat(other.output)) == (2, True), other.output
+    assert invariode("solve", "pendulum.py", "--resume").exit_code == 2
+
+
 def test_compare_takes_methods_that_can_solve_the_problem():
     options = ["--decades", "3-4", "--atol-ratio", "1"]
     outcome = invariode("compare", "stiff.py:algebraic", *options)

@@ -274,10 +274,11 @@ class CheckpointOptions(TypedDict, total=False):
             "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to PATH.output "
             "beside it. A run of another process that has not ended is not overwritten. An extension goes on writing.",
             path,
+            command=True,
         ),
     ]
     checkpoint_every: Annotated[
-        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive)
+        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive, command=True)
     ]
 
 
@@ -407,6 +408,7 @@ class DescribingOptions(TypedDict, total=False):
             "before the method commits the step. Output between steps is not negative either; the arguments at which "
             "explicit methods evaluate f within a step may be. With `invariants` the result is the nearest point that "
             "satisfies both.",
+            command=True,
         ),
     ]
     bounds: Annotated[

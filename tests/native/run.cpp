@@ -139,7 +139,7 @@ TEST(a_run_goes_on_from_where_another_ended) {
     Run first(solver);
     first.integration().start(oscillator.y0.data());
     for (int step = 0; step < 7; ++step) CHECK(first.integration().advance() == State::running);
-    const Memory memory = first.memory(1000);
+    const Memory memory = first.memory(1000), light = first.memory(0);
     const std::size_t seen = first.integration().occurrences[0].t.size();
     const std::span<const std::byte> bytes(memory.data(), memory.size());
     Run then(solver);
@@ -147,6 +147,11 @@ TEST(a_run_goes_on_from_where_another_ended) {
     const RunResult rest = then.take_result();
     CHECK(rest.t_end == whole.t_end && rest.counted() == whole.counted());
     CHECK(rest.occurrences[0].t.size() + seen == whole.occurrences[0].t.size());
+    // Without the Jacobian, if there is one: the method starts anew.
+    Run anew(solver);
+    CHECK(anew.resume({light.data(), light.size()}, false) == State::running);
+    CHECK(anew.integration().run() == State::terminal_event);
+    CHECK_CLOSE(anew.integration().t(), whole.t_end, 1e-3);
     for (const std::size_t size : {bytes.size() - 1, bytes.size() / 2, std::size_t{3}})
       CHECK(refused([&] { Run(solver).resume(bytes.first(size), false); }));
   }

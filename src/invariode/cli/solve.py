@@ -14,9 +14,11 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
+from .._options import ExtensionOptions
 from .._progress import in_passing
 from ..compiled import is_native
 from ..invariants import bind
+from ..loading import load as load_solution
 from ..pictures.canvas import component, listed
 from ..precision import unprojected
 from ..problem import Problem
@@ -43,6 +45,7 @@ __all__ = ["EXAMPLES", "solve"]
 EXAMPLES = examples(
     "solve pendulum.py",
     "solve orbits.py:kepler --method ode113 --rtol 1e-8 -o kepler.csv",
+    "solve orbits.py:kepler --checkpoint kepler.checkpoint --resume",
     "solve pendulum.py --no-project --t-eval 501 -o plain.nc --plot plain.svg",
 )
 
@@ -63,6 +66,14 @@ MaxSteps = Annotated[
 TimeLimit = Annotated[
     float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after this time, exit code 1.")
 ]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option("--checkpoint", metavar="FILE", help="Write the state of the run there while it goes on."),
+]
+CheckpointEvery = Annotated[
+    float, typer.Option("--checkpoint-every", metavar="SECONDS", help="Least time between two checkpoints.")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --checkpoint, if there is one.")]
 Progress = Annotated[
     bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
 ]
@@ -124,6 +135,9 @@ def solve(
     progress: Progress = None,
     max_steps: MaxSteps = None,
     time_limit: TimeLimit = None,
+    checkpoint: Checkpoint = None,
+    checkpoint_every: CheckpointEvery = 60,
+    resume: Resume = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and warnings.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
@@ -142,6 +156,8 @@ def solve(
         writable(plot, PICTURES, "--plot", "plot", force)
     elif components is not None or log:
         raise typer.BadParameter("is for the picture: give --plot FILE too", param_hint="--components, --log")
+    if resume and checkpoint is None:
+        raise typer.BadParameter("needs the file to go on from: give --checkpoint FILE too", param_hint="--resume")
     with guarded():
         problem = load(file)
         problem = _nonnegative(problem, nonnegative)
@@ -151,8 +167,11 @@ def solve(
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
-            limits = {"max_steps": max_steps, "time_limit": time_limit}
-            sol = _solved(run, method, {"progress": shown, **limits, **options})
+            limits: ExtensionOptions = {"progress": shown, "max_steps": max_steps, "time_limit": time_limit}
+            if checkpoint is not None:
+                options |= {"checkpoint": checkpoint, "checkpoint_every": checkpoint_every}
+            from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
+            sol = _solved(run, method, options, limits, from_file)
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
@@ -175,8 +194,10 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
         write_to(plot, lambda: _draw(sol, *look, plot))
 
 
-def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
-    """The solution; Ctrl-C ends the command with a line that says how far the run got."""
+def _solved(
+    problem: Problem, method: str, options: dict[str, Any], limits: ExtensionOptions, from_file: Path | None
+) -> Solution:
+    """The solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run got."""
     reached = [problem.t_span[0], 0.0]
 
     def note(t: float, y: Array) -> None:
@@ -186,10 +207,14 @@ def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
     if not is_native(problem.fun):  # native code need not wait for Python at each step
         options = {"callback": note, **options}
     try:
-        return problem.solve(method, **options)
+        if from_file is None:
+            return problem.solve(method, **{**limits, **options})
+        begun = load_solution(from_file, problem, **options)
+        return begun if begun.t_end == problem.t_span[1] else begun.extend(problem.t_span[1], **limits)
     except KeyboardInterrupt:
         where = "" if is_native(problem.fun) else f" at t = {reached[0]:.6g}, after {reached[1]:.0f} steps"
-        raise stop(f"Interrupted{where}; nothing was saved.", INTERRUPTED) from None
+        saved = f"--resume goes on from {options['checkpoint']}" if "checkpoint" in options else "nothing was saved"
+        raise stop(f"Interrupted{where}; {saved}.", INTERRUPTED) from None
 
 
 def _nonnegative(problem: Problem, given: str | None) -> Problem:
