@@ -14,10 +14,11 @@ from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from .ensemble_store import EnsembleStore
 from .events import Event
+from .imposing import ImposeResult, impose
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
-from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
+from .invariants import AccuracyWarning, InvariantError, Invariants
 from .ivp import solve_ivp
 from .loading import load
 from .manifolds import RotationMatrix, UnitQuaternion, UnitVector

@@ -16,6 +16,7 @@ MOVED = {
     "invariode.check": "invariode.invariant_check",
     "invariode.discovery": "invariode.invariant_search",
     "invariode.export": "invariode.loading",
+    "invariode.invariants": "invariode.imposing",
     "invariode.suite": "invariode",
 }
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 
 from ._arguments import Array, choice
+from ._bound_invariants import BoundInvariants
 from ._messages import MESSAGES
 from ._types import Numbers
 from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
-from .invariants import BoundInvariants
 from .notebook import html_of_ensemble
 from .pictures.ensembles import draw as draw_ensemble
 from .result import BeforeProjection, Names, Record, Stats

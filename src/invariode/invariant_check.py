@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, flag, function, number, quietly, reals, state, tolerances
+from ._bound_invariants import BoundInvariants, bind
 from ._messages import wrong_jacobian
 from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
 from .description import Description
-from .invariants import BoundInvariants, InvariantsLike, bind, to_invariants
+from .invariants import InvariantsLike, to_invariants
 from .notebook import html_of_check
 from .run import solve
 

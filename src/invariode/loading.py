@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, extra_arguments, reals, shown, tolerances, warn
+from ._bound_invariants import BoundInvariants, Jump, bind
 from ._core import MEMORY_VERSION, Dense
 from ._files import PathLike, about_of, read_arrays, unreadable
 from ._options import ExtensionOptions, Options
@@ -19,7 +20,7 @@ from ._run_identity import Identity, options_of, require_same
 from .checkpoint import CHECKPOINT, CHECKPOINT_VERSION, Stored, dense_of, read_checkpoint
 from .description import Description
 from .export import FORMAT, PLAIN, VERSION
-from .invariants import BoundInvariants, InvariantsLike, Jump, bind, to_invariants
+from .invariants import InvariantsLike, to_invariants
 from .plan import make_plan
 from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
 from .run import RunOrigin, Solved

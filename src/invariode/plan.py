@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
+from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
 from ._files import PathLike
 from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
@@ -22,7 +23,7 @@ from .compiled import native_parameters, to_native
 from .description import Description
 from .events import EventSpec, event_spec
 from .inputs import fed
-from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
+from .invariants import InvariantError
 from .methods import Method, find_method
 from .result import LIMIT_REACHED, Names
 

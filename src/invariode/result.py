@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, real_numbers
+from ._bound_invariants import BoundInvariants, as_columns
 from ._core import Dense
-from .invariants import BoundInvariants, as_columns
 from .notebook import html_of_solution
 
 __all__ = [

@@ -13,6 +13,7 @@ import numpy as np
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
+from ._bound_invariants import Jump, as_columns
 from ._calls import explain
 from ._interruption import stopped_by_interrupt
 from ._messages import MESSAGES, harmful_projection, limited_by_stability
@@ -23,7 +24,7 @@ from ._types import MethodName
 from .checkpoint import Checkpoint
 from .compiled import CoreFunction, values_of
 from .description import Description
-from .invariants import AccuracyWarning, Jump, as_columns
+from .invariants import AccuracyWarning
 from .methods import find_method
 from .plan import Plan, make_plan, solver
 from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Stats, Steps, StiffnessWarning

@@ -14,10 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
+from .._bound_invariants import bind
 from .._options import ExtensionOptions
 from .._progress import in_passing
 from ..compiled import is_native
-from ..invariants import bind
 from ..loading import load as load_solution
 from ..pictures.canvas import component, listed
 from ..precision import unprojected

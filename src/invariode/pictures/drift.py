@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._arguments import EPS, Array, tolerances
+from .._bound_invariants import BoundInvariants, Jump, bind
 from .._style import LEVELS
-from ..invariants import BoundInvariants, Invariants, InvariantsLike, Jump, bind, to_invariants
+from ..invariants import Invariants, InvariantsLike, to_invariants
 from ..result import Result
 from .canvas import FEW, MOST, drawable, joined, legend, new, once, properties, unused
 from .curves import interrupted
