@@ -220,7 +220,8 @@ def pushed(t, y):
 @pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass != "none"])
 def test_with_a_diagonal_mass_matrix_components_rest_as_they_do_without(method, factor):
     options = {"rtol": 1e-4, "atol": 1e-6, "nonnegative": True}
-    without = iv.solve_ivp(pushed, (0, 12), [0.1], method, **options)
+    plain = "ode15s" if method == "auto" else method  # which auto is with a mass matrix
+    without = iv.solve_ivp(pushed, (0, 12), [0.1], plain, **options)
     kept = iv.solve_ivp(lambda t, y: [factor * pushed(t, y)[0]], (0, 12), [0.1], method, mass=[[factor]], **options)
     assert kept.success
     assert kept.y.min() >= 0
