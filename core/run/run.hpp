@@ -52,7 +52,7 @@ struct RunResult {
 
   static constexpr const char* count_names[] = {"steps",  "failed",      "nfev",    "nfev_check", "njev", "nlu",
                                                 "nsolve", "projections", "skipped", "clipped",    "ng",   "ngjac",
-                                                "ngdiff", "switches",    "dropped", "harmed",  "stiff"};
+                                                "ngdiff", "switches",    "dropped", "harmed",     "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
   /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
   /// "stiff" is 1 where `stiffness` was found.
