@@ -42,7 +42,7 @@ def load(
     All its values, including those of ``sol(t)``, equal the original's to the last bit. The file holds no functions.
     With the `problem` of the run the Solution is as good as the original: ``extend`` continues it, to the last bit, as
     the uninterrupted run would have gone on, on the same machine with the same libraries. That needs functions of
-    (t, y, *args) alone; what functions remember by themselves is not in the file.
+    ``(t, y, *args)`` alone; what functions remember by themselves is not in the file.
 
     Without it, `residual` and ``drift()`` are as they were when it was saved, and ``impose()`` needs `invariants`. So
     does ``sol(t)`` between the steps of a run that projects there (``interpolation="projected"``, the default): without
