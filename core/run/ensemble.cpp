@@ -1,12 +1,15 @@
 #include "run/ensemble.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <string_view>
 #include <utility>
 
+#include "run/lanes/worker.hpp"
 #include "run/threads.hpp"
 #include "run/watch.hpp"
 
@@ -50,30 +53,6 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
           "solvers of an ensemble must have parameters of their own");
 }
 
-/// Trajectory i, on a thread that has the solver to itself.
-void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
-                   EnsembleResult& result) {
-  const double* row = ensemble.rows + i * ensemble.parameters;
-  std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
-  const double t0 = solver.settings().t0;
-  const double* given = ensemble.y0 + i * ensemble.n;
-  if (!all_finite(given, ensemble.n)) return result.refuse(i, EnsembleResult::not_finite, t0, given);
-  std::vector<double> y0(given, given + ensemble.n);
-  Run run(solver);
-  switch (run.prepare(t0, y0.data())) {
-    case Consistency::not_found: return result.refuse(i, EnsembleResult::not_found, t0, given);
-    case Consistency::index_too_high: return result.refuse(i, EnsembleResult::index_too_high, t0, given);
-    case Consistency::consistent:
-    case Consistency::corrected:
-    case Consistency::undefined:  // the run says so
-    case Consistency::stop: break;
-  }
-  result.hold(i, run);
-  State state = run.integration().start(y0.data());
-  while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = run.integration().advance();
-  result.keep(i, run, uncounted_starts(solver.problem()));
-}
-
 }  // namespace
 
 EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
@@ -115,6 +94,20 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   keep_outputs(i, one);
   if (m > 0) measure_drift(i, one, *run.invariants());
   keep_happenings(i, one);
+}
+
+void EnsembleResult::keep(const lanes::Ended& ended, double tf) {
+  const std::size_t i = ended.trajectory;
+  t[i] = tf;
+  for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = ended.y[c * ended.stride];
+  state[i] = static_cast<std::int8_t>(State::reached_end);
+  static_assert(RunResult::count_names[2] == std::string_view("nfev"));
+  std::copy_n(std::array{ended.steps, ended.failed, ended.evaluations}.begin(), 3, &count[i * counts]);
+}
+
+void EnsembleResult::add_alone(std::size_t more) {
+  const std::scoped_lock lock(shared_);
+  alone += more;
 }
 
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
@@ -164,14 +157,42 @@ void EnsembleResult::keep_happenings(std::size_t i, const RunResult& run) {
   }
 }
 
+void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+                   EnsembleResult& result) {
+  const double* row = ensemble.rows + i * ensemble.parameters;
+  std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
+  const double t0 = solver.settings().t0;
+  const double* given = ensemble.y0 + i * ensemble.n;
+  if (!all_finite(given, ensemble.n)) return result.refuse(i, EnsembleResult::not_finite, t0, given);
+  std::vector<double> y0(given, given + ensemble.n);
+  Run run(solver);
+  switch (run.prepare(t0, y0.data())) {
+    case Consistency::not_found: return result.refuse(i, EnsembleResult::not_found, t0, given);
+    case Consistency::index_too_high: return result.refuse(i, EnsembleResult::index_too_high, t0, given);
+    case Consistency::consistent:
+    case Consistency::corrected:
+    case Consistency::undefined:  // the run says so
+    case Consistency::stop: break;
+  }
+  result.hold(i, run);
+  State state = run.integration().start(y0.data());
+  while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = run.integration().advance();
+  result.keep(i, run, uncounted_starts(solver.problem()));
+}
+
 std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
-                                              const std::function<bool(std::uint32_t done)>& watch) {
+                                              const std::function<bool(std::uint32_t done)>& watch,
+                                              const std::optional<LaneForm>& form) {
   require_alike(solvers, ensemble);
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
-  const auto work = [&](std::size_t worker, std::uint32_t i, const std::atomic<bool>& cancelled) {
-    integrate_one(*solvers[worker], ensemble, i, cancelled, *result);
+  const bool in_lanes = form && obstacle_to_lanes(*solvers.front()) == nullptr;
+  const auto work = [&](std::size_t worker, Queue& queue) {
+    const Solver& solver = *solvers[worker];
+    if (in_lanes) return LaneWorker(solver, ensemble, *form, queue, *result).run();
+    for (std::uint32_t i; queue.next(i); queue.finish_one())
+      integrate_one(solver, ensemble, i, queue.cancelled(), *result);
   };
-  if (!for_each_index(static_cast<std::uint32_t>(ensemble.size), solvers.size(), patience, work, watch)) return {};
+  if (!on_workers(static_cast<std::uint32_t>(ensemble.size), solvers.size(), patience, work, watch)) return {};
   return result;
 }
 
