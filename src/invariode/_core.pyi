@@ -363,10 +363,16 @@ class EnsembleRun:
     def failures(self) -> list[tuple[int, Run]]:
         """(trajectory, Run that tells why it ended) of those that failed."""
 
-def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None) -> EnsembleRun:
+    @property
+    def alone(self) -> int:
+        """Trajectories that the lanes left to the code for one at a time."""
+
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, int] | None = None) -> EnsembleRun:
     """
-    Integrates from each row of y0, on as many threads as there are solvers.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and the address of f in its lanes.
     """
+
+LANES: list = ...
 
 class StopRequest:
     """A wish to end a run."""
@@ -384,6 +390,10 @@ class Solver:
     @property
     def native(self) -> bool:
         """Whether no function needs the interpreter."""
+
+    @property
+    def obstacle_to_lanes(self) -> str | None:
+        """Why its trajectories cannot be integrated side by side, or None."""
 
     @property
     def motion_work(self) -> object:

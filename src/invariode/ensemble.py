@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +36,7 @@ from .description import Description
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, Trajectories
 from .events import to_events
 from .invariants import AccuracyWarning, as_columns
+from .lanes import Lanes, choose_lanes
 from .plan import Plan, make_plan, solver
 from .result import LIMIT_REACHED, default_labels
 
@@ -76,6 +77,7 @@ def solve_ensemble(
     events: EventsLike = None,
     t_eval: ArrayLike | None = None,
     workers: int | None = None,
+    lanes: Literal["auto", 1] = "auto",
     progress: bool = False,
     **options: Unpack[EnsembleOptions],
 ) -> EnsembleSolution:
@@ -97,6 +99,9 @@ def solve_ensemble(
         Times of the output, sorted in the direction of integration. Default: the final states are kept, and no others.
     workers : int, optional
         Threads or processes. Default: the processors that this process may use.
+    lanes : {'auto', 1}, default 'auto'
+        With 'auto' explicit Runge-Kutta pairs integrate trajectories side by side in vector registers where they can,
+        with the same result; 1: one at a time. ``stats.lanes`` tells which it was, and why.
     progress : bool, default False
         Whether a progress bar is shown (needs rich).
 
@@ -147,7 +152,7 @@ def solve_ensemble(
     run_options = _options_of_each(running, t_eval)
     workers = positive_integer("workers", _processors() if workers is None else workers)
     rows, extra = _rows(y0, args)
-    task = _Task(described, method, run_options, rows, extra)
+    task = _Task(described, method, run_options, rows, extra, in_lanes=_side_by_side(lanes))
     if len(rows) == 0:
         raise ValueError("an ensemble needs at least one row of y0 or args")
     plan = task.first_plan()
@@ -172,6 +177,14 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     if options.get("save") is None:
         options["keep"] = "end"
     return options
+
+
+def _side_by_side(lanes: Any) -> bool:
+    if lanes == "auto":
+        return True
+    if lanes != 1 or isinstance(lanes, bool):
+        raise ValueError(f'lanes must be "auto" or 1, got {lanes!r}')
+    return False
 
 
 def _processors() -> int:
@@ -230,6 +243,7 @@ class _Task:
     options: Options
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
+    in_lanes: bool = False  # if they can be
 
     def plan(self, i: int) -> Plan:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
@@ -253,7 +267,7 @@ class _Task:
 
 
 def _solution(
-    task: _Task, plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, **fields: Any
+    task: _Task, plan: Plan, y: Array, y_end: Array, counts: Array, clipped_amount: Array, lanes: str, **fields: Any
 ) -> EnsembleSolution:
     times = plan.settings.times
     if dropped := int((counts[:, _DROPPED] > 0).sum()):
@@ -266,7 +280,7 @@ def _solution(
         y=y_end[:, :, None].copy() if times is None else y,
         y_end=y_end,
         success=fields["status"] >= 0,
-        stats=EnsembleStats(**stats, clipped_amount=clipped_amount),
+        stats=EnsembleStats(**stats, clipped_amount=clipped_amount, _lanes=lanes),
         _trajectories=_trajectories(plan, task),
         **fields,
     )
@@ -304,7 +318,9 @@ def _trajectories(plan: Plan, task: _Task) -> Trajectories:
 def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> EnsembleSolution:
     y0 = np.ascontiguousarray(task.y0)
     solvers = [solver(plan) for _ in range(workers)]
-    run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
+    lanes = choose_lanes(solvers[0], plan.functions.fun, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
+    rows = y0.view(float).reshape(len(y0), -1)
+    run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
     dtype = y0.dtype
     states = run.take_states()
     value, before, after, correction = run.take_drift()
@@ -321,6 +337,7 @@ def _on_threads(task: _Task, plan: Plan, workers: int, report: Callable[[float],
         counts=run.take_counts(),
         clipped_amount=run.take_clipped(),
         messages=_messages(task, plan, run, states),
+        lanes=lanes.described(run.alone),
         events=[_in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
         value=value,
         residual_before=before,
@@ -487,6 +504,7 @@ class _Rows:
             counts=self.counts,
             clipped_amount=self.clipped_amount,
             messages=dict(sorted(self.messages.items())),
+            lanes=Lanes(reason="functions are Python's").described(),
             events=[self._events(found) for found in self.found],
             value=self.value,
             residual_before=self.before,

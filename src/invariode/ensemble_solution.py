@@ -95,7 +95,7 @@ class EnsembleEvents(Record):
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleStats(Record):
-    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve."""
+    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words."""
 
     steps: Array
     failed: Array
@@ -111,6 +111,13 @@ class EnsembleStats(Record):
     ngjac: Array
     ngdiff: Array
     clipped_amount: Array
+    _lanes: str = ""
+
+    @property
+    def lanes(self) -> str:
+        """How many trajectories were integrated side by side, by which instructions, or why they were not. Not in
+        files."""
+        return self._lanes
 
 
 @dataclasses.dataclass(eq=False, repr=False)
