@@ -342,7 +342,7 @@ class Block {
   Host& host_;
   P *y_, *stage_, *candidate_, *p_;
   P *ready_y_, *ready_k_, *ready_p_;
-  Kernel::Stages k_{};
+  typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0;  // lanes
   int prepared_ = 0, ready_ = 0;
   std::uint32_t trajectory_[W]{};

@@ -47,15 +47,25 @@ struct Register<1> {
   static Numbers all(double x) { return x; }
 };
 
+/// The registers of W doubles.
 template <int W_>
 struct Layout {
   static constexpr int W = W_, in_register = W < native ? W : native, registers = W / in_register;
-  using R = Register<in_register>;
 };
+template <int W>
+using RegisterOf = Register<Layout<W>::in_register>;
+// NOLINTBEGIN(readability-redundant-typename): clang 14 asks for it
+template <int W>
+using NumbersOf = typename RegisterOf<W>::Numbers;
+template <int W>
+using BitsOf = typename RegisterOf<W>::Bits;
+template <int W>
+using WordOf = typename RegisterOf<W>::Word;
+// NOLINTEND(readability-redundant-typename)
 
 template <int W>
 struct Mask : Layout<W> {
-  Layout<W>::R::Bits v[Layout<W>::registers];
+  BitsOf<W> v[Layout<W>::registers];
 
   [[nodiscard]] std::int64_t* lanes() { return reinterpret_cast<std::int64_t*>(v); }
   [[nodiscard]] const std::int64_t* lanes() const { return reinterpret_cast<const std::int64_t*>(v); }
@@ -63,12 +73,11 @@ struct Mask : Layout<W> {
 
 template <int W>
 struct Pack : Layout<W> {
-  using R = Layout<W>::R;
-  R::Numbers v[Layout<W>::registers];
+  NumbersOf<W> v[Layout<W>::registers];
 
   Pack() = default;
   Pack(double x) {  // NOLINT(misc-explicit-constructor): a number is the pack of that number
-    for (auto& one : v) one = R::all(x);
+    for (auto& one : v) one = RegisterOf<W>::all(x);
   }
   Pack& operator+=(const Pack& a) { return *this = *this + a; }
   [[nodiscard]] double* lanes() { return reinterpret_cast<double*>(v); }
@@ -109,11 +118,11 @@ Pack<W> operator*(double a, const Pack<W>& b) {
 }
 template <int W>
 Mask<W> operator<(const Pack<W>& a, const Pack<W>& b) {
-  return each<Mask<W>>([&](int c) { return Pack<W>::R::less(a.v[c], b.v[c]); });
+  return each<Mask<W>>([&](int c) { return RegisterOf<W>::less(a.v[c], b.v[c]); });
 }
 template <int W>
 Mask<W> operator<=(const Pack<W>& a, const Pack<W>& b) {
-  return each<Mask<W>>([&](int c) { return Pack<W>::R::no_more(a.v[c], b.v[c]); });
+  return each<Mask<W>>([&](int c) { return RegisterOf<W>::no_more(a.v[c], b.v[c]); });
 }
 template <int W>
 Mask<W> operator&(const Mask<W>& a, const Mask<W>& b) {
@@ -129,7 +138,7 @@ Mask<W> operator~(const Mask<W>& a) {
 }
 template <int W>
 Pack<W> choose(const Mask<W>& mask, const Pack<W>& yes, const Pack<W>& no) {
-  return each<Pack<W>>([&](int c) { return Pack<W>::R::choose(mask.v[c], yes.v[c], no.v[c]); });
+  return each<Pack<W>>([&](int c) { return RegisterOf<W>::choose(mask.v[c], yes.v[c], no.v[c]); });
 }
 /// std::max(a, b), std::min(a, b): the first where they do not compare.
 template <int W>
@@ -143,17 +152,14 @@ Pack<W> smaller(const Pack<W>& a, const Pack<W>& b) {
 
 template <int W>
 Pack<W> absolute(const Pack<W>& a) {
-  using R = Pack<W>::R;
-  return each<Pack<W>>([&](int c) {
-    return __builtin_bit_cast(typename R::Numbers, __builtin_bit_cast(typename R::Bits, a.v[c]) & INT64_MAX);
-  });
+  return each<Pack<W>>(
+      [&](int c) { return __builtin_bit_cast(NumbersOf<W>, __builtin_bit_cast(BitsOf<W>, a.v[c]) & INT64_MAX); });
 }
 /// The next larger double of numbers that are not negative.
 template <int W>
 Pack<W> next(const Pack<W>& a) {
-  using R = Pack<W>::R;
   return each<Pack<W>>(
-      [&](int c) { return __builtin_bit_cast(typename R::Numbers, __builtin_bit_cast(typename R::Bits, a.v[c]) + 1); });
+      [&](int c) { return __builtin_bit_cast(NumbersOf<W>, __builtin_bit_cast(BitsOf<W>, a.v[c]) + 1); });
 }
 template <int W>
 Pack<W> square_root(const Pack<W>& a) {

@@ -51,9 +51,8 @@ constexpr double excess_of_exponent(int Q) {
 /// A number's bits, changed one register after the other.
 template <int W, class F>
 Pack<W> on_bits(const Pack<W>& x, F f) {
-  using R = Pack<W>::R;
   return each<Pack<W>>(
-      [&](int c) { return __builtin_bit_cast(typename R::Numbers, f(__builtin_bit_cast(typename R::Word, x.v[c]))); });
+      [&](int c) { return __builtin_bit_cast(NumbersOf<W>, f(__builtin_bit_cast(WordOf<W>, x.v[c]))); });
 }
 
 constexpr std::uint64_t mantissa_bits = (std::uint64_t{1} << 52U) - 1;
