@@ -30,8 +30,9 @@ test: $(VENV)/.installed-test native  ## every test: the core's own, then Python
 test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
 	$(LOWEST)/bin/python -m pytest -q -n 2 -W ignore::DeprecationWarning
 
+# With the core of the wheel, which pip has just built.
 native: $(VENV)/.installed-test
-	$(CMAKE) -S . -B $(NATIVE)
+	$(CMAKE) -S . -B $(NATIVE) -DINVARIODE_CORE_LIBRARY=$$(ls -t $(CURDIR)/build/cp*/libinvariode_core.a | head -n 1)
 	$(BIN)/cmake --build $(NATIVE)
 	$(BIN)/ctest --test-dir $(NATIVE) --output-on-failure
 
@@ -83,13 +84,14 @@ fuzz-sanitize: $(VENV)/.installed-test  ## the same with the extension built und
 	LD_PRELOAD="$(foreach lib,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(lib).so))" PYTHONMALLOC=malloc \
 	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONPATH=$(SANITIZED) $(BIN)/python $(FUZZ)
 
-lint: $(VENV)/.installed-lint native  ## style, types, docstrings, static analysis, drift of the generated stubs
+lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, drift of the generated stubs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python docs/docstrings.py
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
-	$(BIN)/clang-tidy -quiet -p $(NATIVE) $(shell find core -name '*.cpp')
+	$(CMAKE) -S . -B $(NATIVE)-lint
+	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint
 	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
 	$(BIN)/python .ci/stubs.py build
 	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
@@ -103,21 +105,25 @@ stubs: $(VENV)/.installed-lint  ## regenerate the stubs, of the binding and of w
 	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o ../src/invariode/_core.pyi
 	$(BIN)/python .ci/stubs.py src/invariode
 
-bench: $(VENV)/.installed-bench  ## measure, and write docs/benchmarks.md
+bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchmarks
 	$(BIN)/python benchmarks/overhead.py --write
 	$(BIN)/python benchmarks/multistep.py --write
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
+	$(BIN)/python benchmarks/links.py --write
 	$(BIN)/python benchmarks/chains.py --write
 	$(BIN)/python benchmarks/manifolds.py --write
 	$(BIN)/python benchmarks/native.py --write
 	$(BIN)/python benchmarks/peers.py --write
 	$(BIN)/python benchmarks/ensembles.py --write
 	$(BIN)/python benchmarks/lanes.py --write
+	$(BIN)/python benchmarks/many.py --write
 	$(BIN)/python benchmarks/large.py --write
 	$(BIN)/python benchmarks/detest.py --write
 	$(BIN)/python benchmarks/events.py --write
+	$(BIN)/python benchmarks/limits.py --write
+	$(BIN)/python benchmarks/directions.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist

@@ -41,10 +41,10 @@ def stubs() -> dict[str, str]:
         f"def {name}(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution: ..."
         for name in METHODS
     )
-    classes = "\n".join(f"class {name.upper()}(Stepper): ..." for name in METHODS)
+    classes = "\n".join([*(f"class {name.upper()}(Stepper): ..." for name in METHODS), "", "LSODA = AUTO"])
     return {
         "ode_functions.pyi": FUNCTIONS.format(names=listed([*METHODS]), functions=functions),
-        "scipy.pyi": CLASSES.format(names=listed([name.upper() for name in METHODS]), classes=classes),
+        "scipy.pyi": CLASSES.format(names=listed([*(name.upper() for name in METHODS), "LSODA"]), classes=classes),
     }
 
 

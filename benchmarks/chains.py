@@ -2,7 +2,7 @@
 
 IDA gets the index-1 form q' = v, M v' = Q + Φᵀ λ, Φ v' = γ; scipy_dae, whose methods fail on that one, the form of its
 examples: q' = v + Φᵀ μ, M v' = Q + Φᵀ λ, φ = 0, Φ v = 0 with λ and μ as derivatives (Gear, Gupta and Leimkuhler).
-Ours computes Φ and γ from φ, the others get formulas for them. ``--write`` puts the table into docs/benchmarks.md.
+Ours computes Φ and γ from φ, the others get formulas for them. ``--write`` puts the table into docs/benchmarks.
 """
 
 from __future__ import annotations

@@ -243,7 +243,7 @@ def stiff_tables() -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     arguments = parser.parse_args()
     versions = f"SciPy {installed('scipy')}, `atol = rtol` on DETEST."
     text = "\n\n".join((versions, nonstiff_tables(), stiff_tables()))

@@ -11,7 +11,7 @@ trajectories is 1e-6 within a factor of 2; what is timed starts with arrays of N
   copy an integrator per trajectory or batch, which costs more than to integrate this problem.
 - SciPy: a loop over the first 100 rows with a function of numba's; its rate is that of these.
 
-``--large`` adds a million trajectories, for invariode only. ``--write`` puts the tables into docs/benchmarks.md.
+``--large`` adds a million trajectories, for invariode only. ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -485,7 +485,7 @@ def report(repetitions: int, large: bool) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     parser.add_argument("--repetitions", type=int, default=7)
     parser.add_argument("--large", action="store_true", help=f"also {LARGE:,} trajectories, invariode only")
     parser.add_argument("--memory", type=int, help=argparse.SUPPRESS)

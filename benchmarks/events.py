@@ -1,7 +1,7 @@
 """How many zeros of events steps pass over, and the cost of finding them: ``python benchmarks/events.py [--write]``.
 
 y' = 1 is solved by one step of 1, so that the solution is exact; event functions are random polynomials and products of
-sines with 1 to 20 sign changes in it, which are known. ``--write`` puts the table into docs/benchmarks.md.
+sines with 1 to 20 sign changes in it, which are known. ``--write`` puts the table into docs/benchmarks.
 """
 
 from __future__ import annotations

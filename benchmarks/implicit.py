@@ -1,7 +1,7 @@
 """The implicit methods on the stiff problems: ``python benchmarks/implicit.py [--write]``, or ``make bench``.
 
 Errors in units of rtol, evaluations of f and factorisations, with the same analytic Jacobian for all; nothing is timed,
-so the tables are the same on every machine. ``--write`` puts them into docs/benchmarks.md.
+so the tables are the same on every machine. ``--write`` puts them into docs/benchmarks.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The heat equation and the wave equation by finite differences on a ring, in units of the mesh, with a fixed step far
 below the limit of stability (first_step = max_step, tolerances that no step fails), so that every n has the same work
 per component. The exact solution of the differences is known; nothing is timed before it was compared with it. f is C++
-of `large.cpp`, compiled here with the flags of the core. ``--write`` puts the tables into docs/benchmarks.md.
+of `large.cpp`, compiled here with the flags of the core. ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -344,7 +344,7 @@ def report(repetitions: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     parser.add_argument("--repetitions", type=int, default=7)
     parser.add_argument("--memory", choices=METHODS, help=argparse.SUPPRESS)
     arguments = parser.parse_args()

@@ -1,23 +1,22 @@
-"""What a chain of N links costs: ``python benchmarks/links.py [links ...]``, with Python functions and compiled ones.
+"""What a chain of N links costs: ``python benchmarks/links.py``, with Python functions and compiled ones.
 
-The time of a call of f, and of a whole step of ode45 with its corrections in levels, in microseconds.
+The CPU time of a call of f, and of a whole step of ode45 with its corrections in levels, in microseconds. ``--write``
+puts the table into docs/benchmarks.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from statistics import median
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
-from measure import machine
+from measure import machine, run, table
 
 import invariode as iv
 
 LINKS = (10, 30, 100, 300, 1000)
-REPETITIONS = 7
 
 
 def gravity(t: float, q: Any, v: Any) -> Any:
@@ -35,39 +34,37 @@ def lengths(t: float, q: Any) -> Any:
     return dx * dx + dy * dy - 1
 
 
-def seconds(act: Callable[[], Any], calls: int) -> float:
+def seconds(act: Callable[[], Any], calls: int, repetitions: int) -> float:
     """The median of the time per call."""
     times = []
-    for _ in range(REPETITIONS):
-        start = perf_counter()
+    for _ in range(repetitions):
+        start = process_time()
         for _ in range(calls):
             act()
-        times.append((perf_counter() - start) / calls)
+        times.append((process_time() - start) / calls)
     return median(times)
 
 
-def costs(links: int, functions: tuple[Any, Any]) -> tuple[float, float]:
+def costs(links: int, functions: tuple[Any, Any], repetitions: int) -> tuple[float, float]:
+    """Microseconds of a call of f, and of a step."""
     force, constraints = functions
     q0 = np.column_stack([np.arange(1, links + 1.0), np.zeros(links)]).ravel()
     system = iv.MechanicalSystem(np.ones(2 * links), force, constraints)
     problem = system.problem((0, 1), q0, np.zeros(2 * links))
-    start = perf_counter()
-    sol = problem.solve("ode45", max_step=0.02, keep="end")
-    step = (perf_counter() - start) / sol.stats.steps
-    return seconds(lambda: problem.fun(0.0, problem.y0), 20), step
+    steps = problem.solve("ode45", max_step=0.02, keep="end").stats.steps
+    whole = seconds(lambda: problem.solve("ode45", max_step=0.02, keep="end"), 1, repetitions)
+    return 1e6 * seconds(lambda: problem.fun(0.0, problem.y0), 20, repetitions), 1e6 * whole / steps
 
 
-def main(links: list[int]) -> None:
-    print(machine())
-    print(f"{'links':>6} {'f':>9} {'step':>9} {'f, compiled':>12} {'step':>9}")
+def report(repetitions: int) -> str:
     compiled = iv.compile(gravity), iv.compile(lengths)
-    for count in links:
-        both = [cost for functions in ((gravity, lengths), compiled) for cost in costs(count, functions)]
-        print(
-            f"{count:6} {1e6 * both[0]:9.0f} {1e6 * both[1]:9.0f} {1e6 * both[2]:12.0f} {1e6 * both[3]:9.0f}",
-            flush=True,
-        )
+    rows = []
+    for count in LINKS:
+        both = [cost for functions in ((gravity, lengths), compiled) for cost in costs(count, functions, repetitions)]
+        rows.append([str(count), *(f"{cost:.0f}" for cost in both)])
+    header = ["links", "f, µs", "a step, µs", "f compiled, µs", "a step, µs"]
+    return f"{machine('invariode', 'numpy', 'numba')}. CPU time, medians of {repetitions}.\n\n{table(header, rows)}"
 
 
 if __name__ == "__main__":
-    main([int(argument) for argument in sys.argv[1:]] or list(LINKS))
+    run("links", __doc__, report, repetitions=7)

@@ -1,6 +1,6 @@
 """Ready manifolds: what native ones gain, and a rigid body over 1e5 rotations: ``python benchmarks/manifolds.py``.
 
-With ``--write``, or ``make bench``, the tables go into docs/benchmarks.md.
+With ``--write``, or ``make bench``, the tables go into docs/benchmarks.
 """
 
 from __future__ import annotations

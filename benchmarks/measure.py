@@ -1,4 +1,4 @@
-"""How all benchmarks measure, name the machine, and write their tables into docs/benchmarks.md."""
+"""How all benchmarks measure, name the machine, and write their tables into the pages of docs/benchmarks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from time import perf_counter
 
 from tabulate import tabulate
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+PAGES = Path(__file__).parents[1] / "docs" / "benchmarks"
 
 #: Seconds, one per repetition, of everything that ran in turn.
 Times = Mapping[str, Sequence[float]]
@@ -107,10 +107,16 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return tabulate(list(rows), header, tablefmt="pipe", disable_numparse=True, colalign=alignment)
 
 
+def folded(summary: str, *parts: str) -> str:
+    """Parts of a report behind a line to click on, for those who want every figure."""
+    body = "\n\n".join(filter(None, parts))
+    return f"<details>\n<summary>{summary}</summary>\n\n{body}\n\n</details>"
+
+
 def run(name: str, document: str | None, report: Callable[[int], str], repetitions: int) -> None:
     """The command line of a benchmark: prints its report, with --write into the section of that name too."""
     parser = argparse.ArgumentParser(description=document)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     parser.add_argument("--repetitions", type=int, default=repetitions)
     arguments = parser.parse_args()
     text = report(arguments.repetitions)
@@ -120,10 +126,12 @@ def run(name: str, document: str | None, report: Callable[[int], str], repetitio
 
 
 def write_section(name: str, text: str) -> None:
-    """Replaces what stands between the markers of the section in docs/benchmarks.md."""
+    """Replaces what stands between the markers of the section, in the page of docs/benchmarks that has them."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, found_begin, rest = DOCUMENT.read_text(encoding="utf-8").partition(begin)
-    _, found_end, after = rest.partition(end)
-    if not (found_begin and found_end):
-        raise SystemExit(f"{DOCUMENT.name} has no section between {begin} and {end}")
-    DOCUMENT.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+    for page in sorted(PAGES.glob("*.md")):
+        before, found_begin, rest = page.read_text(encoding="utf-8").partition(begin)
+        _, found_end, after = rest.partition(end)
+        if found_begin and found_end:
+            page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+            return
+    raise SystemExit(f"no page of {PAGES} has a section between {begin} and {end}: add one")

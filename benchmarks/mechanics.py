@@ -15,7 +15,7 @@ from statistics import median
 from time import process_time
 
 import numpy as np
-from measure import interleaved, machine, run, table
+from measure import folded, interleaved, machine, run, table
 
 import invariode as iv
 
@@ -111,7 +111,7 @@ def squeezing(repetitions: int) -> str:
         for what, ways in (("digits", (*WAYS, "Baumgarte")), ("f", (*WAYS, "Baumgarte")), ("ms", WAYS))
         for way in ways
     ]
-    return table(["Andrews' squeezing mechanism", "rtol", *columns], rows)
+    return folded("Every tolerance", table(["Andrews' squeezing mechanism", "rtol", *columns], rows))
 
 
 def in_metric(problem: iv.Problem, metric: object) -> iv.Problem:
@@ -172,7 +172,7 @@ def published() -> str:
                 by_kind = [each[kind] for kind in range(3) for each in errors]
                 rows.append([name, method, f"{rtol:.0e}", str(found[-1].nfev), *by_kind])
     columns = [way if way != "none" else f"{what}: none" for what in ("q", "v", "λ") for way in WAYS]
-    return table(["errors at the end", "", "rtol", "f: levels", *columns], rows)
+    return folded("Against published values", table(["errors at the end", "", "rtol", "f: levels", *columns], rows))
 
 
 def crank() -> str:
@@ -233,8 +233,8 @@ def report(repetitions: int) -> str:
     return "\n\n".join(
         [
             head,
-            squeezing(repetitions),
             metrics(),
+            squeezing(repetitions),
             published(),
             crank(),
             papers_pendulum(),

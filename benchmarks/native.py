@@ -1,7 +1,7 @@
 """What a step costs with a native right-hand side: ``python benchmarks/native.py [--write]``, or ``make bench``.
 
 `floor.cpp` is ode45 written out by hand for one problem, f inlined, with the same formulas, step control and stored
-output; it is compiled here with the flags of the core. ``--write`` puts the tables into docs/benchmarks.md.
+output; it is compiled here with the flags of the core. ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a solve costs beyond the user's own functions: ``python benchmarks/overhead.py [--write]``, or ``make bench``.
 
 All figures of a table are of one interleaved run with the garbage collector off. Before anything is timed, its final
-state is compared with a reference. ``--write`` puts the tables into docs/benchmarks.md.
+state is compared with a reference. ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -458,14 +458,14 @@ def report() -> str:
     ]
     parts = [
         f"{machine('invariode', 'numpy', 'scipy', 'CyRK')}.",
-        f"### A Python right-hand side\n\nLotka–Volterra, rtol = atol = {RTOL:.0e}, t from 0 to 200; times are medians "
+        f"## A Python right-hand side\n\nLotka–Volterra, rtol = atol = {RTOL:.0e}, t from 0 to 200; times are medians "
         f"(smallest–largest). The last column is at an error of {EQUAL_ERROR:.0e} at the end, interpolated.",
         peers(plain),
-        "### The fixed cost of a solve",
+        "## The fixed cost of a solve",
         set_up(plain),
-        "### Other right-hand sides",
+        "## Other right-hand sides",
         right_hand_sides(cases),
-        "### One invariant, one event",
+        "## One invariant, one event",
         table(
             EXTRAS_HEADER,
             extras(plain, lotka_volterra_invariant, lotka_volterra_gradient)
@@ -479,7 +479,7 @@ def report() -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     write = parser.parse_args().write
     text = report()
     print(text)

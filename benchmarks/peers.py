@@ -4,7 +4,7 @@ Every solver solves every problem of nonstiff.py at tolerances rtol = atol from 
 right-hand side compiled, in the fastest form found that the package offers to a user of Python; what can be set up
 beforehand and used again (a compiled function, a problem, an integrator) is set up outside of the timing. The error is
 that of the final state, the largest over the components; the tables give the time needed for an error. ``--write`` puts
-the tables into docs/benchmarks.md, and the plots into docs/benchmarks.
+the tables and the plots into docs/benchmarks.
 
 - invariode: `iv.Problem` with functions of `iv.compile`, ``save="end"``; projected with compiled invariants and their
   compiled Jacobian.
@@ -35,7 +35,7 @@ from typing import Any
 import numba
 import numpy as np
 import scipy.integrate
-from measure import DOCUMENT, installed, interleaved, machine, table, write_section
+from measure import PAGES, folded, installed, interleaved, machine, table, write_section
 from nonstiff import PROBLEMS, Function, Problem
 from numpy.typing import NDArray
 
@@ -566,7 +566,7 @@ def plot(p: Problem, lines: Sequence[Line]) -> None:
 
 
 def plot_file(p: Problem) -> Path:
-    return DOCUMENT.parent / "benchmarks" / f"peers-{p.name}.svg"
+    return PAGES / f"peers-{p.name}.svg"
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -583,20 +583,19 @@ def report(names: Sequence[str], repetitions: int, write: bool) -> str:
         start = perf_counter()
         exact = reference(p)
         lines = measure(p, exact, repetitions)
-        parts += [f"### {p.title}", f"Reference: {exact.text}."]
+        parts += [f"## {p.title}", f"Reference: {exact.text}."]
         if write:
             plot(p, lines)
-            parts.append(f"![{p.title}: time against error](benchmarks/{plot_file(p).name})")
-        parts += [summary(lines), all_times(lines)]
-        if said := remarks(lines):
-            parts.append("\n".join(["Not timed, with the tolerances:", "", *said]))
+            parts.append(f"![{p.title}: time against error]({plot_file(p).name})")
+        untimed = "\n".join(["Not timed, with the tolerances:", "", *said]) if (said := remarks(lines)) else ""
+        parts += [summary(lines), folded("Every contestant", all_times(lines), untimed)]
         print(f"{name} done in {perf_counter() - start:.0f} s", file=sys.stderr)
     return "\n\n".join(parts)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks.md, and the plots")
+    parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks, and the plots")
     parser.add_argument("--repetitions", type=int, default=7)
     parser.add_argument("--problem", nargs="+", choices=list(PROBLEMS), help="these only; not with --write")
     arguments = parser.parse_args()

@@ -270,7 +270,7 @@ bool PythonFunction::read_objects(PyArrayObject* array, double* out) const {
     }
     if (PyLong_Check(PyList_GET_ITEM(items, i)) && PyErr_ExceptionMatches(PyExc_OverflowError) != 0) {
       PyErr_Clear();
-      PyErr_Format(PyExc_ValueError, "%s returned an integer beyond the range of a double", name_.c_str());
+      PyErr_Format(PyExc_ValueError, "%s returned an integer too large for a double", name_.c_str());
     }
   }
   Py_DECREF(items);
@@ -298,7 +298,7 @@ void PythonFunction::complain(PyObject* returned) const {
   } else if (returned == Py_None) {
     PyErr_Format(PyExc_ValueError, "%s returned None (is a `return` missing?), expected %s", name_.c_str(), expected);
   } else {
-    PyErr_Format(PyExc_ValueError, "%s returned a %s that is no array of numbers, expected %s", name_.c_str(),
+    PyErr_Format(PyExc_ValueError, "%s returned a %s that is not an array of numbers, expected %s", name_.c_str(),
                  Py_TYPE(returned)->tp_name, expected);
   }
   if (cause != nullptr) {

@@ -12,7 +12,7 @@
 
 #include "interpreter.hpp"
 #include "manifold/projection.hpp"
-#include "methods/registry.hpp"
+#include "methods/extensions.hpp"
 #include "run/names.hpp"
 
 namespace invariode::binding {
@@ -44,7 +44,7 @@ void add_segments(Dense& dense, const ConstVector& t, const ConstMatrix& y, cons
       continue;
     }
     const std::size_t size = stop - begin;
-    require(size >= overhead && raw.fits(size - overhead, n), "segments do not match");
+    require(size >= overhead && raw.fits(data.data() + begin, size - overhead, n), "segments do not match");
     dense.output.add({t0, t1, data.data() + begin, size}, t.data()[s + 1], next);
   }
 }
@@ -119,7 +119,7 @@ nb::dict Dense::parts() const {
   d["data"] = copied(all.data.copy());
   d["m"] = all.m;
   d["interpolation"] = name_of(all.mode);
-  d["extension"] = find_extension(all.raw)->name;
+  d["extension"] = find_extension(all.raw).name;
   d["rtol"] = weights.rtol();
   d["threshold"] = copied(weights.threshold());
   d["scale"] = weights.scale().empty() ? nb::object(nb::none()) : nb::cast(copied(weights.scale()));

@@ -21,6 +21,7 @@
 #include "manifolds.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
+#include "outputs.hpp"
 #include "problem.hpp"
 #include "run/names.hpp"
 #include "run/points.hpp"
@@ -199,6 +200,7 @@ NB_MODULE(_core, module) {
         "sub-interpreters");
   nb::set_leak_warnings(false);  // what a user still holds when the interpreter ends is no fault to be told of
   module.attr("__doc__") = "The native core. Private: `invariode` is the interface.";
+  define_outputs();
   define_callables(module);
   define_problem(module);
   define_dense(module);

@@ -56,6 +56,8 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.level = spec.level;
   block.moves = spec.moves;
   block.metric = make_metric(spec, functions);
+  block.sense = spec.sense;
+  block.along_steps = spec.along_steps;
   if (nb::isinstance<MotionPart>(spec.jac)) {
     const auto& [mechanics, part] = nb::cast<const MotionPart&>(spec.jac);
     if (Motion& motion = functions.motion(mechanics); motion.sparse()) {
@@ -73,7 +75,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   if (block.derivative != Derivative::complex_step) return block;
   nb::object at_complex = spec.fun;
   if (substitute == choose_derivative)
-    at_complex = nb::module_::import_("invariode.invariants").attr("at_complex")(spec.fun, spec.m);
+    at_complex = nb::module_::import_("invariode._bound_invariants").attr("at_complex")(spec.fun, spec.m);
   block.complex_g = functions.complex_vector(at_complex, name, spec.m);
   return block;
 }
@@ -127,7 +129,8 @@ Lapack read_lapack(const nb::object& capsules) {
 }
 
 LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
-  LinearTerms linear{.kind = spec.kind, .jacobian = Matrix(spec.structure), .function = {}, .mass = {}, .lapack = {}};
+  LinearTerms linear{
+      .kind = spec.kind, .jacobian = Matrix::without_values(spec.structure), .function = {}, .mass = {}, .lapack = {}};
   nb::object known = spec.jacobian;  // values or pattern
   if (spec.kind == Jacobian::Kind::function) {
     nb::object code = std::exchange(known, nb::none());
@@ -211,12 +214,13 @@ void define_functions(nb::module_& module) {
       .def(
           "__init__",
           [](InvariantSpec* self, nb::object fun, nb::object jac, std::size_t m, std::string name, bool held, int level,
-             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size) {
-            new (self) InvariantSpec{std::move(fun),   std::move(jac),    m,          std::move(name), held, level,
-                                     std::move(moves), std::move(metric), metric_size};
+             std::vector<std::size_t> moves, nb::object metric, std::size_t metric_size, int sense, bool along_steps) {
+            new (self) InvariantSpec{std::move(fun),   std::move(jac),    m,           std::move(name), held, level,
+                                     std::move(moves), std::move(metric), metric_size, along_steps,     sense};
           },
           nb::arg("fun"), nb::arg("jac"), nb::arg("m"), nb::arg("name"), nb::arg("held"), nb::arg("level") = 0,
-          nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0);
+          nb::arg("moves") = std::vector<std::size_t>{}, nb::arg("metric") = nb::none(), nb::arg("metric_size") = 0,
+          nb::arg("sense") = 0, nb::arg("along_steps") = false);
   nb::class_<BreakpointSpec>(module, "Breakpoint", nb::type_slots(slots<BreakpointSpec>), "A breakpoint, for the core.")
       .def(
           "__init__",
@@ -318,6 +322,18 @@ nb::object get_times(const RunSettings& s) {
   return nb::cast(to_array<Vector>(std::vector<double>(s.times), s.times.size()), nb::rv_policy::move);
 }
 
+/// A method by its name; "": none.
+template <auto member>
+constexpr Setting named_method(const char* name) {
+  return {name,
+          [](RunSettings& s, nb::handle value) {
+            const auto given = nb::cast<std::string>(value);
+            s.*member = given.empty() ? nullptr : find_method(given);
+            if (s.*member == nullptr && !given.empty()) throw std::invalid_argument("unknown method '" + given + "'");
+          },
+          [](const RunSettings& s) { return nb::cast(s.*member ? (s.*member)->name : ""); }};
+}
+
 /// In the order of `Settings` in plan.py, which tests/test_binding.py compares.
 constexpr Setting settings[] = {
     plain<&RunSettings::t0>("t0"),
@@ -339,6 +355,8 @@ constexpr Setting settings[] = {
      [](const RunSettings& s) { return nb::cast(name_of(s.fsal)); }},
     plain<&RunSettings::max_order>("max_order"),
     plain<&RunSettings::bdf>("bdf"),
+    named_method<&RunSettings::prefer_explicit>("prefer_explicit"),
+    named_method<&RunSettings::prefer_implicit>("prefer_implicit"),
     plain<&RunSettings::iterations>("iterations"),
     plain<&RunSettings::negligible>("negligible"),
     plain<&RunSettings::max_steps>("max_steps"),

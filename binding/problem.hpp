@@ -30,6 +30,8 @@ struct InvariantSpec {
   std::vector<std::size_t> moves;
   nb::object metric;            // None, or G(t, y), or a constant
   std::size_t metric_size = 0;  // how many values it has
+  bool along_steps = false;     // its correction is made of what the step is made of
+  int sense = 0;                // −1: it never rises as t grows; 1: it never falls; 0: it is kept
 };
 
 struct EventSpec {

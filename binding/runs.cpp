@@ -11,10 +11,14 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <cstddef>
+#include <limits>
 #include <memory>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -23,6 +27,7 @@
 #include "interpreter.hpp"
 #include "mechanics.hpp"
 #include "methods/registry.hpp"
+#include "outputs.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/worker.hpp"
@@ -47,29 +52,55 @@ void require_state(const ConstVector& y0, std::size_t n) {
     throw std::invalid_argument("y0 has " + std::to_string(y0.size()) + " reals, the problem has " + std::to_string(n));
 }
 
+/// The interval of a run, and its largest step.
+using Cover = std::tuple<double, double, double>;
+
 /// A solver with the functions that it calls. Made with the interpreter held; where all functions are native, its runs
 /// do not need it.
 struct BoundSolver {
   BoundSolver(const std::string& method, const ProblemSpec& problem, const Tolerances& tolerances,
               const RunSettings& settings)
       : bound(problem),
-        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings) {}
+        solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings),
+        parameters(problem.parameters),
+        cover(settings.t0, settings.tf, settings.hmax) {}
 
   BoundProblem bound;
   Solver solver;
+  // What it was made for: runs may have changed it since.
+  std::vector<double> parameters;
+  Cover cover;
 };
 
-/// What a run was, its continuous solution with what evaluating it takes.
+/// What a run was, its continuous solution with what evaluating it takes, and what it remembers.
 struct FinishedRun {
   RunResult result;
   std::optional<Dense> dense;
+  Memory memory;
+  bool complex = false;
+  // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
+  std::vector<double> start = {}, value = {};
 };
 
-FinishedRun finish(Run& run, const Solver& solver) {
-  FinishedRun finished{run.take_result(), {}};
+/// Matrices of more entries, 16 MB, are not kept with a solution: its extension starts the method anew.
+constexpr std::size_t most_kept = std::size_t{1} << 21;
+
+FinishedRun present(RunResult result, const Solver& solver, Memory memory = {}) {
+  FinishedRun finished{std::move(result), {}, std::move(memory), solver.problem().complex};
   if (std::optional<DenseOutput>& dense = finished.result.dense)
     finished.dense.emplace(Dense{std::move(*dense), solver.weights(), solver.problem().complex});
   return finished;
+}
+
+bool can_go_on(State state) {
+  return state == State::running || state == State::reached_end || state == State::terminal_event ||
+         state == State::stopped_by_callback || state == State::stopped_by_request || state == State::limit_reached;
+}
+
+FinishedRun finish(Run& run, const Solver& solver) {
+  Memory memory;
+  if (can_go_on(run.integration().state())) memory = run.memory(most_kept);
+  return present(run.take_result(), solver, std::move(memory));
 }
 
 std::pair<Vector, Table> to_arrays(Trajectory&& points, std::size_t n) {
@@ -83,7 +114,7 @@ class Progress {
   explicit Progress(const nb::object& told) : told_(told) {}
 
   explicit operator bool() const { return !told_.is_none(); }
-  [[nodiscard]] bool due() const { return Clock::now() >= next_; }
+  [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
   /// With the interpreter held. False: it raised.
   bool tell(const Integration& integration) {
     if (!*this) return true;
@@ -104,43 +135,166 @@ class Progress {
   Clock::time_point next_ = Clock::now() + telling;
 };
 
-/// A run whose functions are all native does not hold the interpreter, but now and then, to look for signals and to
-/// tell how far it is. False: a signal's handler has raised, or who was told.
-bool run_without_interpreter(Integration& integration, const double* y0, Progress& progress) {
-  const Unlocked released;
-  return run_watched(integration, y0, [&] {
-    return holding_interpreter(
-        [&] { return PyErr_CheckSignals() == 0 && (!progress.due() || progress.tell(integration)); });
-  });
-}
+/// Hands a Python function what a run has put out since the last time, and what it remembers, now and then. Empty, it
+/// costs nothing.
+class Keeper {
+ public:
+  Keeper(const nb::object& kept, double every) : kept_(kept), every_(every) {}
 
-/// The same with the interpreter held; the functions look for signals.
-bool run_with_interpreter(Integration& integration, const double* y0, Progress& progress) {
-  if (integration.start(y0) != State::running) return true;
-  if (!progress) {
-    integration.run();
+  explicit operator bool() const { return !kept_.is_none(); }
+  [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
+  /// With the interpreter held. False: the function raised.
+  bool keep(Run& run, const Solver& solver) {
+    if (!*this) return true;
+    try {
+      Memory memory;
+      if (can_go_on(run.integration().state())) memory = run.memory(everything);
+      FinishedRun part = present(run.result_since(marks_), solver, std::move(memory));
+      in_python([&] { kept_(nb::cast(std::move(part))); });
+    } catch (nb::python_error& error) {
+      error.restore();
+      return false;
+    }
+    next_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(every_);
     return true;
   }
-  while (integration.advance() == State::running)
-    if (progress.due() && !progress.tell(integration)) return false;
-  return true;
-}
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  static constexpr std::size_t everything = std::numeric_limits<std::size_t>::max();
+
+  const nb::object& kept_;
+  std::chrono::duration<double> every_;
+  Run::Marks marks_;
+  Clock::time_point next_;  // long ago: the start is kept
+};
+
+/// Where a run begins: at a state, or where another one was.
+struct Beginning {
+  const double* y0 = nullptr;
+  std::span<const std::byte> memory = {};
+  bool anew = false;
+
+  State operator()(Run& run) const { return y0 ? run.integration().start(y0) : run.resume(memory, anew); }
+};
+
+/// A run, with who is told of it on the way.
+class Journey {
+ public:
+  Journey(Run& run, const Solver& solver, Progress progress, Keeper keeper)
+      : run_(run), solver_(solver), progress_(progress), keeper_(std::move(keeper)) {}
+
+  /// A run whose functions are all native does not hold the interpreter, but now and then, to look for signals and to
+  /// tell how far it is. False: a signal's handler has raised, or who was told.
+  bool without_interpreter(const Beginning& begin) {
+    const Unlocked released;
+    return run_watched(
+        run_.integration(), [&] { return begin(run_); },
+        [&] { return holding_interpreter([&] { return PyErr_CheckSignals() == 0 && tell_if_due(); }); });
+  }
+
+  /// The same with the interpreter held; the functions look for signals.
+  bool with_interpreter(const Beginning& begin) {
+    if (begin(run_) != State::running) return true;
+    if (!progress_ && !keeper_) {
+      run_.integration().run();
+      return true;
+    }
+    do
+      if (!tell_if_due()) return false;
+    while (run_.integration().advance() == State::running);
+    return true;
+  }
+
+  /// That it has ended.
+  bool tell_the_end() { return progress_.tell(run_.integration()) && keeper_.keep(run_, solver_); }
+
+ private:
+  bool tell_if_due() {
+    return (!progress_.due() || progress_.tell(run_.integration())) && (!keeper_.due() || keeper_.keep(run_, solver_));
+  }
+
+  Run& run_;
+  const Solver& solver_;
+  Progress progress_;
+  Keeper keeper_;
+};
 
 /// A wish to end a run, which another thread or a handler of signals makes while it goes on.
 struct StopRequest {
   std::atomic<bool> made{false};
 };
 
-FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request) {
-  require_state(y0, self.solver.problem().n);
+FinishedRun travel(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& told,
+                   const nb::object& kept, double every) {
+  Journey journey(run, self.solver, Progress(told), Keeper(kept, every));
+  const bool finished = self.bound.native() ? journey.without_interpreter(begin) : journey.with_interpreter(begin);
+  if (!finished || run.integration().state() == State::interrupted || !journey.tell_the_end()) throw nb::python_error();
+  return finish(run, self.solver);
+}
+
+FinishedRun travel(const BoundSolver& self, const Beginning& begin, const nb::object& told, StopRequest* request,
+                   const nb::object& kept, double every) {
   Run run(self.solver);
   if (request != nullptr) run.integration().heed(request->made);
-  Progress progress(told);
-  const bool finished = self.bound.native() ? run_without_interpreter(run.integration(), y0.data(), progress)
-                                            : run_with_interpreter(run.integration(), y0.data(), progress);
-  if (!finished || run.integration().state() == State::interrupted || !progress.tell(run.integration()))
-    throw nb::python_error();
-  return finish(run, self.solver);
+  return travel(run, self, begin, told, kept, every);
+}
+
+FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request,
+                      const nb::object& kept, double every) {
+  require_state(y0, self.solver.problem().n);
+  return travel(self, {.y0 = y0.data()}, told, request, kept, every);
+}
+
+FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, const nb::object& told,
+                   StopRequest* request, const nb::object& kept, double every) {
+  const auto* bytes = static_cast<const std::byte*>(memory.data());
+  return travel(self, {.memory = {bytes, memory.size()}, .anew = anew}, told, request, kept, every);
+}
+
+/// Writes floats, in a tuple or an array, to the parameters. False: they are none, or not as many.
+bool read_parameters(nb::handle args, std::span<double> out) {
+  if (!PyTuple_Check(args.ptr())) {
+    const auto array = nb::cast<ConstVector>(args);
+    if (array.size() != out.size()) return false;
+    std::copy_n(array.data(), array.size(), out.begin());
+    return true;
+  }
+  if (static_cast<std::size_t>(PyTuple_GET_SIZE(args.ptr())) != out.size()) return false;
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    PyObject* one = PyTuple_GET_ITEM(args.ptr(), static_cast<Py_ssize_t>(i));
+    if (!PyFloat_Check(one)) return false;
+    out[i] = PyFloat_AS_DOUBLE(one);
+  }
+  return true;
+}
+
+/// A run from another initial value, with other arguments and over another interval, if they are given, than the solver
+/// was made for. Nothing: y0 is not finite or of another size, or `args` are no floats, as many as there are
+/// parameters; a single solve knows what to say. The problem has no singular mass matrix.
+std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& y0, const nb::object& args,
+                                          const std::optional<Cover>& cover) {
+  const Problem& problem = self.solver.problem();
+  if (y0.size() != problem.n || !all_finite(y0.data(), problem.n)) return {};
+  if (args.is_none())
+    std::ranges::copy(self.parameters, problem.parameters.begin());
+  else if (!read_parameters(args, problem.parameters))
+    return {};
+  std::apply([&](auto... ends) { self.solver.cover(ends...); }, cover.value_or(self.cover));
+  Run run(self.solver);
+  const std::vector<double> start(y0.data(), y0.data() + y0.size());
+  std::vector<double> value;
+  if (const Invariants* g = run.invariants()) {
+    std::vector<double> unmoved = start;
+    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) return {};
+    value = g->value();
+  }
+  const nb::object nobody = nb::none();
+  FinishedRun finished = travel(run, self, {.y0 = start.data()}, nobody, nobody, 0);
+  finished.result.ng -= run.evaluations_of_prepare();
+  finished.start = start;
+  finished.value = std::move(value);
+  return finished;
 }
 
 /// A run that Python advances step by step. It keeps its solver alive.
@@ -285,12 +439,17 @@ void define_arrays_of_run(RunClass& run) {
          "take_points",
          [](FinishedRun& self) {
            RunResult& r = self.result;
-           std::optional<Vector> end;
-           if (r.y_end) end = to_array<Vector>(std::move(*r.y_end), r.n);
-           auto [t, y] = to_arrays(std::move(r.points), r.n);
-           return std::make_tuple(t, y, r.t_end, end);
+           const std::size_t count = r.points.t.size();
+           const nb::object end = state_array(r.end(), r.n, self.complex);
+           const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
+           return std::make_tuple(times_array(std::move(r.points.t)), y, r.t_end, end);
          },
-         "(t, y) of the points and of the end; the last is None where it is the last point.")
+         nb::sig("def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]"),
+         "(t, y) of the points, y of shape (n, n_t), and of the end.")
+      .def(
+          "take_start",
+          [](FinishedRun& self) { return state_array(self.start.data(), self.start.size(), self.complex); },
+          nb::sig("def take_start(self) -> numpy.ndarray"))
       .def("take_events",
            [](FinishedRun& self) {
              std::vector<std::pair<Vector, Table>> all;
@@ -318,6 +477,11 @@ void define_arrays_of_run(RunClass& run) {
                jumps.emplace_back(jump.row, jump.t, to_array<Vector>(std::move(jump.value), m));
              }
              return jumps;
+           })
+      .def("take_value",
+           [](FinishedRun& self) {
+             const std::size_t m = self.value.size();
+             return to_array<Vector>(std::move(self.value), m);
            })
       .def("take_dense", [](FinishedRun& self) { return std::exchange(self.dense, {}); });
 }
@@ -367,8 +531,10 @@ void define_summary_of_run(RunClass& run) {
   property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
   property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
-  property(run, "breakpoints_passed", [](const RunResult& r) { return r.breakpoints_passed; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
+  run.def_prop_ro(
+      "memory", [](const FinishedRun& self) { return nb::bytes(self.memory.data(), self.memory.size()); },
+      "What the run remembers, for `Solver.resume`; empty if it cannot go on.");
 }
 
 void define_ensemble(nb::module_& module) {
@@ -422,6 +588,15 @@ void define_solver(nb::module_& module) {
           "native", [](const BoundSolver& self) { return self.bound.native(); },
           "Whether no function needs the interpreter.")
       .def_prop_ro(
+          "members",
+          [](const BoundSolver& self) {
+            const Method& method = self.solver.method();
+            if (!method.switches()) return nb::make_tuple(method.name);
+            const auto [first, second] = members(self.solver.options());
+            return nb::make_tuple(first.name, second.name);
+          },
+          "The names of the methods that make the steps: one, or the explicit and the implicit one that take turns.")
+      .def_prop_ro(
           "obstacle_to_lanes",
           [](const BoundSolver& self) -> std::optional<std::string> {
             const char* obstacle = obstacle_to_lanes(self.solver);
@@ -435,17 +610,18 @@ void define_solver(nb::module_& module) {
             return motions.empty() ? nb::none() : nb::object(to_dict(motions[0]->motion().work()));
           },
           "What a mechanical system has cost so far: calls of its functions and factorisations.")
-      .def(
-          "resume",
-          [](BoundSolver& self, const std::vector<std::int64_t>& seen, const std::vector<bool>& asleep) {
-            self.solver.resume(seen, asleep);
-          },
-          nb::arg("seen"), nb::arg("asleep"),
-          "Its runs go on from where another one ended, with so many occurrences of each event.")
       .def("integrate", &integrate, nb::arg("y0"), nb::arg("progress") = nb::none(), nb::arg("request") = nb::none(),
+           nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
            "Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` "
-           "ends "
-           "the run after the step in which it is made.");
+           "ends the run after the step in which it is made. keep(part) is called at the start, after `every` seconds, "
+           "and at the end, with a Run of what has come since the last time.")
+      .def("resume", &resume, nb::arg("memory"), nb::arg("anew"), nb::arg("progress") = nb::none(),
+           nb::arg("request") = nb::none(), nb::arg("keep") = nb::none(), nb::arg("every") = 0.0,
+           "Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.")
+      .def("integrate_anew", &integrate_anew, nb::arg("y0"), nb::arg("args") = nb::none(),
+           nb::arg("cover") = nb::none(),
+           "Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other "
+           "largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.");
 }
 
 void define_stepper(nb::module_& module) {
@@ -470,6 +646,13 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
       .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
       .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
+      .def_prop_ro(
+          "stiff_since",
+          [](Stepper& s) {
+            const Stiffness stiffness = s.integration().stiffness();
+            return stiffness.found ? std::optional(stiffness.since) : std::nullopt;
+          },
+          "From which t on stability limits the steps; None: it does not.")
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
@@ -485,6 +668,7 @@ void define_run(nb::module_& module) {
   define_ensemble(module);
   define_solver(module);
   define_stepper(module);
+  module.attr("MEMORY_VERSION") = Archive::version;
   std::vector<const char*> states;
   for (const auto& [name, state] : state_names) states.push_back(name);
   module.attr("STATES") = nb::cast(states);

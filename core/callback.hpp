@@ -3,6 +3,8 @@
 
 #include <cstdint>
 
+#include "archive.hpp"
+
 namespace invariode {
 
 /// What a user function reports. `stop` ends the run at once: whoever owns the context keeps the reason (an exception,
@@ -25,6 +27,8 @@ class Callback {
   }
   explicit operator bool() const noexcept { return function_ != nullptr; }
   [[nodiscard]] std::int64_t calls() const noexcept { return calls_; }
+  /// The count; the function is not archived.
+  void state(Archive& archive) { archive(calls_); }
 
  private:
   Function* function_ = nullptr;

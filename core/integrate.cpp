@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 #include <utility>
 
 namespace invariode {
@@ -38,10 +39,16 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
     projector_.emplace(*invariants_, weights_, settings_.iterations, settings_.negligible);
     guard_.emplace(*invariants_, weights_, *manifold.slope, std::abs(settings_.tf - settings_.t0));
     if (!events_.empty() && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights_);
-    if (settings_.check) harm_.emplace(n_);
+    harm_.emplace(n_);
+    if (invariants_->along_steps()) {
+      directions_.resize(step_->max_directions());
+      if (directions_.empty())
+        throw std::invalid_argument("this method does not tell what its steps are made of: use direction='gradient'");
+    }
     drift.residual.resize(invariants_->m());
     drift.distance.resize(invariants_->m());
     if (bounds_) active_set_.emplace(*projector_, *bounds_);
+    if (invariants_->any_one_sided()) one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr);
   }
   if (invariants_ || bounds_) y1_.resize(n_);
   if (manifold.between) output_projector_.emplace(*manifold.between, weights, 1);
@@ -84,6 +91,10 @@ State Integration::start(const double* y0) {
   aim();
   if (!inspect_start()) return state_;
   const double* y = interpolant_->start_y();
+  if (one_sided_ && one_sided_->start(t0, y) == Status::stop) {
+    end(State::interrupted);
+    return state_;
+  }
   if (dense) dense->start(t0, y);
   const bool breaks = breaks_here();
   if (!emit(breaks) || !start_memory(t0, y)) return state_;
@@ -99,7 +110,6 @@ State Integration::start(const double* y0) {
 
 /// The invariants at y0, which may be projected.
 bool Integration::inspect_start() {
-  if (settings_.resumed) return true;
   double* y0 = interpolant_->start_y();
   if (!start_within_bounds()) return end(State::start_out_of_bounds);
   if (!guard_) return true;
@@ -136,6 +146,7 @@ bool Integration::project_start_within_bounds() {
 
 /// Builds the method's memory at (t, y), at the start and after a jump.
 bool Integration::start_memory(double t, const double* y) {
+  left_ = false;
   switch (step_->start(t, y, {target_, settings_.hmax, hmin_ulps * ulp(t)})) {
     case Outcome::ok: return true;
     case Outcome::stop: return end(State::interrupted);
@@ -148,7 +159,7 @@ bool Integration::start_memory(double t, const double* y) {
 
 /// Are the invariants conserved at the start?
 bool Integration::start_rate(double t, const double* y) {
-  if (!guard_ || !settings_.check || settings_.resumed || t == settings_.tf) return true;
+  if (!guard_ || !settings_.check || t == settings_.tf) return true;
   return refuse(guard_->start_rate(t, y, step_->slope(), forward_ * step_->h()));
 }
 
@@ -162,6 +173,7 @@ bool Integration::watch_events(Outcome outcome) {
 
 bool Integration::nothing_to_integrate() {
   const double* y = interpolant_->start_y();
+  left_ = true;
   reached_.t = settings_.tf;
   if (!settings_.save_all) points.clear();
   if (!settings_.save_all || !settings_.output_at_times) points.add(settings_.tf, y, n_);
@@ -179,7 +191,7 @@ State Integration::run() {
 
 State Integration::advance() {
   if (state_ != State::running) return state_;
-  if (!begin_step()) return state_;
+  if (!std::exchange(in_step_, false) && !begin_step()) return state_;
   for (;;) {
     if (!std::isfinite(attempt_.t1)) {
       explain_failure(Cause::not_finite);
@@ -192,6 +204,7 @@ State Integration::advance() {
       case Verdict::rejected: break;
     }
     if (out_of_time()) {
+      in_step_ = true;
       reach(Limit::time);
       return state_;
     }
@@ -203,6 +216,7 @@ State Integration::advance() {
 bool Integration::begin_step() {
   if (bounded_slope_ && !meet_bounds()) return false;
   const double t = step_->t();
+  if (step_->hand_over({target_, settings_.hmax, hmin_ulps * ulp(t)}) == Outcome::stop) return end(State::interrupted);
   interpolant_->start_at(t, step_->y());
   attempt_ = {.hmin = hmin_ulps * ulp(t)};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
@@ -264,17 +278,26 @@ Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
-  projected_ = active_set_ ? active_set_->project(attempt_.t1, interpolant_->start_y(), y1_.data())
-                           : projector_->project(attempt_.t1, interpolant_->start_y(), y1_.data());
+  if (!directions_.empty()) tell_directions();
+  const double *from = interpolant_->start_y(), t1 = attempt_.t1;
+  projected_ = one_sided_    ? one_sided_->project(t1, from, y1_.data())
+               : active_set_ ? active_set_->project(t1, from, y1_.data())
+                             : projector_->project(t1, from, y1_.data());
   ++(projected_.skipped ? counts_.skipped : counts_.projections);
   if (projected_.outcome == Outcome::stop) return ended(State::interrupted);
   const bool defined = projected_.outcome == Outcome::ok;
   attempt_.correction = defined ? projected_.correction : std::numeric_limits<double>::infinity();
   const bool large = attempt_.correction > largest_correction * weights_.rtol();
   if (large && (!defined || !(attempt_.correction <= roundoff_of_correction()))) return oversized(candidate);
-  if (harm_ && !at_bounds())
+  if (settings_.check && !at_bounds())
     harm_->note(*step_, counts_.steps, candidate, y1_.data(), projector_->linearization().weights.data());
   return Verdict::accepted;
+}
+
+/// What the step is made of.
+void Integration::tell_directions() {
+  const std::size_t count = step_->directions(directions_.data());
+  projector_->seek_along({directions_.data(), count});
 }
 
 /// What roundoff in g does to a correction.
@@ -337,6 +360,7 @@ State Integration::finish_step() {
   reached_ = {interpolant_->start_t(), interpolant_->start_y()};  // until guard and events have passed the step
   note_drift();
   if (!judge_invariants()) return state_;
+  if (one_sided_) one_sided_->commit();
   stiffness_.note(*step_, ++counts_.steps, interpolant_->start_t(), interpolant_->start_y());
   interpolant_->accept();
   if (find_events() && record() && emit(settings_.output_at_times && jumps_here()) && conclude() &&
@@ -357,11 +381,20 @@ void Integration::note_drift() {
 }
 
 bool Integration::judge_invariants() {
-  if (!guard_ || !settings_.check || projected_.skipped || at_breakpoint()) return true;
+  if (!guard_ || !settings_.check || projected_.skipped) return true;
+  if (one_sided_ && one_sided_->engaged() && !judge_start_of_step()) return false;
+  if (at_breakpoint()) return true;
   const double h = attempt_.h, t1 = attempt_.t1;
   const std::int64_t step = counts_.steps + 1;
   return refuse(guard_->rate(projector_->linearization(), t1, step_->slope(), h, step)) &&
          (at_bounds() || refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step)));
+}
+
+/// What rises over a step rises at one of its ends, unless its rate changes sign twice within.
+bool Integration::judge_start_of_step() {
+  const double t = interpolant_->start_t();
+  if (next_break_ > 0 && breaks_.points[next_break_ - 1].t == t) return true;  // no room for differences there
+  return refuse(guard_->violated(t, interpolant_->start_y(), attempt_.h, counts_.steps + 1));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
@@ -394,7 +427,8 @@ bool Integration::record() {
                      .h = t - interpolant_->start_t(),
                      .order = static_cast<double>(step_->order()),
                      .error = attempt_.error / weights_.rtol(),
-                     .correction = attempt_.correction / weights_.rtol()});
+                     .correction = attempt_.correction / weights_.rtol(),
+                     .member = static_cast<double>(step_->member())});
   if (!dense) return true;
   const Segment segment = interpolant_->segment();
   if (!segment.data) return end(State::interrupted);
@@ -463,6 +497,7 @@ bool Integration::conclude() {
 void Integration::leave_step(const double* y) {
   if (y != interpolant_->start_y()) interpolant_->start_at(reached_.t, y);
   interpolant_->restart();
+  left_ = true;
   if (projector_) projector_->forget();
   report_.t = reached_.t;
   reached_.y = interpolant_->start_y();
@@ -505,6 +540,7 @@ bool Integration::go_on_from_jump(bool rehold) {
     if (rehold && restoration_ && restoration_->restore(t, y) == Status::stop) return end(State::interrupted);
     if (rehold && invariants_->hold(t, y) == Status::stop) return end(State::interrupted);
     if (!refuse(guard_->start_value(t, y))) return false;
+    if (one_sided_ && one_sided_->go_on(t, y) == Status::stop) return end(State::interrupted);
   }
   if (dense) dense->start(t, y);
   jumps.push_back(
@@ -523,14 +559,20 @@ void Integration::pass_breakpoints(std::size_t count) {
   break_t_ = none ? std::numeric_limits<double>::quiet_NaN() : breaks_.points[next_break_].t;
 }
 
-/// Steps go to the next breakpoint from now on, and functions see the piece up to there.
+/// A piece begins at the point reached.
 void Integration::aim() {
+  piece_start_ = reached_.t;
+  piece_from_break_ = breaks_here() || (next_break_ > 0 && breaks_.points[next_break_ - 1].t == reached_.t);
+  enter_piece();
+}
+
+/// Steps go to the next breakpoint from now on, and functions see the piece up to there.
+void Integration::enter_piece() {
   std::size_t next = next_break_;
   while (next < breaks_.points.size() && breaks_.points[next].t == reached_.t) ++next;
   const bool breaks = next < breaks_.points.size();
   target_ = breaks ? breaks_.points[next].t : settings_.tf;
-  const bool from = next > 0 && breaks_.points[next - 1].t == reached_.t;
-  if (breaks_.piece) breaks_.piece->enter(reached_.t, from, target_, breaks);
+  if (breaks_.piece) breaks_.piece->enter(piece_start_, piece_from_break_, target_, breaks);
 }
 
 /// Starts again at the point reached, in the next piece, from what the actions return.
@@ -562,6 +604,90 @@ bool Integration::make_consistent(bool& moved) {
     case Consistency::consistent:
     case Consistency::undefined: break;  // the restart says so
   }
+  return true;
+}
+
+// --------------------------------------------------------------------------------------------- a run that was
+// interrupted
+
+/// Whether the method's memory is that of the point reached, and nothing is to happen there before the next step.
+bool Integration::between_steps() const {
+  const bool ended_there = state_ == State::running || state_ == State::reached_end || state_ == State::limit_reached ||
+                           state_ == State::stopped_by_request ||
+                           (state_ == State::stopped_by_callback && !events_.acts());
+  return ended_there && !left_ && !breaks_here() && reached_.t == step_->t();
+}
+
+void Integration::state(Archive& archive) {
+  std::vector<double> y(n_);
+  double target = target_;
+  if (!archive.reading()) {
+    std::copy(reached_.y, reached_.y + n_, y.begin());
+    anew_ = !between_steps();
+  }
+  archive(reached_.t, y, anew_, target, piece_start_, piece_from_break_, next_break_);
+  archive(counts_.steps, counts_.failed, counts_.projections, counts_.skipped, counts_.clipped);
+  archive(clipped, drift.residual, drift.distance, drift.correction);
+  archive_attempt(archive);
+  if (archive.reading()) {
+    archive.require(next_break_ <= breaks_.points.size());
+    pass_breakpoints(0);
+    interpolant_->start_at(reached_.t, y.data());
+    reached_.y = interpolant_->start_y();
+    enter_piece();
+    in_step_ = in_step_ && target == target_;
+  }
+  step_->state(archive);
+  for (std::optional<Projector>* one : {&projector_, &output_projector_})
+    if (*one) (*one)->state(archive);
+  if (guard_) guard_->state(archive);
+  if (restoration_) restoration_->state(archive);
+  if (harm_) harm_->state(archive);
+  stiffness_.state(archive);
+  events_.state(archive);
+  interpolant_->state(archive);
+  if (!archive.whole()) anew_ = true;
+  if (archive.stopped()) end(State::interrupted);
+}
+
+/// The attempt that comes next, where the run was interrupted between two of a step.
+void Integration::archive_attempt(Archive& archive) {
+  auto& [h, t1, hmin, landing, error, correction, refused, refusals] = attempt_;
+  archive(in_step_, h, t1, hmin, landing, refused[0], refused[1], refusals);
+}
+
+State Integration::resume(bool anew) {
+  started_ = std::chrono::steady_clock::now();
+  if (state_ == State::interrupted) return state_;
+  report_.t = reached_.t;
+  steps_before_ = counts_.steps;
+  if (settings_.max_steps < Settings::unlimited - steps_before_) settings_.max_steps += steps_before_;
+  anew = left_ = anew || anew_;
+  if (anew && !breaks_here()) {
+    bool moved = false;
+    if (!make_consistent(moved)) return state_;
+  }
+  const auto& [t, y] = reached_;
+  if (dense) dense->start(t, y);
+  if (!settings_.save_all) points.add(t, y, n_);
+  if (settings_.save_all && settings_.output_at_times && !emit_times(breaks_here())) return state_;
+  if (n_ == 0)
+    nothing_to_integrate();
+  else if (t == settings_.tf)
+    end(State::reached_end);
+  else if (!anew || start_again())
+    state_ = State::running;
+  return state_;
+}
+
+/// Starts the method at the point reached, where a run ended inside a step, before a breakpoint, or without memory.
+bool Integration::start_again() {
+  in_step_ = false;
+  if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
+  if (breaks_here()) return pass_breakpoint();
+  leave_step(reached_.y);
+  if (!start_memory(reached_.t, reached_.y)) return false;
+  if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   return true;
 }
 
@@ -619,7 +745,7 @@ bool Integration::reach(Limit limit) {
   report_.t = reached_.t;
   report_.h = step_->h();
   report_.limit = limit;
-  report_.steps = counts_.steps;
+  report_.steps = counts_.steps - steps_before_;
   report_.seconds = seconds();
   return end(State::limit_reached);
 }

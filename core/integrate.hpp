@@ -14,6 +14,7 @@
 #include "manifold/bounds.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/harm.hpp"
+#include "manifold/one_sided.hpp"
 #include "manifold/projection.hpp"
 #include "manifold/restoration.hpp"
 #include "output/events.hpp"
@@ -69,6 +70,11 @@ class Integration {
   }
 
   State start(const double* y0);
+  /// Instead of `start`: goes on from the memory that `state` has read, as the run would have that wrote it. `anew`:
+  /// the method is to start again, with `Settings::first_step` if it is given.
+  State resume(bool anew);
+  /// All that a run remembers between two steps, but what it has put out.
+  void state(Archive& archive);
   State advance();
   State run();
 
@@ -78,8 +84,6 @@ class Integration {
   [[nodiscard]] const Step& step() const { return *step_; }
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_.t; }
-  /// How many breakpoints have been passed.
-  [[nodiscard]] std::size_t passed() const { return next_break_; }
   [[nodiscard]] const double* y() const { return reached_.y; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
@@ -125,6 +129,9 @@ class Integration {
   bool end(State state);
   bool refuse(const Finding& finding);
   bool nothing_to_integrate();
+  [[nodiscard]] bool between_steps() const;
+  void archive_attempt(Archive& archive);
+  bool start_again();
   bool inspect_start();
   bool start_within_bounds();
   bool project_start_within_bounds();
@@ -137,6 +144,7 @@ class Integration {
   Verdict attempt();
   Verdict stay_within_bounds(const double*& y1);
   Verdict project(const double* candidate);
+  void tell_directions();
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict ended(State state);
@@ -148,6 +156,7 @@ class Integration {
   State finish_step();
   void note_drift();
   bool judge_invariants();
+  bool judge_start_of_step();
   bool find_events();
   bool record();
   [[nodiscard]] bool jumps_here() const;
@@ -166,6 +175,7 @@ class Integration {
   [[nodiscard]] bool breaks_here() const { return break_t_ == reached_.t; }
   void pass_breakpoints(std::size_t count);
   void aim();
+  void enter_piece();
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
   bool go_on_from_jump(bool rehold);
@@ -191,6 +201,7 @@ class Integration {
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
+  std::optional<OneSided> one_sided_;          // and where some invariants may only rise or fall
   std::optional<Guard> guard_;
   std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;
@@ -203,16 +214,23 @@ class Integration {
   Counts counts_;
   Attempted attempt_;
   Outside outside_;
-  Projected projected_;           // of the accepted candidate
-  Point reached_{0, nullptr};     // the step, or the event that has cut it
-  std::vector<double> y1_;        // the projected candidate
-  std::vector<double> event_y_;   // state at an event
-  std::vector<double> inside_y_;  // output inside a step
+  Projected projected_;                    // of the accepted candidate
+  Point reached_{0, nullptr};              // the step, or the event that has cut it
+  std::vector<double> y1_;                 // the projected candidate
+  std::vector<const double*> directions_;  // of corrections, where they are those of the step
+  std::vector<double> event_y_;            // state at an event
+  std::vector<double> inside_y_;           // output inside a step
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;
-  double break_t_;     // of the next one; NaN: there is none
-  double target_ = 0;  // the next breakpoint, or tf
+  double break_t_;                 // of the next one; NaN: there is none
+  double target_ = 0;              // the next breakpoint, or tf
+  double piece_start_ = 0;         // of the present piece
+  bool piece_from_break_ = false;  // which is a breakpoint
+  bool left_ = false;              // the method's memory is not that of the point reached
+  bool in_step_ = false;           // a limit was reached between two attempts
+  bool anew_ = false;              // the memory that was read is not enough: the method starts again
+  std::int64_t steps_before_ = 0;  // of the run that goes on here
   const std::atomic<bool>* request_ = nullptr;
   std::int64_t next_look_ = 0;  // at the limits: after so many steps
   std::chrono::steady_clock::time_point started_;

@@ -23,7 +23,6 @@ struct Settings {
   bool save_all = true;   ///< false: the final point only
   bool record = true;     ///< with save_all: a record of each step too
   bool check = true;      ///< the tests that may find that an invariant is not conserved
-  bool resumed = false;   ///< goes on from where another run ended: its start was inspected then
   double negligible = 0;  ///< candidates so close to the manifold, in units of rtol, are not projected
 
   // Where one of these is reached, the run ends early.

@@ -21,6 +21,7 @@ class Slope {
   [[nodiscard]] virtual double relative_error() const { return 0; }
   /// Evaluations of f so far.
   [[nodiscard]] virtual std::int64_t evaluations() const = 0;
+  virtual void state(Archive& archive) = 0;
 };
 
 /// y' = f(t, y)
@@ -29,6 +30,10 @@ class ExplicitSlope final : public Slope {
   explicit ExplicitSlope(const Callback& f) : f_(f), before_(f.calls()) {}
   Status evaluate(double t, const double* y, double, double* out) override { return f_(t, y, out); }
   [[nodiscard]] std::int64_t evaluations() const override { return f_.calls() - before_; }
+  void state(Archive& archive) override {
+    f_.state(archive);
+    archive(before_);
+  }
 
  private:
   Callback f_;

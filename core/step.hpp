@@ -1,6 +1,6 @@
 #pragma once
-// The step contract: five operations that every method obeys, so that the loop, the projection, the events and the
-// output exist once.
+// The step contract: five operations that every method obeys, and its memory as data, so that the loop, the projection,
+// the events and the output exist once, and a run can go on in another process.
 
 #include <algorithm>
 #include <cmath>
@@ -8,10 +8,13 @@
 #include <cstdint>
 #include <vector>
 
+#include "archive.hpp"
 #include "callback.hpp"
 #include "weights.hpp"
 
 namespace invariode {
+
+struct Matrix;
 
 /// How an operation of a step ended. `not_finite`: a needed value of f is NaN or infinite.
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
@@ -64,11 +67,21 @@ class Step {
   /// Builds the memory at (t, y), also after a jump: evaluates f there and chooses the first |h|.
   virtual Outcome start(double t, const double* y, const Span& span) = 0;
 
+  /// Between two steps: a method that consists of several goes on with another one where that suits the problem better.
+  /// The next |h| may change.
+  virtual Outcome hand_over(const Span&) { return Outcome::ok; }
+
   /// Proposes a step of signed size h that ends at t1: fl(t + h), or the end of the interval, assigned exactly.
   virtual Attempt attempt(double h, double t1) = 0;
 
   /// The estimated error of the attempt, component by component, into out (n,). False: the method has none.
   virtual bool errors(double*) const { return false; }
+
+  /// What the attempt is made of, slopes or differences of the solution, as vectors (n) that stay until the next
+  /// operation: every linear function that f keeps vanishes on them. Returns how many, at most `max_directions`. None:
+  /// the method does not tell.
+  virtual std::size_t directions(const double**) const { return 0; }
+  [[nodiscard]] virtual std::size_t max_directions() const { return 0; }
 
   /// Chooses the |h| (order, repairs) of the retry. False: at |h| <= hmin there is nothing left to try.
   virtual bool reject(Cause cause, double hmin) = 0;
@@ -91,6 +104,8 @@ class Step {
   /// An estimate of |h λ| in the step just accepted, λ the dominant eigenvalue of ∂f/∂y, in units of what the formula
   /// is stable for on the negative real axis. 0: nobody knows, or there is no such limit.
   [[nodiscard]] virtual double stability() const { return 0; }
+  /// So long is its interval of stability on the negative real axis; 0: nobody knows, or there is no limit.
+  [[nodiscard]] virtual double real_limit() const { return 0; }
   /// y' at the end of the accepted step as the method has it, without another evaluation; after an implicit step only
   /// to the accuracy of its iteration.
   [[nodiscard]] virtual const double* slope() const = 0;
@@ -98,6 +113,15 @@ class Step {
   [[nodiscard]] virtual int undefined_component() const = 0;
   /// What the linear algebra of an implicit method did, and what went wrong with it in the last attempt.
   [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
+  /// ∂f/∂y as an implicit method has it; null: it needs none.
+  [[nodiscard]] virtual const Matrix* jacobian() const { return nullptr; }
+  /// Of a method that consists of several: which of them made the last step, and how often they have changed.
+  [[nodiscard]] virtual int member() const { return 0; }
+  [[nodiscard]] virtual std::int64_t switches() const { return 0; }
+
+  /// The memory between two steps: all that the next `attempt` and those after it read. Methods archive this part and
+  /// then their own.
+  virtual void state(Archive& archive) = 0;
 
   [[nodiscard]] std::size_t n() const { return y_.size(); }
   [[nodiscard]] double t() const { return t_; }
@@ -125,5 +149,7 @@ class Step {
   double h_ = 0;
   bool moved_onto_bounds_ = false;
 };
+
+inline void Step::state(Archive& archive) { archive(t_, y_, h_, moved_onto_bounds_); }
 
 }  // namespace invariode

@@ -4,15 +4,27 @@ namespace invariode {
 namespace {
 
 constexpr double near = 0.5;  // of the limit: estimates there were 0.6 to 1.9 of it, in the median 0.9 to 1.1
-constexpr double slow = 0.1;  // what may change in a step at the limit, in the weights
 constexpr int long_streak = 10, end_of_streak = 4;  // looks
+
+/// ‖y₁ − y₀‖
+double moved(const Step& method, const Weights& weights, const double* y0) {
+  const double* y1 = method.y();
+  return max_norm(weights.size(), [&](std::size_t i) { return (y1[i] - y0[i]) / weights.at(i, y0[i], y1[i]); });
+}
 
 }  // namespace
 
-void StiffnessDetector::look(const Step& method, double t0, const double* y0) {
+StepLook look_at(const Step& method, const Weights& weights, const double* y0) {
   const double limit = method.stability();
-  if (limit == 0) return;
-  if (limit > near && moved(method, y0) < slow)
+  if (limit == 0) return {};
+  if (!(limit > near)) return {.known = true};
+  return {.known = true, .at_limit = true, .moved = moved(method, weights, y0)};
+}
+
+void StiffnessDetector::look(const Step& method, double t0, const double* y0) {
+  const StepLook step = look_at(method, weights_, y0);
+  if (!step.known) return;
+  if (step.limited())
     limited(t0);
   else
     free();
@@ -33,12 +45,6 @@ void StiffnessDetector::limited(double t0) {
 void StiffnessDetector::free() {
   ++looks_;
   if (++free_ >= end_of_streak) streak_ = 0;
-}
-
-/// ‖y₁ − y₀‖
-double StiffnessDetector::moved(const Step& method, const double* y0) const {
-  const double* y1 = method.y();
-  return max_norm(weights_.size(), [&](std::size_t i) { return (y1[i] - y0[i]) / weights_.at(i, y0[i], y1[i]); });
 }
 
 }  // namespace invariode

@@ -9,6 +9,20 @@
 
 namespace invariode {
 
+/// How an explicit step looks: is |h λ| at the limit of the formula's stability, and what has the step changed, in the
+/// weights? `known` is false where it cannot tell.
+struct StepLook {
+  bool known = false;
+  bool at_limit = false;
+  double moved = 0;  // known at the limit only
+
+  static constexpr double slow = 0.1;  // what may change in a step at the limit, if accuracy does not limit it
+  [[nodiscard]] bool limited() const { return at_limit && moved < slow; }
+};
+
+/// At the step from y0 that the method has accepted just now.
+StepLook look_at(const Step& method, const Weights& weights, const double* y0);
+
 /// Watches explicit steps. Where |h λ| stays at the limit of the formula while the solution hardly changes in a step, λ
 /// is not in the solution: the problem is stiff.
 class StiffnessDetector {
@@ -26,11 +40,12 @@ class StiffnessDetector {
     return sustained_ && most ? Stiffness{.found = true, .since = since_} : Stiffness{};
   }
 
+  void state(Archive& archive) { archive(looks_, limited_, streak_, free_, sustained_, since_); }
+
  private:
   void look(const Step& method, double t0, const double* y0);
   void limited(double t0);
   void free();
-  [[nodiscard]] double moved(const Step& method, const double* y0) const;
 
   static constexpr std::int64_t every = 64;  // so that it costs less than 1 % of a step
 

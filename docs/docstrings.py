@@ -23,18 +23,18 @@ MODULES = (
 
 #: Rules of numpydoc's that are not ours, and why.
 NOT_OURS = {
-    "ES01": "an extended summary: where the summary says it all there is none",
+    "ES01": "an extended summary: unnecessary if the summary says everything",
     "EX01": "examples: most are in the pages",
     "GL02": "quotes on a line of their own: one line has both",
     "GL03": "no blank lines: those around an example stay",
     "GL07": "the order of sections: Other Parameters follow Parameters",
     "GL08": "a docstring for each: properties are described by their class",
     "PR02": "only parameters of the signature: options are in **options",
-    "PR03": "the order of the signature: what is as in solve_ivp is said at once",
+    "PR03": "the order of the signature: what is as in solve_ivp is listed together",
     "PR04": "a type for each: what is as in solve_ivp has its type there",
-    "PR07": "a description for each: two that are explained together have one",
+    "PR07": "a description for each: two that are explained together share one",
     "PR08": "capital letters: names of methods begin sentences",
-    "RT01": "a section Returns: where the summary says it there is none",
+    "RT01": "a section Returns: unnecessary if the summary says it",
     "RT03": "a description of what is returned: a Solution is described by its class",
     "SA01": "see also: names in the text are links",
     "SS02": "capital letters: formulas begin summaries",

@@ -1,9 +1,9 @@
 """An arm that hits a wall
 =======================
 
-Two links swing from a pivot until the tip meets a wall. The impact reverses the velocity of the tip and knows nothing
-of the links: that would tear the joints apart. `consistent` puts the velocities onto the constraints again, by the
-impulses of the joints.
+Two links swing from a pivot until the tip meets a wall. The impact reverses the velocity of the tip as if there were no
+links, which would tear the joints apart. `consistent` puts the velocities back onto the constraints, by the impulses in
+the joints.
 
 Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, Wiley, 1996, chapter 6, for impacts of
 mechanisms.
@@ -31,7 +31,7 @@ def energy(t, q, v):
 
 
 def distance(t, y):
-    """Of the tip from the wall."""
+    """The distance of the tip from the wall."""
     return y[2] - WALL
 
 

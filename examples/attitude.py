@@ -1,8 +1,9 @@
 """Attitude of a tumbling satellite
 ================================
 
-The attitude is a unit quaternion, beside the angular velocity in the frame of the body. Kept are the norm of the
-quaternion, the energy and the three components of the angular momentum in space; the intermediate axis flips over.
+The state is a unit quaternion for the attitude, and the angular velocity in the body frame. The invariants are the norm
+of the quaternion, the energy and the three components of the angular momentum in space; the intermediate axis flips
+over.
 
 Source: F. L. Markley, J. L. Crassidis, Fundamentals of Spacecraft Attitude Determination and Control, Springer, 2014,
 sections 2.7 and 3.3.
@@ -17,7 +18,7 @@ moments = np.array([1.0, 2.0, 3.0])
 
 
 def to_space(q, v):
-    """The vector v of the frame of the body in space: q v q*."""
+    """A vector v of the body frame, in space: q v q*."""
     s, u = q[0], q[1:]
     return (s * s - np.dot(u, u)) * v + 2 * np.dot(u, v) * u + 2 * s * np.cross(u, v)
 

@@ -1,7 +1,7 @@
 """A bouncing ball
 ===============
 
-An event with an action: at each impact the ball loses a tenth of its speed and the integration goes on. Its energy is
+An event with an action: at each impact the ball loses a tenth of its speed and the integration continues. The energy is
 kept in flight, and held at its new value after each impact.
 
 Source: L. F. Shampine, S. Thompson, Event location for ordinary differential equations, Comput. Math. Appl. 39 (2000)
@@ -37,7 +37,7 @@ def main():
     figure, (path, drifts) = plt.subplots(2, sharex=True, layout="constrained")
     for label, invariants in (("plain", None), ("projected", energy)):
         sol = iv.ode45(ball, (0, 100), [1, 0], events=impact, invariants=invariants, refine=10)
-        flight = np.cumsum(np.diff(sol.t, prepend=-1) == 0)  # a jump has its time twice: which flight is each point of?
+        flight = np.cumsum(np.diff(sol.t, prepend=-1) == 0)  # a jump has two points: number the flights
         values, firsts = energy(0, sol.y), np.searchsorted(flight, range(31))
         off = np.abs(values - values[firsts][flight])
         print(f"{label:>9}: energy within a flight off by {off.max():.1e}, {len(sol.t_events[0])} impacts")

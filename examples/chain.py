@@ -1,8 +1,8 @@
 """A hanging chain
 ===============
 
-Twelve links in Cartesian coordinates, let go from a horizontal line: masses, gravity and the lengths of the links are
-all that is written. Corrections in levels keep the lengths to roundoff; without them the links grow.
+Twelve links in Cartesian coordinates, released from a horizontal line. The script states only masses, gravity and the
+lengths of the links. Corrections in levels keep the lengths to roundoff; without them the links grow.
 
 Source: the pendulum of E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section VII.1, twelve times.
 """

@@ -2,10 +2,10 @@
 =======================================
 
 It gyrates around the field lines and is reflected where the field is strong. A magnetic field does no work, so the
-energy is kept; so is the canonical angular momentum, as the field is symmetric about the axis.
+energy is conserved; so is the canonical angular momentum, since the field is symmetric about the axis.
 
-Source: T. G. Northrop, The Adiabatic Motion of Charged Particles, Interscience, 1963, for the motion; the field is the
-simplest of its kind, with the vector potential (1 + z²) (-y, x, 0) / 2.
+Source: T. G. Northrop, The Adiabatic Motion of Charged Particles, Interscience, 1963, for the motion; the field is a
+simple example, with the vector potential (1 + z²) (-y, x, 0) / 2.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """A double pendulum
 =================
 
-Chaotic: no solver follows one solution for long. A solution can keep the right energy; at crude
+Its motion is chaotic: no solver can follow one solution for long. But a solution can keep the right energy; at crude
 tolerances a plain run gains or loses some.
 
 Source: T. Shinbrot, C. Grebogi, J. Wisdom, J. A. Yorke, Chaos in a double pendulum, Am. J. Phys. 60 (1992) 491-499.

@@ -2,8 +2,8 @@
 ===========
 
 Susceptible, infected and removed people. Their sum is linear and kept by every method; the other invariant, which
-decides how many are never infected, needs projection. Where one is imposed, so must be the other: the nearest point
-that has the one need not have the other.
+decides how many are never infected, needs projection. If one is imposed, the other must be too: the nearest point that
+satisfies one need not satisfy the other.
 
 Source: W. O. Kermack, A. G. McKendrick, A contribution to the mathematical theory of epidemics, Proc. R. Soc. Lond. A
 115 (1927) 700-721.

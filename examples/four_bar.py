@@ -1,10 +1,10 @@
 """A four-bar linkage by SymPy's Lagrange's method
 ===============================================
 
-Three moving bars and the ground make a closed loop. SymPy forms the equations with multipliers in the three angles; the
-loop is held without being asked for.
+Three moving bars and the ground form a closed loop. SymPy forms the equations with multipliers in the three angles; the
+loop constraints are imposed automatically.
 
-Source: the kind of mechanism is that of J. J. Uicker, G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms,
+Source: for this kind of mechanism, J. J. Uicker, G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms,
 Oxford University Press, 2016, chapter 1.
 """
 
@@ -19,7 +19,7 @@ BARS, GROUND = (1.0, 3.0, 2.5), 3.2
 
 
 def linkage():
-    """Uniform bars of density 1; the first one can turn around."""
+    """Uniform bars of density 1; the first one can turn full circle."""
     angles, g = dynamicsymbols("a b c"), sympy.Symbol("g")
     joints, energies = [sympy.Matrix([0, 0])], []
     for angle, length in zip(angles, BARS, strict=True):

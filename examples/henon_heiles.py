@@ -1,8 +1,8 @@
 """A Poincaré section of Hénon and Heiles
 ======================================
 
-Where orbits of one energy pass through the plane x = 0, located as events on the continuous solution, which is on the
-energy surface between the steps too. Islands are regular motion, the sea around them is chaos.
+The points where orbits of one energy cross the plane x = 0, located as events on the continuous solution, which stays
+on the energy surface between the steps too. The islands are regular motion, the sea around them is chaotic.
 
 Source: M. Hénon, C. Heiles, The applicability of the third integral of motion: some numerical experiments, Astron. J.
 69 (1964) 73-79.

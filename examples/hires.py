@@ -1,8 +1,8 @@
 """HIRES: a linear invariant
 =========================
 
-Eight species of a plant's high irradiance response, stiff. The amount of the enzyme, y7 + y8, is linear: every method
-here keeps it to roundoff without projection, and nothing needs to be done.
+Eight species in a plant's high irradiance response, stiff. The amount of the enzyme, y7 + y8, is linear: every method
+here keeps it to roundoff without projection.
 
 Source: E. Schäfer, A new approach to explain the 'high irradiance responses' of photomorphogenesis on the basis of
 phytochrome, J. Math. Biol. 2 (1975) 41-56; E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section

@@ -1,8 +1,8 @@
 """Kepler's orbit
 ==============
 
-An eccentric orbit over twenty periods. Plain, the energy drifts and the ellipse shrinks and turns; with energy and
-angular momentum imposed it keeps its size and its shape.
+An eccentric orbit over twenty periods. In a plain run the energy drifts and the ellipse shrinks and turns; with energy
+and angular momentum imposed it keeps its size and shape.
 
 Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., Springer, 2006, section I.2.
 """

@@ -1,7 +1,7 @@
 """Predator and prey
 =================
 
-The orbits of Lotka and Volterra's equations are closed: they are the level sets of an invariant that is no polynomial.
+The orbits of Lotka and Volterra's equations are closed: they are level sets of an invariant that is not a polynomial.
 
 Source: L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72,
 section 6.

@@ -1,8 +1,8 @@
 """A pendulum in Cartesian coordinates
 ===================================
 
-The rod keeps its length because of a constraint, and of a hidden one: the bob moves along the circle. Both are
-invariants of the equations, with the demanded value 0.
+The rod keeps its length because of a constraint and a hidden one: the bob moves along the circle. Both are invariants
+of the equations, with the demanded value 0.
 
 Source: L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72,
 section 6.

@@ -1,8 +1,8 @@
 """A free rigid body
 =================
 
-Euler's equations for the angular momentum of a body that turns freely. Its length and the energy are kept, so the
-solution stays on a sphere, on a curve that closes.
+Euler's equations for the angular momentum of a freely rotating body. Its length and the energy are conserved, so the
+solution is a closed curve on a sphere.
 
 Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., Springer, 2006, section IV.1.
 """

@@ -1,9 +1,8 @@
 """Robertson's kinetics
 ====================
 
-Three species over eleven decades of time, stiff: three ways to tell ode15s what is known of the problem. The sum of
-the concentrations is linear and is kept without projection; it may also replace an equation, with a singular mass
-matrix.
+Three species over eleven decades of time, stiff: three ways to tell ode15s about the problem. The sum of the
+concentrations is linear and is kept without projection; it may also replace an equation, with a singular mass matrix.
 
 Source: H. H. Robertson, The solution of a set of reaction rate equations, in J. Walsh (ed.), Numerical Analysis: An
 Introduction, Academic Press, 1966, 178-182.

@@ -1,8 +1,8 @@
-"""A disc that rolls, by SymPy's Kane's method
-===========================================
+"""A rolling disc by SymPy's Kane's method
+=======================================
 
-A disc rolls on a plane without slipping: the velocity of its lowest point is zero, which is no equation of positions.
-Kane's method is told so by two dependent speeds. The condition is held as it is, and the energy with it.
+A disc rolls on a plane without slipping: the velocity of its lowest point is zero, a condition that positions alone
+cannot express. Kane's method gets it as two dependent speeds. The condition and the energy are imposed.
 
 Source: T. R. Kane, D. A. Levinson, Dynamics: Theory and Applications, McGraw-Hill, 1985, section 2.9; the disc is also
 in the documentation of SymPy.
@@ -70,7 +70,7 @@ def main():
     start = [0, 0.2, 0, 0, 0, 0.1, 2.0, 0.3, 0, 0]
     figure, (path, drift) = plt.subplots(1, 2, figsize=(9.6, 4), layout="constrained")
     no_slip = system.problem((0, 30), start, compiled=False).invariants[:2]
-    start[8:] = [-one.fun(0, start)[0] for one in no_slip]  # each is a velocity of the contact plus what it must cancel
+    start[8:] = [-one.fun(0, start)[0] for one in no_slip]  # a velocity of the contact plus what it must cancel
     problem = system.problem((0, 30), start, compiled=False)
     kept = problem.solve("ode45", rtol=1e-4, atol=1e-6, dense_output=True)
     plain = problem.replace(invariants=None).solve("ode45", rtol=1e-4, atol=1e-6)

@@ -1,8 +1,8 @@
 """A satellite that hangs in its orbit
 ===================================
 
-Gravity turns the long axis of a satellite on a circular orbit towards the Earth. Positions are a unit quaternion,
-velocities the three rates in the body: `kinematics` says how one makes the other. Kept are the norm and Jacobi's
+Gravity turns the long axis of a satellite in a circular orbit towards the Earth. Positions are a unit quaternion,
+velocities the three rates in the body frame; `kinematics` relates them. The invariants are the norm and Jacobi's
 integral.
 
 Source: P. C. Hughes, Spacecraft Attitude Dynamics, Wiley, 1986, chapter 9.
@@ -23,7 +23,7 @@ def turn(t, q, v):
 
 
 def to_body(q, vector):
-    """A vector of space in the frame of the body: q* v q."""
+    """A vector v of space, in the body frame: q* v q."""
     w, u = q[0], -q[1:]
     return (w * w - u @ u) * vector + 2 * (u @ vector) * u + 2 * w * np.cross(u, vector)
 

@@ -1,8 +1,8 @@
 """A slider crank
 ==============
 
-A crank turns, a rod drives a slider along a guide: the pin of the crank in Cartesian coordinates and the place of the
-slider, held together by two lengths. The forces in the joints come out of the solution.
+A crank drives a slider along a guide through a rod. The coordinates are those of the crank pin and the position of the
+slider, tied together by two lengths. The forces in the joints are computed from the solution.
 
 Source: E. J. Haug, Computer Aided Kinematics and Dynamics of Mechanical Systems, Allyn and Bacon, 1989, section 5.
 """

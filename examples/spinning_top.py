@@ -1,8 +1,8 @@
-"""Kowalevski's top: invariants that nobody told of
-================================================
+"""Kowalevski's top: invariants found from f alone
+===============================================
 
 A heavy top with moments of inertia in the proportion 2 : 2 : 1 and its centre of mass in the equatorial plane.
-`find_invariants` gets the right-hand side only, and finds four polynomials: the length of the vertical, the vertical
+`find_invariants` gets only the right-hand side, and finds four polynomials: the length of the vertical, the vertical
 angular momentum, the energy, and Kowalevski's, of degree 4. Then they are imposed.
 
 Source: S. Kowalevski, Sur le problème de la rotation d'un corps solide autour d'un point fixe, Acta Math. 12 (1889)

@@ -1,7 +1,7 @@
 """Andrews' squeezing mechanism
 ============================
 
-Seven bodies, driven by a torque and held by a spring, in joint angles with three loops that close: a well-known test of
+Seven bodies, driven by a torque and held by a spring, in joint angles with three closed loops: a well-known test for
 solvers of differential-algebraic equations of index 3. Here an explicit method solves it. The angles at t = 0.03 s are
 known.
 
@@ -71,7 +71,7 @@ def towards(angle, across=0):
 
 
 def loops(t, q):
-    """The point where three chains of bodies meet, by the crank and by each of them."""
+    """The point where three chains of bodies meet, from the crank and from each chain."""
     beta, theta, gamma, phi, delta, omega, epsilon = q
     meeting = RR * towards(beta) - D * towards(beta + theta)
     ends = [

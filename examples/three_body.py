@@ -1,7 +1,7 @@
 """Restricted three-body problem
 =============================
 
-An orbit around Earth and Moon that closes after one period; at the default tolerances it does so if its Jacobi
+An orbit around Earth and Moon that closes after one period; at the default tolerances it does so only if its Jacobi
 integral is held.
 
 Source: L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72,

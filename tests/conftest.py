@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
 os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem, implicit
+from problems import PROBLEMS, TestProblem, implicit, switching
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, so would the tests
 
@@ -30,7 +30,7 @@ def pair(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(params=[name for name in iv.METHODS if implicit(name)])
+@pytest.fixture(params=[name for name in iv.METHODS if implicit(name) and not switching(name)])
 def code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
     """The functions of the methods for stiff problems."""
     return getattr(iv, request.param)

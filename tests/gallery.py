@@ -175,7 +175,7 @@ GALLERY = {name: PROBLEMS[name] for name in ("Lotka-Volterra", "three-body", "He
         TestProblem(
             "attitude", attitude, (0, 10), [0.8, 0.36, 0.48, 0, 0.3, 1.2, -0.5], attitude_invariants, attitude_jacobian
         ),
-        TestProblem("five bodies", five_bodies, (0, 10), _five_bodies_start(), ten_integrals, ten_integrals_jacobian),
+        TestProblem("five bodies", five_bodies, (0, 3), _five_bodies_start(), ten_integrals, ten_integrals_jacobian),
     )
 }  # fmt: skip
 

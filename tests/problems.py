@@ -56,6 +56,11 @@ def implicit(method: str) -> bool:
     return "jac" in iv.METHODS[method].options
 
 
+def switching(method: str) -> bool:
+    """True for a method made of an explicit and an implicit one that take turns."""
+    return "prefer" in iv.METHODS[method].options
+
+
 def slack(method: str) -> int:
     """How much larger errors may be than with formulas of order 3 and more: with those of order 2, whose steps are so
     long that their error of O(h^3) is just below rtol, they are O(rtol^(2/3))."""

@@ -73,7 +73,7 @@ MISFITS: dict[str, Callable[[], object]] = {
     "no Jacobian": lambda: solver(method="ode15s"),
     "refine": lambda: solver({"refine": 0}),
     "fsal": lambda: solver({"fsal": "never"}),
-    "resumed events": lambda: solver().resume([1], [False]),
+    "memory": lambda: solver().resume(bytes(8), False),
     "rows of residual": lambda: _core.residual(t, y[:2], problem()),
     "columns of residual": lambda: _core.residual(t, np.ones((3, n + 1)), problem()),
     "values of distance": lambda: _core.distance(t, y, problem(value=NOTHING), tolerances()),
@@ -140,7 +140,7 @@ def test_settings_are_what_they_were_set_to() -> None:
         if isinstance(before, bool):
             after: Any = not before
         elif isinstance(before, str):
-            after = {"reuse": "evaluate", "projected": "raw"}[before]
+            after = {"reuse": "evaluate", "projected": "raw", "": "ode45"}[before]
         elif before is None:
             after = np.arange(3.0)
         else:

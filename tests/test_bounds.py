@@ -211,6 +211,38 @@ def test_algebraic_equations_and_bounds():
         assert np.abs(sol.y.sum(axis=0) - 1).max() < 0.1 * rtol
 
 
+def pushed(t, y):
+    """Down onto 0, where it rests until f leads up again."""
+    return [np.cos(t) - 0.5]
+
+
+@pytest.mark.parametrize("factor", [3.0, -0.5])
+@pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass != "none"])
+def test_with_a_diagonal_mass_matrix_components_rest_as_they_do_without(method, factor):
+    options = {"rtol": 1e-4, "atol": 1e-6, "nonnegative": True}
+    plain = "ode15s" if method == "auto" else method  # which auto is with a mass matrix
+    without = iv.solve_ivp(pushed, (0, 12), [0.1], plain, **options)
+    kept = iv.solve_ivp(lambda t, y: [factor * pushed(t, y)[0]], (0, 12), [0.1], method, mass=[[factor]], **options)
+    assert kept.success
+    assert kept.y.min() >= 0
+    assert abs(kept.y[0, -1] - without.y[0, -1]) <= 1e-3
+    assert abs(kept.stats.steps - without.stats.steps) <= 0.1 * without.stats.steps
+
+
+def test_what_rests_beside_algebraic_equations():
+    def balanced(t, y):
+        return [*pushed(t, y), y[0] + y[1] - 1]
+
+    alone = iv.solve_ivp(pushed, (0, 12), [0.1], "ode15s", rtol=1e-4, atol=1e-6, nonnegative=True)
+    for method in ("ode15s", "radau", "ode23tb"):
+        given = {"mass": np.diag([1.0, 0.0]), "rtol": 1e-4, "atol": 1e-6}
+        kept = iv.solve_ivp(balanced, (0, 12), [0.1, 0.9], method, nonnegative=[0], **given)
+        assert kept.success
+        assert kept.y[0].min() >= 0
+        assert abs(kept.y[0, -1] - alone.y[0, -1]) <= 1e-3
+        assert np.abs(kept.y.sum(axis=0) - 1).max() <= 1e-6
+
+
 def test_the_mass_that_clipping_moves_is_told(method):
     sol = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, max_step=np.inf)
     assert sol.stats.clipped >= 0
@@ -390,7 +422,7 @@ def square(t, y):
         ({"bounds": lambda t: (0, 1)}, TypeError, "depend on t"),
         ({"bounds": ("x", 1)}, TypeError, "numbers"),
         ({"nonnegative": True, "bounds": (None, -1)}, ValueError, "no value"),
-        ({"bounds": (0, 0.5)}, ValueError, "outside of its bounds"),
+        ({"bounds": (0, 0.5)}, ValueError, "outside its bounds"),
     ],
 )
 def test_wrong_bounds_are_refused(given, error, text):

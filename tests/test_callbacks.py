@@ -191,8 +191,8 @@ WRONG_RESULTS = [
     (lambda t, y: np.ones((2, 1)), r"returned shape \(2, 1\), expected shape \(2,\)"),
     (lambda t, y: 1.0, r"returned shape \(\), expected shape \(2,\)"),
     (lambda t, y: None, r"fun\(t, y\) returned None \(is a `return` missing\?\)"),
-    (lambda t, y: (v for v in y), "returned a generator that is no array of numbers"),
-    (lambda t, y: [[1.0], [1.0, 2.0]], "returned a list that is no array of numbers"),
+    (lambda t, y: (v for v in y), "returned a generator that is not an array of numbers"),
+    (lambda t, y: [[1.0], [1.0, 2.0]], "returned a list that is not an array of numbers"),
 ]
 
 
@@ -304,7 +304,7 @@ def test_an_array_is_neither_stop_nor_go_on(method, returned):
 
 @pytest.mark.parametrize("complex_y0", [1.0, 1j])
 def test_an_integer_beyond_the_range_of_a_double_is_the_functions_fault(method, complex_y0):
-    with pytest.raises(ValueError, match=r"fun\(t, y\) returned an integer beyond the range of a double"):
+    with pytest.raises(ValueError, match=r"fun\(t, y\) returned an integer too large for a double"):
         iv.solve_ivp(lambda t, y: [10**400], (0, 1), [complex_y0], method)
 
 

@@ -64,6 +64,15 @@ same = oscillator
 if __name__ == "__main__":
     raise AssertionError("it is not run as a script")
 """,
+    "sink.py": """
+import invariode as iv
+
+def decay(t, y):
+    return [-abs(y[0]), abs(y[0])]
+
+sink = iv.Problem(decay, (0, 30), [1, 0], labels=["A", "B"], invariants=lambda t, y: y[0] + y[1])
+swing = iv.Problem(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], invariants=lambda t, y: y @ y)
+""",
     "broken.py": "import invariode\n\ndef helper():\n    raise RuntimeError('no data')\n\nhelper()\n",
     "syntax.py": "def f(:\n",
     "exits.py": "raise SystemExit(3)\n",
@@ -262,9 +271,9 @@ def test_solve_quietly_prints_nothing():
         (["pendulum.py", "--t-eval", "1"], 2, "--t-eval"),
         (["pendulum.py", "--t-eval", "5", "--dense"], 2, "exclude each other"),
         (["faulty.py:endless", "--t-eval", "5"], 2, "need a finite interval"),
-        (["pendulum.py", "-o", "a.txt"], 2, "a.txt has ending '.txt'; known are .csv, .parquet, .nc, .npz"),
+        (["pendulum.py", "-o", "a.txt"], 2, "a.txt has ending '.txt'; choose from .csv, .parquet, .nc, .npz"),
         (["pendulum.py", "-o", "a"], 2, "a has no ending"),
-        (["pendulum.py", "--plot", "a.gif"], 2, "known are .png, .svg, .pdf"),
+        (["pendulum.py", "--plot", "a.gif"], 2, "choose from .png, .svg, .pdf"),
         (["pendulum.py", "-o", "none/a.npz"], 2, "no such directory: none"),
         (["stiff.py:algebraic"], 2, "ode45 is explicit and cannot use a mass matrix; use ode15s"),
         (["prey.py:wrong"], 1, "Invariant sum_of_both is not conserved by fun"),
@@ -408,7 +417,7 @@ def test_ctrl_c_ends_with_130_and_one_line():
         running.send_signal(signal.SIGINT)
         _, errors = running.communicate(timeout=60)
     assert running.returncode == 130
-    assert errors == "Interrupted.\n"
+    assert re.fullmatch(r"Interrupted at t = \S+, after \d+ steps; nothing was saved.\n", errors)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -440,6 +449,30 @@ def test_check_ends_with_1_if_there_are_findings(arguments, code, says):
     outcome = invariode("check", *arguments)
     assert outcome.exit_code == code, outcome.output
     assert says in flat(outcome.output)
+
+
+def test_check_and_compare_tell_what_falls_below_zero_and_should_not():
+    says = re.compile(r"A falls to -\S+, where a more accurate solution stays above 0")
+    check = ("check", "sink.py:sink", "--along", "5", "--rtol", "1e-2", "--atol", "1e-4")
+    outcome = invariode(*check)
+    assert outcome.exit_code == 0, outcome.output
+    assert says.search(flat(outcome.output))
+    runs = ("--decades", "2-3", "-m", "ode45")
+    assert says.search(flat(invariode("compare", "sink.py:sink", *runs).output))
+    for command in (["check", "sink.py:swing", "--along", "5"], ["compare", "sink.py:swing", *runs]):
+        assert "falls to" not in flat(invariode(*command).output)
+
+
+@pytest.mark.parametrize("components", ["A", "0", "all", "A,B"])
+def test_solve_keeps_components_from_becoming_negative(components):
+    command = ("solve", "sink.py:sink", "--rtol", "1e-2", "--atol", "1e-4", "-o", "sink.npz")
+    assert invariode(*command, "--nonnegative", components).exit_code == 0
+    assert iv.load("sink.npz").y[0].min() >= 0
+    assert invariode(*command, "--force").exit_code == 0
+    assert iv.load("sink.npz").y[0].min() < 0
+    outcome = invariode(*command, "--force", "--nonnegative", "C")
+    assert outcome.exit_code == 2
+    assert "choose from A, B" in flat(outcome.output)
 
 
 def test_check_says_that_it_does_not_know_mass_matrices():
@@ -529,6 +562,22 @@ def test_compare_gives_up_explicit_methods_on_stiff_problems(monkeypatch):
     assert len(re.findall("too long", outcome.output)) == 2
 
 
+def test_a_run_goes_on_from_its_checkpoint(tmp_path):
+    files = {name: str(tmp_path / name) for name in ("run.checkpoint", "on.npz", "whole.npz")}
+    kept = ["solve", "pendulum.py", "--checkpoint", files["run.checkpoint"]]
+    assert invariode(*kept, "--max-steps", "20").exit_code == 1
+    outcome = invariode(*kept, "--resume", "-o", files["on.npz"])
+    assert outcome.exit_code == 0, outcome.output
+    assert invariode("solve", "pendulum.py", "-o", files["whole.npz"]).exit_code == 0
+    on, whole = iv.load(files["on.npz"]), iv.load(files["whole.npz"])
+    np.testing.assert_array_equal(on.y, whole.y)
+    assert dict(on.stats) == dict(whole.stats)
+    assert invariode(*kept, "--resume").exit_code == 0  # there is nothing left to do
+    other = invariode(*kept, "--resume", "--rtol", "1e-4")
+    assert (other.exit_code, "rtol is 0.0001 here" in flat(other.output)) == (2, True), other.output
+    assert invariode("solve", "pendulum.py", "--resume").exit_code == 2
+
+
 def test_compare_takes_methods_that_can_solve_the_problem():
     options = ["--decades", "3-4", "--atol-ratio", "1"]
     outcome = invariode("compare", "stiff.py:algebraic", *options)
@@ -547,8 +596,8 @@ def test_compare_takes_methods_that_can_solve_the_problem():
         (["pendulum.py", "--decades", "3"], 2, "expected M-N"),
         (["pendulum.py", "--limit", "0"], 2, "must be positive"),
         (["pendulum.py", "--atol-ratio", "-1"], 2, "not negative"),
-        (["pendulum.py", "-m", "BDF"], 2, "say ode15s"),
-        (["pendulum.py", "--plot", "a.jpg"], 2, "known are .png, .svg, .pdf"),
+        (["pendulum.py", "-m", "BDF"], 2, "give ode15s"),
+        (["pendulum.py", "--plot", "a.jpg"], 2, "choose from .png, .svg, .pdf"),
         (["prey.py:wrong"], 1, "Invariant sum_of_both is not conserved by fun"),
         (["faulty.py:blowing_up"], 1, "No two methods reach the end with stringent tolerances."),
         (["faulty.py:interrupted"], 130, "Interrupted."),
@@ -618,7 +667,7 @@ def test_verdict_on_ratios(ratios, kind):
     [
         ([0.5, 0.6], [0.5, 0.6], "is worth it here: at equal error it takes 0.5 to 0.6 × the time of a tighter"),
         ([2.0, 2.0], [2.0, 2.0], "is not worth it here: at equal error it takes 2 × the time of a tighter"),
-        ([2.0, 2.0], [0.5, 0.5], "it takes 0.5 × the evaluations of f, so it is worth it where f is costly."),
+        ([2.0, 2.0], [0.5, 0.5], "it takes 0.5 × the evaluations of f, so it is worth it if f is costly."),
         ([0.5, 2.0], [0.5, 2.0], "at errors from 1e-2 up, where it takes 0.5 × the time"),
         ([2.0, 0.5], [2.0, 0.5], "at errors from 1e-3 down, where it takes 0.5 × the time"),
         ([1.0, 1.0], [1.0, 1.0], "costs as much here as a tighter tolerance"),

@@ -105,7 +105,7 @@ def test_pictures_have_the_quantiles_of_the_trajectories(kind):
 
 
 def test_pictures_need_times_and_known_kinds():
-    with pytest.raises(ValueError, match="has final states only: for a picture solve it with times in t_eval"):
+    with pytest.raises(ValueError, match="has only final states: for a picture solve it with times in t_eval"):
         ensemble(t_eval=None).plot()
     with pytest.raises(ValueError, match="kind must be one of 'bands', 'quantiles', 'spaghetti', got 'lines'"):
         ensemble().plot("lines")

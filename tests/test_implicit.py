@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
-from problems import implicit, slack
+from problems import implicit, slack, switching
 from stiff import PROBLEMS
 
 ROBERTSON = PROBLEMS["Robertson"]
@@ -48,7 +48,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("method", [*filter(implicit, iv.METHODS), "BDF"])
+@pytest.mark.parametrize("method", [*(name for name in filter(implicit, iv.METHODS) if not switching(name)), "BDF"])
 def test_every_form_of_the_jacobian_gives_the_same_run(method, form):
     expected = iv.solve_ivp(diffusion, (0, 5), U0, method, jac=diffusion_jacobian, rtol=1e-6)
     sol = iv.solve_ivp(diffusion, (0, 5), U0, method, rtol=1e-6, **FORMS[form])
@@ -169,7 +169,7 @@ REFUSED = {
     "mass outside of the band": (
         {"mass": np.ones((3, 3)) + np.eye(3), "lband": 1, "uband": 1},
         ValueError,
-        "mass has entries outside of the band",
+        "mass has entries outside the band",
     ),
 }
 

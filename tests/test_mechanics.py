@@ -482,11 +482,11 @@ def test_a_kink_that_the_motion_crosses_ends_it_there_and_says_so():
     sol = system.problem((0, 3), [0.5, 0.5], [-1, 1]).solve("ode45", rtol=1e-6, atol=1e-8)
     assert not sol.success
     assert abs(sol.y[0, -1]) < 1e-3
-    assert "not smooth there, as abs at 0" in sol.message
+    assert "not smooth there, like abs at 0" in sol.message
 
 
 def test_lengths_of_q_and_v_must_agree():
-    with pytest.raises(ValueError, match="one length"):
+    with pytest.raises(ValueError, match="the same length"):
         swing().problem((0, 1), [1, 0], [0])
     for option in ("consistent", "correction"):
         with pytest.raises(ValueError, match=option):

@@ -8,6 +8,7 @@ import scipy.integrate
 from scipy.integrate import ODEintWarning
 
 import invariode as iv
+from stiff import robertson, robertson_jacobian
 
 LIBRARIES = pytest.mark.parametrize("odeint", [scipy.integrate.odeint, iv.odeint], ids=["scipy", "invariode"])
 
@@ -65,20 +66,35 @@ class TestJacobians:
         if tfirst and "Dfun" in options:
             dfun = options["Dfun"]
             options["Dfun"] = lambda t, y: dfun(y, t)
-        y, info = odeint((lambda t, y: A @ y) if tfirst else (lambda y, t: A @ y), Y0, T, full_output=True,
+        y, _ = odeint((lambda t, y: A @ y) if tfirst else (lambda y, t: A @ y), Y0, T, full_output=True,
                          tfirst=tfirst, **options)  # fmt: skip
         np.testing.assert_allclose(y, exact(T), atol=2e-6)
-        assert (info["nje"][-1] > 0) >= (bool(options) and odeint is iv.odeint)
+
+    @pytest.mark.parametrize("transposed", [False, True])
+    def test_they_are_used_where_the_problem_is_stiff(self, transposed):
+        calls = []
+
+        def dfun(t, y):
+            calls.append(t)
+            return np.transpose(robertson_jacobian(t, y)) if transposed else robertson_jacobian(t, y)
+
+        _, info = iv.odeint(
+            robertson, [1.0, 0, 0], [0, 1, 1e3], Dfun=dfun, col_deriv=transposed, tfirst=True, full_output=True
+        )
+        assert info["nje"][-1] == len(calls) > 2
 
     def test_a_lower_band_alone_means_no_upper_one(self):
         lower = np.tril(A)
         y = iv.odeint(lambda y, t: lower @ y, Y0, T, ml=1)
         np.testing.assert_allclose(y, scipy.integrate.odeint(lambda y, t: lower @ y, Y0, T, ml=1), atol=1e-6)
 
-    def test_the_method_follows_from_what_is_given(self):
-        for options, used in (({}, 1), ({"ml": 1, "mu": 1}, 2), ({"method": "ode15s"}, 2), ({"method": "ode45"}, 1)):
+    def test_it_says_which_kind_of_method_made_the_step(self):
+        for options, used in (({"method": "ode15s"}, 2), ({"method": "ode45"}, 1)):
             info = iv.odeint(lambda y, t: A @ y, Y0, T, full_output=1, **options)[1]
             assert set(info["mused"]) == {used}
+        info = iv.odeint(robertson, [1.0, 0, 0], np.logspace(-5, 3, 9), tfirst=True, full_output=1)[1]
+        assert info["mused"][0] == 1
+        assert info["mused"][-1] == 2
 
 
 @LIBRARIES
@@ -210,6 +226,8 @@ def test_orders_and_steps_are_limited():
     for method, limit in (("ode113", {"mxordn": 2}), ("ode15s", {"mxords": 2})):
         info = iv.odeint(lambda y, t: -y, [1.0], t, method=method, full_output=True, **limit)[1]
         assert info["nqu"].max() <= 2
+    with pytest.warns(UserWarning, match="mxordn and mxords have no effect on auto"):
+        iv.odeint(lambda y, t: -y, [1.0], t, mxords=2)
     info = iv.odeint(lambda y, t: -y, [1.0], t, hmax=0.01, h0=0.001, full_output=True, mxordn=99)[1]
     assert abs(info["hu"]).max() <= 0.01
     assert info["nst"][-1] >= 300

@@ -312,7 +312,7 @@ def test_phase_plots_in_space():
     np.testing.assert_allclose(np.hypot(x, y), 1, atol=0.02)
     np.testing.assert_allclose(x, np.cos(z), atol=0.02)
     assert legend(ax) == ["start", "end"]
-    with pytest.raises(ValueError, match='3 components are drawn on axes with projection="3d": give such, or none'):
+    with pytest.raises(ValueError, match='3 components are drawn on axes with projection="3d": give these, or none'):
         sol.plot_phase(0, 1, 2, ax=axes())
     with pytest.raises(ValueError, match="2 components are drawn on axes of the plane"):
         sol.plot_phase(0, 1, ax=Figure().add_subplot(projection="3d"))
@@ -326,7 +326,7 @@ def test_a_field_of_directions_is_that_of_f(tmp_path):
     x, y = arrows.XY.T
     np.testing.assert_allclose(arrows.U * x + arrows.V * y, 0, atol=0.25)  # tangents of circles, but for the aspect
     assert (arrows.V[x > 0.5] > 0).all()
-    with pytest.raises(ValueError, match="field=True needs a problem of two real components, and this has 3"):
+    with pytest.raises(ValueError, match="field=True needs a problem of two real components, but this one has 3"):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1, 2, 3]).plot_phase(0, 1, field=True)
     sol.save(tmp_path / "run.npz")
     with pytest.raises(ValueError, match="field=True needs the function of the problem"):
@@ -348,7 +348,7 @@ def test_drift_in_units_of_the_value():
 def test_a_run_that_kept_its_end_only_says_what_a_picture_needs():
     sol = turning().solve(save="end")
     for draw in (sol.plot, lambda: sol.plot_phase(0, 1)):
-        with pytest.raises(ValueError, match=r'kept its final state only: for a picture solve with keep="all"'):
+        with pytest.raises(ValueError, match=r'kept only its final state: for a picture solve with keep="all"'):
             draw()
     assert not plt.get_fignums()
 

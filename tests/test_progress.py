@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import types
 from contextlib import nullcontext
 
 import numpy as np
@@ -256,3 +257,61 @@ def test_what_is_kept(method):
         with pytest.raises(ValueError, match='keep="all"'):
             sol.correction  # noqa: B018  # the access is the test
     np.testing.assert_array_equal(iv.solve_ivp(*about, save="outputs").y, iv.solve_ivp(*about).y)
+
+
+class Cell:
+    """The output of a cell: all that was shown in it."""
+
+    def __init__(self):
+        self.shown = []
+
+    def update(self, text):
+        self.shown.append(text)
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    """What IPython is in a notebook: a shell with a kernel, and cells that show HTML."""
+    cell = Cell()
+
+    def display(text, display_id):
+        assert display_id is True
+        cell.update(text)
+        return cell
+
+    shown = types.SimpleNamespace(display=display, HTML=str)
+    ipython = types.SimpleNamespace(get_ipython=lambda: types.SimpleNamespace(kernel=None), display=shown)
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    return cell
+
+
+def test_in_a_notebook_the_bar_is_html(notebook, monkeypatch):
+    monkeypatch.setattr(_progress, "INTERVAL", 0.0)
+    with _progress.run_bar("a < b", 0, 20) as report:
+        report(5.0, 0.125)
+    first, underway, last = notebook.shown
+    assert 'value="0.0000"' in first
+    assert "a &lt; b" in underway
+    assert "25%  0:00 left  t = 5  h = 1.25e-01" in underway
+    assert 'value="0.2500"' in last
+
+
+def test_in_a_notebook_a_bar_needs_no_rich(notebook, monkeypatch, capsys):
+    monkeypatch.setattr(_progress, "_rich", None)
+    iv.solve_ivp(lambda t, y: -y, (0, 20), [1.0], progress=True)
+    assert capsys.readouterr() == ("", "")
+    assert "100%" in notebook.shown[-1]
+    assert "t = 20  h = " in notebook.shown[-1]
+
+
+def test_in_a_notebook_a_bar_ends_where_the_run_did(notebook):
+    stop = iv.Event(lambda t, y: t - 5, terminal=True)
+    iv.solve_ivp(lambda t, y: -y, (0, np.inf), [1.0], events=stop, progress=True)
+    assert "<progress></progress>" in notebook.shown[-1]
+    assert "t = 5 " in notebook.shown[-1]
+
+
+def test_in_a_notebook_an_ensemble_counts_its_trajectories(notebook):
+    iv.solve_ensemble(lambda t, y: -y, (0, 1), [[1.0], [2.0]], progress=True, workers=1)
+    assert notebook.shown[-1].startswith('<div style="white-space: pre">trajectories  ')
+    assert "100%" in notebook.shown[-1]

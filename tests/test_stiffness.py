@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from invariode import scipy as classes
 from invariode.methods import METHODS
 from problems import PROBLEMS
 
@@ -126,3 +127,30 @@ def test_limits_of_the_adams_formulas_are_those_of_their_companion_matrices(k):
     limit = ADAMS_LIMITS[k - 1]
     assert radius(k, limit - 0.01) < (1 + 1e-9 if k < 12 else 1.0105)
     assert radius(k, limit + 0.02) > 1
+
+
+@pytest.mark.parametrize("method", EXPLICIT)
+def test_an_ensemble_says_it_once_and_tells_which(method):
+    with pytest.warns(
+        iv.StiffnessWarning, match="in 2 trajectories stability, not accuracy, limits most steps"
+    ) as said:
+        m = iv.solve_ensemble(
+            lambda t, y, rate: [-rate * (y[0] - np.cos(t))],
+            (0, 10),
+            np.ones((3, 1)),
+            method=method,
+            args=np.array([[1e3], [1.0], [2e3]]),
+            workers=1,
+        )
+    assert len(said) == 1
+    assert m.stats.stiff.tolist() == [1, 0, 1]
+
+
+@pytest.mark.parametrize("method", EXPLICIT)
+def test_the_classes_for_scipy_say_it_once(method):
+    solver = getattr(classes, method.upper())
+    with pytest.warns(iv.StiffnessWarning, match="since t = .* limited by stability") as said:
+        run = solver(lambda t, y: [-1e3 * (y[0] - np.cos(t))], 0, [1.0], 10)
+        while run.status == "running":
+            run.step()
+    assert len(said) == 1

@@ -91,7 +91,7 @@ class TestFunctionsOfTheMethods:
 
     def test_and_a_class_for_scipy(self):
         module = importlib.import_module("invariode.scipy")
-        assert module.__all__ == [name.upper() for name in iv.METHODS]
+        assert module.__all__ == [*(name.upper() for name in iv.METHODS), "LSODA"]
         for name in module.__all__:
             assert pickle.loads(pickle.dumps(getattr(module, name))) is getattr(module, name)
 

@@ -117,8 +117,9 @@ def test_jacobians_are_those_of_the_functions(name):
 
 def test_compiled_and_not_are_the_same_problem(name):
     """The code is the same text; libraries of functions may differ in the last place."""
+    pair = [made(name, compiled) for compiled in (True, False)]
     for method in ("ode45", "ode15s"):
-        runs = [made(name, compiled).solve(method, rtol=1e-6) for compiled in (True, False)]
+        runs = [problem.solve(method, rtol=1e-6) for problem in pair]
         assert all(run.success for run in runs)
         np.testing.assert_allclose(runs[0].y[:, -1], runs[1].y[:, -1], rtol=1e-7, atol=1e-9)
         assert runs[0].stats.derivatives == runs[1].stats.derivatives
@@ -347,7 +348,7 @@ class TestFromMechanics:
         x, y = dynamicsymbols("x y")
         rod_ = x**2 + y**2 - 1
         method = LagrangesMethod((x.diff() ** 2 + y.diff() ** 2) / 2 - y, [x, y], hol_coneqs=[rod_])
-        with pytest.raises(ValueError, match="call its kanes_equations or form_lagranges_equations before"):
+        with pytest.raises(ValueError, match="call its kanes_equations or form_lagranges_equations first"):
             sy.from_mechanics(method)
         method.form_lagranges_equations()
         theirs = sy.from_mechanics(method, invariants=[Eq(rod_, 0)]).problem((0, 5), [1, 0, 0, 0], compiled=False)
@@ -584,14 +585,14 @@ def test_systems_show_their_equations():
             "derivative of x has k, which is neither a state nor a parameter",
         ),
         (lambda: sy.equations({X: sympy.Function("h")(X)}), ValueError, r"has h\(x\), which is neither"),
-        (lambda: sy.equations({X: X}, parameters={X: 1}), ValueError, "x is there twice"),
+        (lambda: sy.equations({X: X}, parameters={X: 1}), ValueError, "x occurs twice"),
         (lambda: sy.equations([X]), TypeError, "rates must be a dict"),
-        (lambda: sy.equations({X: "x**2"}), TypeError, "must be an expression of SymPy's, got 'x"),
+        (lambda: sy.equations({X: "x**2"}), TypeError, "must be a SymPy expression, got 'x"),
         (lambda: sy.equations({X: X}, invariants=[K], parameters={K: 1}), ValueError, "does not depend on the state"),
         (lambda: sy.equations({X: X}, parameters={K: "a"}), TypeError, "parameter k must be a real number"),
         (lambda: sy.equations({X: sympy.I}), ValueError, "must be finite and real"),
         (lambda: sy.equations({X: 1}).problem((0, 1), {Y: 1}), ValueError, "y0 has y, which is not one of x"),
-        (lambda: sy.equations({X: 1, Y: 1}).problem((0, 1), {Y: 1}), ValueError, "y0 has no value of x"),
+        (lambda: sy.equations({X: 1, Y: 1}).problem((0, 1), {Y: 1}), ValueError, "y0 has no value for x"),
         (lambda: sy.equations({X: 1}).problem((0, 1), [1, 2]), ValueError, r"must have 1 values, of x, got \[1, 2\]"),
         (
             lambda: sy.equations({X: sympy.floor(X)}).problem((0, 1), [1], compiled=False),
@@ -603,7 +604,7 @@ def test_systems_show_their_equations():
         (
             lambda: sy.lagrangian(X, [X]),
             TypeError,
-            "q must be functions of the time, got x: make them by dynamicsymbols",
+            "q must be functions of time, got x: make them with dynamicsymbols",
         ),
         (lambda: sy.lagrangian(Q.diff(), [Q]), ValueError, "mass matrix ∂²L/∂v² is singular"),
         (lambda: sy.lagrangian(Q.diff() ** 2, [Q], constraints=[Q.diff()]), ValueError, "list it in nonholonomic"),
@@ -615,8 +616,8 @@ def test_systems_show_their_equations():
             ValueError,
             r"forces has p\(t\), which is not one of",
         ),
-        (lambda: sy.lagrangian(Q.diff() ** 2, [Q, Q]), ValueError, r"q\(t\) is there twice"),
-        (lambda: sy.hamiltonian(X, [X], [X]), ValueError, "x is there twice"),
+        (lambda: sy.lagrangian(Q.diff() ** 2, [Q, Q]), ValueError, r"q\(t\) occurs twice"),
+        (lambda: sy.hamiltonian(X, [X], [X]), ValueError, "x occurs twice"),
         (lambda: sy.from_mechanics(kanes_pendulum()), ValueError, "has k, which is neither a state nor a parameter"),
         (lambda: sy.lagrangian(Q.diff() ** 2, [Q], forces=[1, 2]), ValueError, "forces must have 1 entries"),
         (lambda: rod().problem((0, 1), [2, 0], [0, 0], compiled=False).solve(), iv.InvariantError, "constraint 1"),

@@ -20,6 +20,14 @@ constexpr double factor_step = 10;
 constexpr double noise_units = 10;  // of ε |f_i|: a change of f_i up to this is roundoff in every digit that matters
 const double wide_factor = large;   // its truncation error is far below the roundoff that it replaces
 
+bool well_formed(const Matrix& sparse) {
+  const auto& [structure, values, starts, rows] = sparse;
+  const auto entries = static_cast<int>(rows.size()), n = static_cast<int>(structure.n);
+  return starts.size() == structure.n + 1 && starts.front() == 0 && starts.back() == entries &&
+         values.size() == rows.size() && std::ranges::is_sorted(starts) &&
+         std::ranges::all_of(rows, [n](int row) { return row >= 0 && row < n; });
+}
+
 }  // namespace
 
 Jacobian::Jacobian(Kind kind, Matrix matrix, MatrixFunction function, const Weights& weights)
@@ -45,6 +53,7 @@ void Jacobian::group_columns() {
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
+  matrix_.provide();
   switch (kind_) {
     case Kind::constant: return Status::ok;
     case Kind::function: {
@@ -92,6 +101,19 @@ void Jacobian::measure_noise(const double* y, const double* slope) {
     });
   }
   noise_ = max_norm(n, [this](std::size_t i) { return moved_[i] / point_[i]; });
+}
+
+/// A constant one is part of the problem. A function may have replaced the pattern.
+void Jacobian::matrix_state(Archive& archive) {
+  if (kind_ == Kind::constant) return;
+  const bool sparse = matrix_.structure.kind == Structure::Kind::sparse;
+  if (sparse && kind_ == Kind::function) {
+    archive.resizable(matrix_.starts);
+    archive.resizable(matrix_.rows);
+  }
+  const bool kept = archive.matrix(matrix_.values);
+  if (!archive.reading() || !kept || matrix_.values.empty()) return;  // empty: it has not been needed yet
+  archive.require(sparse ? well_formed(matrix_) : matrix_.values.size() == matrix_.size());
 }
 
 void Jacobian::widen_increments() {

@@ -29,13 +29,20 @@ class Jacobian {
   Status evaluate(Callback& f, double t, const double* y, const double* slope);
 
   [[nodiscard]] const Matrix& matrix() const { return matrix_; }
+  /// Its values are there from now on, zeros until it is evaluated.
+  void provide() { matrix_.provide(); }
   [[nodiscard]] Kind kind() const { return kind_; }
+  /// Of columns, for differences: so many evaluations of f it takes.
+  [[nodiscard]] std::size_t groups() const { return groups_.size(); }
   /// Evaluations so far, each of which may be several of f.
   [[nodiscard]] std::int64_t count() const { return count_; }
   /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
   [[nodiscard]] double noise() const { return noise_; }
   /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
   void widen_increments();
+  /// Counts and increments; `matrix_state`: the matrix.
+  void state(Archive& archive) { archive(count_, noise_, factor_); }
+  void matrix_state(Archive& archive);
 
  private:
   struct Column {

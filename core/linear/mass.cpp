@@ -34,6 +34,17 @@ Mass::Basis to_sparse(const Matrix& A) {
 Mass::Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis)
     : matrix_(std::move(matrix)), function_(function), Z_(null_basis) {}
 
+std::optional<std::vector<double>> Mass::diagonal() const {
+  if (!constant()) return {};
+  std::vector<double> entries(matrix_.n());
+  bool diagonal = true;
+  matrix_.for_each([&](std::size_t i, std::size_t j, double m) {
+    if (i == j) entries[i] = m;
+    diagonal = diagonal && (i == j || m == 0);
+  });
+  return diagonal ? std::optional(std::move(entries)) : std::nullopt;
+}
+
 void Mass::algebraic_part(const double* f, double* r) const {
   as_vector(r, Z_.cols()) = Z_.transpose() * as_vector(f, Z_.rows());
 }
@@ -186,7 +197,9 @@ MassSlope::MassSlope(const Callback& f, const LinearAlgebra& linear, const Weigh
       weights_(weights),
       lapack_(linear.lapack),
       w_(weights.size()),
-      rate_(weights.size()) {}
+      rate_(weights.size()) {
+  jacobian_.provide();  // with a regular M its values do not matter, and are never evaluated
+}
 
 Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   if (f_(t, y, out) == Status::stop) return Status::stop;
@@ -196,7 +209,7 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
     if (time_derivative(f_, t, y, out, h, rate_.size(), rate_.data()) == Status::stop) return Status::stop;
     ft = rate_.data();
   }
-  if (!factored_ || mass_.singular() || !mass_.constant()) {
+  if (!factored_ || !factors_stay()) {
     if (mass_.evaluate(t) == Status::stop) return Status::stop;
     weights_.fill(y, w_.data());
     factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
@@ -206,6 +219,14 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   else
     std::fill(out, out + rate_.size(), std::numeric_limits<double>::quiet_NaN());
   return Status::ok;
+}
+
+void MassSlope::state(Archive& archive) {
+  f_.state(archive);
+  jacobian_.state(archive);
+  archive(w_, factored_);
+  if (archive.reading() && factored_ && factors_stay())
+    factored_ = solver_.factor(mass_, jacobian_.matrix(), w_.data(), lapack_);
 }
 
 }  // namespace invariode

@@ -35,6 +35,8 @@ class Mass {
 
   [[nodiscard]] const Matrix& matrix() const { return matrix_; }
   [[nodiscard]] bool constant() const { return !function_; }
+  /// Of a constant diagonal M its diagonal, else nothing.
+  [[nodiscard]] std::optional<std::vector<double>> diagonal() const;
   [[nodiscard]] bool singular() const { return Z_.cols() > 0; }
   /// r, the number of algebraic equations.
   [[nodiscard]] std::size_t equations() const { return static_cast<std::size_t>(Z_.cols()); }
@@ -93,6 +95,7 @@ class AlgebraicConstraints {
   AlgebraicConstraints(Callback& f, Jacobian jacobian, const Mass& mass);
 
   [[nodiscard]] std::size_t count() const { return mass_.equations(); }
+  void state(Archive& archive) { jacobian_.state(archive); }
   Callback residual() { return {&AlgebraicConstraints::residual_entry, this}; }
   Callback jacobian() { return {&AlgebraicConstraints::jacobian_entry, this}; }
 
@@ -115,6 +118,7 @@ class MassSlope final : public Slope {
   /// A singular M needs ∂f/∂y and ∂f/∂t, which may be forward differences.
   [[nodiscard]] double relative_error() const override { return mass_.singular() ? std::sqrt(eps) : 0; }
   [[nodiscard]] std::int64_t evaluations() const override { return f_.calls(); }
+  void state(Archive& archive) override;
 
  private:
   Callback f_;
@@ -123,6 +127,9 @@ class MassSlope final : public Slope {
   MassSolver solver_;
   const Weights& weights_;
   const Lapack* lapack_;
+  /// The factors, where they serve for the whole run.
+  [[nodiscard]] bool factors_stay() const { return !mass_.singular() && mass_.constant(); }
+
   std::vector<double> w_, rate_;
   bool factored_ = false;
 };

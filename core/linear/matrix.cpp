@@ -60,13 +60,12 @@ class DenseByEigen final : public Factors<Scalar> {
 template <class Scalar>
 class DenseByLapack final : public Factors<Scalar> {
  public:
-  DenseByLapack(std::size_t n, const LapackOf<Scalar>& lapack)
-      : lapack_(lapack), n_(static_cast<int>(n)), lu_(n * n), pivots_(n) {}
+  DenseByLapack(std::size_t n, const LapackOf<Scalar>& lapack) : lapack_(lapack), n_(static_cast<int>(n)), pivots_(n) {}
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     const auto n = static_cast<std::size_t>(n_);
     const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * n + i]; };
-    std::fill(lu_.begin(), lu_.end(), 0);
+    lu_.assign(n * n, 0);
     if (mass)
       mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
     else
@@ -87,7 +86,7 @@ class DenseByLapack final : public Factors<Scalar> {
  private:
   LapackOf<Scalar> lapack_;
   int n_;
-  std::vector<Scalar> lu_;
+  std::vector<Scalar> lu_;  // of a method that may never need it: made when it is
   std::vector<int> pivots_;
 };
 
@@ -221,10 +220,26 @@ class SparseByEigen final : public Factors<Scalar> {
 
 }  // namespace
 
-Matrix::Matrix(const Structure& of) : structure(of) {
-  if (of.kind == Structure::Kind::dense) values.resize(of.n * of.n);
-  if (of.kind == Structure::Kind::banded) values.resize((of.lower + of.upper + 1) * of.n);
-  if (of.kind == Structure::Kind::sparse) starts.resize(of.n + 1);
+Matrix::Matrix(const Structure& of) : Matrix(without_values(of)) { provide(); }
+
+Matrix Matrix::without_values(const Structure& of) {
+  Matrix matrix;
+  matrix.structure = of;
+  if (of.kind == Structure::Kind::sparse) matrix.starts.resize(of.n + 1);
+  return matrix;
+}
+
+std::size_t Matrix::size() const {
+  const auto& [kind, n, lower, upper] = structure;
+  switch (kind) {
+    case Structure::Kind::dense: return n * n;
+    case Structure::Kind::banded: return (lower + upper + 1) * n;
+    default: return rows.size();
+  }
+}
+
+void Matrix::provide() {
+  if (values.empty()) values.resize(size());
 }
 
 void Matrix::multiply(const double* x, double* y) const {

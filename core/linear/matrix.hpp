@@ -25,7 +25,14 @@ struct Matrix {
   std::vector<double> values;
   std::vector<int> starts, rows;  ///< of a sparse one: where column j starts, row indices
 
-  explicit Matrix(const Structure& of = {});
+  Matrix() = default;
+  explicit Matrix(const Structure& of);
+  /// One whose values wait for `provide`: a large one that may never be needed takes no memory.
+  static Matrix without_values(const Structure& of);
+  /// The number of its values, once they are there.
+  [[nodiscard]] std::size_t size() const;
+  /// Makes the values, zeros, unless they are there.
+  void provide();
 
   [[nodiscard]] std::size_t n() const { return structure.n; }
   [[nodiscard]] bool same_pattern(const Matrix& other) const { return starts == other.starts && rows == other.rows; }

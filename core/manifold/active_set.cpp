@@ -85,7 +85,8 @@ void ActiveSet::note_unwilling(const double* y) {
   const Eigen::VectorXd b = (Vector(y, index(n)) - Vector(candidate_.data(), index(n))).cwiseQuotient(w);
   Eigen::MatrixXd scaled = Eigen::MatrixXd::Zero(index(n), index(m));  // W Jᵀ
   for (std::size_t i = 0; i < m; ++i)
-    at.gradient(i).for_each([&](std::size_t j, double value) { scaled(index(j), index(i)) = value * w[index(j)]; });
+    if (!projector_.idle(i))
+      at.gradient(i).for_each([&](std::size_t j, double value) { scaled(index(j), index(i)) = value * w[index(j)]; });
   Eigen::MatrixXd columns = scaled;
   Eigen::VectorXd wanted = -b;
   for (std::size_t j = 0; j < n; ++j) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 namespace invariode {
 
@@ -65,8 +66,9 @@ void Bounds::remove_outward(const double* y, double forward, double* slope) cons
     if (leads_out(one, y, forward, slope)) slope[one.component] = 0;
 }
 
-BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method)
-    : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method) {
+BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
+                           std::vector<double> mass)
+    : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method), mass_(std::move(mass)) {
   if (!by_step_) return;
   rests_.resize(bounds.intervals().size());
   slope_.resize(bounds.n());
@@ -92,6 +94,7 @@ Status BoundedSlope::look(double t, const double* y) {
   if (!any) return Status::ok;
   ++evaluations_;
   if (f_(t, y, slope_.data()) == Status::stop) return Status::stop;
+  for (const Bounds::Interval& one : bounds_.intervals()) slope_[one.component] *= mass(one.component);  // its sign
   for (std::size_t k = 0; k < rests_.size(); ++k)
     if (!Bounds::leads_out(bounds_.intervals()[k], y, forward_, slope_.data())) rests_[k] = 0;
   return Status::ok;
@@ -100,7 +103,8 @@ Status BoundedSlope::look(double t, const double* y) {
 void BoundedSlope::hold_what_rests(double* slope) const {
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
-    if (rests_[k] != 0 && (rests_[k] * forward_ * slope[i] > 0 || lower == upper)) slope[i] = 0;
+    const double s = forward_ * slope[i] * mass(i);
+    if (rests_[k] != 0 && mass(i) != 0 && (rests_[k] * s > 0 || lower == upper)) slope[i] = 0;
   }
 }
 

@@ -56,7 +56,11 @@ class Bounds {
 /// at a bound there, since f leads out, are not led out anywhere in the step; others are as f has them.
 class BoundedSlope {
  public:
-  BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method);
+  ///
+  /// `mass`: the diagonal of a mass matrix, by which f is y' times a factor; where that is 0 the equation is algebraic,
+  /// and stays. Empty: f is y'.
+  BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
+               std::vector<double> mass = {});
   BoundedSlope(const BoundedSlope&) = delete;
   BoundedSlope& operator=(const BoundedSlope&) = delete;
 
@@ -65,6 +69,7 @@ class BoundedSlope {
   Status begin_step(double t, const double* y, bool& changed);
   /// How often it did.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
+  void state(Archive& archive) { archive(rests_, evaluations_); }
 
   /// Refers to this object.
   Callback callback() { return {&entry, this}; }
@@ -72,12 +77,14 @@ class BoundedSlope {
  private:
   Status look(double t, const double* y);
   void hold_what_rests(double* slope) const;
+  [[nodiscard]] double mass(std::size_t i) const { return mass_.empty() ? 1 : mass_[i]; }
   static Status entry(void* self, double t, const double* y, double* out);
 
   Callback f_;
   const Bounds& bounds_;
   double forward_;
   bool by_step_;
+  std::vector<double> mass_;
   std::vector<char> rests_, rested_;  // of the bounded components, for implicit methods: now, in the step before
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;

@@ -81,9 +81,10 @@ Finding Guard::start_value(double t, double* y) {
   Finding worst;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     const double r = at.residual[i];
-    if (std::abs(r) <= invariants_.roundoff(i, y, at.jacobian.data())) continue;
+    const double excess = invariants_.excess(i, r);
+    if (excess <= invariants_.roundoff(i, y, at.jacobian.data())) continue;
     off = true;
-    const double distance = std::abs(r) / at.row_norm[i] / weights_.rtol();
+    const double distance = excess / at.row_norm[i] / weights_.rtol();
     if (!(distance <= 1) && !(distance <= worst.distance))
       worst = {
           .kind = Finding::Kind::off_value, .invariant = static_cast<int>(i), .t = t, .size = r, .distance = distance};
@@ -247,6 +248,12 @@ Finding Guard::corrected(double correction, double t, const double* y, double h,
   return confirm(t, y, h);
 }
 
+Finding Guard::violated(double t, const double* y, double h, std::int64_t steps) {
+  if (steps < trustful_until_) return {};
+  trustful_until_ = 2 * steps;
+  return confirm(t, y, h);
+}
+
 bool Guard::changes_with_time() const {
   return std::any_of(gt_.begin(), gt_.end(), [](double g) { return g != 0; });
 }
@@ -328,7 +335,7 @@ Outcome Guard::examine(double t, const double* y, std::vector<Examination>& resu
     result[i].angle = terms > 0 ? std::abs(result[i].rate) / terms : 0;
     result[i].detectable = limit(i);
     result[i].redundant = projector_.left_out(i);
-    result[i].conserved = result[i].angle <= limit(i);
+    result[i].conserved = result[i].angle <= limit(i) || !invariants_.contradicts(i, result[i].rate);
   }
   for (std::size_t i = 0; i < m; ++i) {
     if (result[i].conserved) continue;
@@ -475,6 +482,7 @@ Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
     const FlowRate flow = flow_rate(i, t, point_.data(), at.jacobian.data(), f, h);
     if (flow.outcome == Outcome::stop) return stopped();
     if (flow.outcome != Outcome::ok || !(std::abs(flow.rate) > uncertainty * flow.error)) continue;
+    if (!invariants_.contradicts(i, std::copysign(1.0, h) * flow.rate)) continue;
     const double angle = std::abs(flow.rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
     if (angle > std::max(persistent_angle, worst.distance) && drifts(at, i, flow.rate, h))
       worst = {.kind = Finding::Kind::not_conserved,
@@ -521,6 +529,7 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
     const double rate = gt_[i] + at.gradient(i).dot(f);
+    if (!invariants_.contradicts(i, std::copysign(1.0, h) * rate)) continue;
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
     const bool drifts = this->drifts(at, i, rate, h);
     const bool suspicious = angle > limit(i) && drifts && angle > worst.distance;

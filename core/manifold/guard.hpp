@@ -44,6 +44,8 @@ class Guard {
   Finding rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps);
   /// What the size of the correction of that step, (t, y) being its end, says.
   Finding corrected(double correction, double t, const double* y, double h, std::int64_t steps);
+  /// A step from (t, y) has violated what may only rise or fall: does f do that?
+  Finding violated(double t, const double* y, double h, std::int64_t steps);
   /// Projects (t, y) to roundoff, or as far as that goes, evaluates f there and tests again.
   Finding confirm(double t, const double* y, double h);
 
@@ -62,6 +64,11 @@ class Guard {
   Outcome examine(double t, const double* y, std::vector<Examination>& result);
 
   [[nodiscard]] bool projected_start() const { return projected_start_; }
+  void state(Archive& archive) {
+    projector_.state(archive);
+    archive(gt_, time_dependent_, projected_start_, quiet_until_, patient_until_, unworried_until_, next_flow_);
+    archive(next_look_, trustful_until_);
+  }
 
  private:
   Outcome detect_time_dependence(double t, const double* y, double h);
@@ -103,6 +110,7 @@ class Guard {
   std::int64_t quiet_until_ = 0;      // step before which `rate` does not look at large angles again
   std::int64_t patient_until_ = 0;    // and at small ones
   std::int64_t unworried_until_ = 0;  // and `corrected`
+  std::int64_t trustful_until_ = 0;   // and `violated`
   std::int64_t next_flow_ = 1;        // step in which derivatives that are blind are made up for
   std::int64_t next_look_ = 1;        // step in which g_t is formed although it has been 0
 };

@@ -44,6 +44,8 @@ class HarmDetector {
     return worst;
   }
 
+  void state(Archive& archive) { archive(looks_, errors_, corrections_); }
+
  private:
   static double largest(const std::vector<double>& v) { return *std::max_element(v.begin(), v.end()); }
 

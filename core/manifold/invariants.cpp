@@ -32,6 +32,9 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
   for (InvariantBlock& block : blocks_) {
     if (block.jacobian) block.derivative = Derivative::given;
     layout_.add(block.m, block.pattern);
+    sense_.insert(sense_.end(), block.m, block.sense);
+    any_one_sided_ = any_one_sided_ || block.sense != 0;
+    along_steps_ = along_steps_ || block.along_steps;
   }
   note_kinds();
 }
@@ -50,6 +53,20 @@ void Invariants::note_kinds() {
   }
 }
 
+void Invariants::state(Archive& archive) {
+  archive(value_, derivative_calls_);
+  for (InvariantBlock& block : blocks_) {
+    const Derivative before = block.derivative;
+    archive(block.derivative);
+    archive.require(block.derivative == before ||
+                    (before == Derivative::complex_step && block.derivative == Derivative::central));
+    block.g.state(archive);
+    block.jacobian.state(archive);
+    block.complex_g.state(archive);
+  }
+  if (archive.reading()) note_kinds();
+}
+
 Status Invariants::hold(double t, const double* y) {
   double* value = value_.data();
   for (InvariantBlock& block : blocks_) {
@@ -57,6 +74,20 @@ Status Invariants::hold(double t, const double* y) {
     value += block.m;
   }
   return Status::ok;
+}
+
+Status Invariants::hold_one_sided(double t, const double* y) {
+  if (evaluate(t, y, plus_.data()) == Status::stop) return Status::stop;
+  for (std::size_t i = 0; i < m(); ++i)
+    if (sense_[i] != 0) value_[i] = plus_[i];
+  return Status::ok;
+}
+
+void Invariants::tighten(const double* g) {
+  for (std::size_t i = 0; i < m(); ++i) {
+    if (sense_[i] < 0) value_[i] = std::min(value_[i], g[i]);
+    if (sense_[i] > 0) value_[i] = std::max(value_[i], g[i]);
+  }
 }
 
 std::int64_t Invariants::calls() const {
@@ -235,6 +266,8 @@ double Invariants::resolution(std::size_t i, const double* y, const double* J) {
   row(i, J).for_each([&](std::size_t j, double value) { change += std::abs(value) * size[j]; });
   return roundoff_units * eps * change;
 }
+
+double Invariants::roundoff_of_value(std::size_t i) const { return roundoff_units * eps * std::abs(value_[i]); }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {
   double size = std::abs(value_[i]);

@@ -1,6 +1,8 @@
 #pragma once
 // The invariants as functions: residual, Jacobian, derivative with respect to t.
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -25,7 +27,10 @@ struct InvariantBlock {
   RowPattern pattern;                           ///< of the Jacobian that is given; none: it is full
   std::size_t m = 0;
   bool held = false;               ///< its value is what g was, not one that is demanded
+  int sense = 0;                   ///< 0: it keeps its value; −1: in the direction of integration it never rises above
+                                   ///< it; 1: never falls below it
   bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
+  bool along_steps = false;        ///< its correction is sought among the directions that its step is made of
   int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
   std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
   Metric metric;                   ///< in which its correction is the least; none: that of the error test
@@ -41,6 +46,10 @@ class Invariants {
   [[nodiscard]] const std::vector<double>& value() const { return value_; }
   /// Holds what is held, not demanded, at its values at (t, y) from now on.
   Status hold(double t, const double* y);
+  /// The same for those that may only rise or fall.
+  Status hold_one_sided(double t, const double* y);
+  /// From now on what may only rise or fall does not go back behind g (m).
+  void tighten(const double* g);
   [[nodiscard]] const std::vector<InvariantBlock>& blocks() const { return blocks_; }
   [[nodiscard]] std::int64_t calls() const;
   [[nodiscard]] std::int64_t jacobian_calls() const;
@@ -54,7 +63,22 @@ class Invariants {
   [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
   bool leave_complex_steps(std::size_t i);
+  /// Values, kinds of derivatives, counts.
+  void state(Archive& archive);
   [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
+  /// Of invariant i: 0, −1 or 1, as of its block.
+  [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }
+  [[nodiscard]] bool any_one_sided() const { return any_one_sided_; }
+  /// Whether corrections are sought among the directions that the step is made of.
+  [[nodiscard]] bool along_steps() const { return along_steps_; }
+  /// By how much a residual of invariant i violates it.
+  [[nodiscard]] double excess(std::size_t i, double residual) const {
+    return sense_[i] == 0 ? std::abs(residual) : std::max(0.0, -sense_[i] * residual);
+  }
+  /// Whether a rate of invariant i in the direction of integration contradicts it.
+  [[nodiscard]] bool contradicts(std::size_t i, double rate) const {
+    return sense_[i] == 0 ? rate != 0 : sense_[i] * rate < 0;
+  }
 
   /// g(t, y)
   Status evaluate(double t, const double* y, double* g);
@@ -77,6 +101,8 @@ class Invariants {
   [[nodiscard]] static double time_increment(double t, double h);
   /// Size below which the residual of invariant i is roundoff: 10 ε (|value_i| + Σ_j |J_ij y_j|).
   [[nodiscard]] double roundoff(std::size_t i, const double* y, const double* J) const;
+  /// Its part that is known without J.
+  [[nodiscard]] double roundoff_of_value(std::size_t i) const;
   /// What roundoff of the point, 10 ε s_j in each component, does to invariant i.
   double resolution(std::size_t i, const double* y, const double* J);
   /// What that does to J_i f, where J_i comes from differences.
@@ -98,6 +124,8 @@ class Invariants {
   double derivative_error_ = 0;
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
   std::vector<char> certain_;
+  std::vector<int> sense_;
+  bool any_one_sided_ = false, along_steps_ = false;
   std::int64_t derivative_calls_ = 0;
   std::vector<double> point_, plus_, minus_, sizes_;
   std::vector<double> complex_point_, complex_value_;

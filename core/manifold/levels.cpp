@@ -75,20 +75,33 @@ Status Levels::update(double t, const double* y) {
   return Status::ok;
 }
 
-std::size_t Levels::solve(const double* J, const double* r, const double* w, double threshold, double* delta) {
+std::size_t Levels::solve(const double* J, const double* r, const double* w, double threshold, const char* idle,
+                          double* delta) {
   std::fill(left_out_.begin(), left_out_.end(), 0);
-  if (layout_.sparse() && solve_sparse(J, r, w, threshold, delta)) return m_;
+  idle_ = idle;
+  if (layout_.sparse() && solve_sparse(J, r, w, threshold, delta)) {
+    std::size_t rank = m_;
+    for (const Level& level : levels_) rank -= idle_rows(level);
+    return rank;
+  }
   return solve_dense(J, r, w, threshold, delta);
 }
 
+std::size_t Levels::idle_rows(const Level& level) const {
+  return static_cast<std::size_t>(
+      std::count_if(level.rows.begin(), level.rows.end(), [this](std::size_t row) { return idle(row); }));
+}
+
 /// The same with sparse factors of the equations (0, …, 0, r_l) of the levels up to l. False: some depend on others, or
-/// a metric is not diagonal.
+/// a metric is not diagonal, or a part of a level is idle (the order of its factors is that of all its rows).
 bool Levels::solve_sparse(const double* J, const double* r, const double* w, double threshold, double* delta) {
   std::fill(delta, delta + n_, 0);
   std::vector<std::size_t> rows;
   std::vector<double> rest;
   for (Level& level : levels_) {
-    if (!scales(level, w)) return false;
+    const std::size_t resting = idle_rows(level);
+    if (resting == level.rows.size()) continue;
+    if (resting > 0 || !scales(level, w)) return false;
     rest.assign(rows.size(), 0);
     rows.insert(rows.end(), level.rows.begin(), level.rows.end());
     for (const std::size_t i : level.rows) rest.push_back(r[i] - layout_.row(i, J).dot(delta));
@@ -117,11 +130,12 @@ std::size_t Levels::solve_dense(const double* J, const double* r, const double* 
     waiting_.clear();
     for (std::size_t k = 0; k < l; ++k)
       for (const std::size_t row : levels_[k].rows)
-        if (left_out_[row] == 0 && norm_[row] > 0) waiting_.push_back(row);
+        if (!idle(row) && left_out_[row] == 0 && norm_[row] > 0) waiting_.push_back(row);
     orthonormalize(waiting_, threshold);
     const std::size_t before = basis_.size();
     waiting_.clear();
     for (const std::size_t row : levels_[l].rows) {
+      if (idle(row)) continue;
       if (norm_[row] > 0) waiting_.push_back(row);
       left_out_[row] = 1;  // unless it becomes a pivot
     }

@@ -31,8 +31,10 @@ class Levels {
   /// Takes the metrics at (t, y).
   Status update(double t, const double* y);
   /// Writes δ. J (m, n) and r (m) are the linearization, w (n) the weights. Rows that depend on others of their level
-  /// and those before to within `threshold` are left out. Returns the rank.
-  std::size_t solve(const double* J, const double* r, const double* w, double threshold, double* delta);
+  /// and those before to within `threshold` are left out. `idle`: which rows take no part; null: none. Returns the
+  /// rank.
+  std::size_t solve(const double* J, const double* r, const double* w, double threshold, const char* idle,
+                    double* delta);
   /// Which rows the last `solve` left out.
   [[nodiscard]] const std::vector<char>& left_out() const { return left_out_; }
 
@@ -50,6 +52,8 @@ class Levels {
   Level& level_of(const InvariantBlock& block);
   bool solve_sparse(const double* J, const double* r, const double* w, double threshold, double* delta);
   std::size_t solve_dense(const double* J, const double* r, const double* w, double threshold, double* delta);
+  [[nodiscard]] bool idle(std::size_t row) const { return idle_ != nullptr && idle_[row] != 0; }
+  [[nodiscard]] std::size_t idle_rows(const Level& level) const;
   bool scales(Level& level, const double* w);
   void take_rows(const double* J, const double* w, Level& level);
   void apply_metric(const double* J, std::size_t row, Level& level);
@@ -67,6 +71,7 @@ class Levels {
   std::vector<std::size_t> waiting_;  // rows to be orthonormalized
   std::vector<double> z_, delta_l_, gradient_, scale_;
   std::vector<char> left_out_;
+  const char* idle_ = nullptr;  // of the latest `solve`
 };
 
 }  // namespace invariode

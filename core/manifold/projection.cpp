@@ -21,8 +21,13 @@ constexpr double sharp_bend = 1, bend_of_correction = 0.2, slight_bend = 0.05;
 // Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
 // it runs away from a pole.
 constexpr double slowest_newton = 0.45;
-constexpr double often = 0.2;         // share of corrections and of time in which redundant ones depend on others,
-constexpr double now_and_then = 0.1;  // and in which each of them is the one that is left out
+// Along given directions: an invariant whose gradient has less than this share of its length among them is left out of
+// a step, since its correction would be longer by the inverse; which matters if it is off by so much of the tolerance.
+constexpr double least_share = 0.01;
+constexpr double matters = 1e-3;
+constexpr double least_direction = 1e-12;  // of vectors that are good to some ε
+constexpr double often = 0.2;              // share of corrections and of time in which redundant ones depend on others,
+constexpr double now_and_then = 0.1;       // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
 constexpr int impose_patience = 2;         // iterations without a gain: roundoff is reached, or there is no way on
 constexpr double recovery = 0.5;           // of the residual before: Newton's iteration comes back from a step too far
@@ -35,10 +40,6 @@ double norm2(const double* v, std::size_t n) {
   if (sum > small && sum < large) return std::sqrt(sum);
   return Eigen::Map<const Eigen::VectorXd>(v, static_cast<Eigen::Index>(n)).stableNorm();
 }
-
-/// A factor of row i that settles ties between pivots in favour of the invariant that was given first. (A row and its
-/// residual may be multiplied by anything.)
-double preference(std::size_t i) { return 1 / (1 + 1e-6 * static_cast<double>(i)); }
 
 Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
@@ -68,6 +69,9 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       left_out_(invariants.m()),
       dropped_(invariants.m()) {
   if (Levels::needed(invariants)) levels_.emplace(invariants);
+  if (invariants.any_one_sided()) idle_.resize(invariants.m());
+  rest_one_sided();
+  one_sided_ = idle_count_;
 }
 
 Projected Projector::project(double t, const double* from, double* y) {
@@ -76,7 +80,7 @@ Projected Projector::project(double t, const double* from, double* y) {
   Projected did{.residual = residual_before_, .distance = distance_before_};
   did.outcome = measure(t, y);
   if (did.outcome != Outcome::ok) return did;
-  did.skipped = close_enough(y);
+  did.skipped = all_idle() || close_enough(y);
   if (did.skipped) return did;
   bool doubtful = false;
   for (int iteration = 0; iteration < iterations_; ++iteration) {
@@ -84,7 +88,7 @@ Projected Projector::project(double t, const double* from, double* y) {
     if (did.outcome != Outcome::ok) return did;
     if (iteration == 0) {
       const Linearization at = linearization();
-      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = at.distance(i);
+      for (std::size_t i = 0; i < r_.size(); ++i) distance_before_[i] = idle(i) ? 0 : at.distance(i);
       doubtful = far_off(y);
     }
     did.rank = solve(t);
@@ -110,6 +114,27 @@ Outcome Projector::onto(double t, const double* w, const double* target, double*
     if (settled()) break;
   }
   return all_finite(y, w_.size()) ? Outcome::ok : Outcome::not_finite;
+}
+
+void Projector::seek_along(std::span<const double* const> vectors) {
+  if (!directions_) directions_.emplace(w_.size());
+  directions_->take(vectors);
+}
+
+/// Rows are cut to the directions. A part p of a vector that the others do not have has roundoff ε / p in the laws that
+/// the vectors keep; in a correction of size d that is no more than ε where p ≥ d.
+void Projector::keep_to_directions() {
+  double largest = least_direction;
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (!idle(i)) largest = std::max(largest, linearization().distance(i));
+  directions_->orthonormalize(w_.data(), std::min(largest, largest_pivot));
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (norm_[i] > 0) directions_->cut(&scaled_(0, index(i)));
+}
+
+/// Whether only `share` of the length of gradient i is left among the directions, too little to correct its residual.
+bool Projector::out_of_reach(std::size_t i, double share) const {
+  return directions_ && share < least_share && std::abs(r_[i]) > matters * tolerances_.rtol() * norm_[i];
 }
 
 Outcome Projector::linearize_at(double t, const double* y) {
@@ -161,7 +186,8 @@ double Projector::roundoff_units(const double* y) {
 
 double Projector::in_units() const {
   double size = 0;
-  for (std::size_t i = 0; i < r_.size(); ++i) size = std::max(size, std::abs(r_[i]) / unit_[i]);
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (!idle(i)) size = std::max(size, std::abs(r_[i]) / unit_[i]);
   return size;
 }
 
@@ -180,7 +206,7 @@ Outcome Projector::measure_after(double t, const double* y) {
   if (!defined(residual_after_.data())) return Outcome::not_finite;
   const double allowed = std::pow(slowest_newton, iterations_);
   for (std::size_t i = 0; i < r_.size(); ++i) {
-    if (left_out_[i] != 0) continue;
+    if (left_out_[i] != 0 || idle(i)) continue;
     const double after = std::abs(residual_after_[i]);
     const double roundoff = std::max(invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()));
     if (after > roundoff && after > allowed * std::abs(residual_before_[i]) && after > allowed * largest_before(i))
@@ -197,6 +223,7 @@ double Projector::largest_before(std::size_t i) const {
 /// Whether a residual is of the size of its terms, so that the correction changes some of them by as much.
 bool Projector::far_off(const double* y) const {
   for (std::size_t i = 0; i < r_.size(); ++i) {
+    if (idle(i)) continue;
     double terms = std::abs(invariants_.value()[i]);
     invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) { terms += std::abs(value * y[j]); });
     if (std::abs(r_[i]) > large_residual * terms) return true;
@@ -239,10 +266,10 @@ double Projector::doubt(const double* y) const {
 
 /// Whether the candidate is to be left alone: judged by the gradients of the last linearization.
 bool Projector::close_enough(const double* y) {
-  if (negligible_ == 0 || !linearized_) return false;
+  if (negligible_ == 0 || !linearized_ || any_engaged()) return false;
   const double most = negligible_ / doubt(y);
   for (std::size_t i = 0; i < r_.size(); ++i) {
-    distance_before_[i] = linearization().distance(i);
+    distance_before_[i] = idle(i) ? 0 : linearization().distance(i);
     if (!(distance_before_[i] <= most)) return false;
   }
   return true;
@@ -270,10 +297,18 @@ Outcome Projector::linearize_known(double t, const double* y) {
   for (std::size_t i = 0; i < m; ++i) {
     const double before = norm_[i];
     scale_row(i);
-    if (linearized_) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
+    if (linearized_ && !idle(i)) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
   }
   linearized_ = true;
+  if (directions_) keep_to_directions();
   return Outcome::ok;
+}
+
+/// A factor of row i that settles ties between pivots in favour of the invariant that was given first; those that may
+/// only rise or fall come last. (A row and its residual may be multiplied by anything.)
+double Projector::preference(std::size_t i) const {
+  const std::size_t place = invariants_.sense(i) == 0 ? i : i + r_.size();
+  return 1 / (1 + 1e-6 * static_cast<double>(place));
 }
 
 /// The norm of row i of J W and, where the correction is that of all together, the row itself with norm 1. (Levels
@@ -310,20 +345,30 @@ void Projector::count_correction(double t, std::size_t rank) {
   corrected_at_ = t;
   ++corrections_;
   covered_ += since;
-  if (rank == r_.size()) return;
+  if (rank == r_.size() - idle_count_ || std::count(left_out_.begin(), left_out_.end(), 0) == std::ssize(left_out_))
+    return;
   ++deficient_;
   covered_deficient_ += since;
 }
 
 std::size_t Projector::solve_one(double t) {
   const std::size_t n = w_.size();
-  if (norm_[0] == 0) {
-    leave_out(0, t);
+  if (norm_[0] == 0 || all_idle()) {
+    if (!all_idle()) leave_out(0, t);
     std::fill(delta_.begin(), delta_.end(), 0);
     return 0;
   }
-  const double distance = r_[0] / norm_[0];
+  double distance = r_[0] / norm_[0];
   const double* row = scaled_.data();
+  if (directions_) {
+    const double share = scaled_.col(0).norm();
+    if (share < least_share) {
+      if (out_of_reach(0, share)) leave_out(0, t);
+      std::fill(delta_.begin(), delta_.end(), 0);
+      return 0;
+    }
+    distance /= share * share;
+  }
   for (std::size_t j = 0; j < n; ++j) delta_[j] = w_[j] * (row[j] * distance);
   return 1;
 }
@@ -343,7 +388,8 @@ std::size_t Projector::solve_in_levels(double t) {
       if (fixed(j)) free_w_[j] = 0;
     w = free_w_.data();
   }
-  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), delta_.data());
+  const char* idle = idle_count_ > 0 ? idle_.data() : nullptr;
+  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), idle, delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
     if (levels_->left_out()[i] != 0) leave_out(i, t);
   return rank;
@@ -361,6 +407,21 @@ void Projector::release(std::size_t j) {
   --fixed_count_;
 }
 
+void Projector::rest(std::size_t i) {
+  idle_count_ += idle_[i] == 0 ? 1 : 0;
+  idle_[i] = 1;
+}
+
+void Projector::engage(std::size_t i) {
+  idle_count_ -= idle_[i] != 0 ? 1 : 0;
+  idle_[i] = 0;
+}
+
+void Projector::rest_one_sided() {
+  for (std::size_t i = 0; i < idle_.size(); ++i)
+    if (invariants_.sense(i) != 0) rest(i);
+}
+
 void Projector::release_all() {
   std::fill(fixed_.begin(), fixed_.end(), 0);
   fixed_count_ = 0;
@@ -375,11 +436,13 @@ bool Projector::settled() const {
 
 /// Q, in place of the scaled rows, and R by the modified Gram-Schmidt process with pivoting, in which each pivot is
 /// orthogonalised twice: Q is then orthogonal to roundoff. (Eigen's pivoted QR allocates in each call.) Returns the
-/// rank; rows beyond it are left out.
+/// rank; rows beyond it are left out. What is one-sided depends on the others where it is at its minimum on their
+/// manifold, and its residual then falls with its pivot: it stays as long as it can.
 std::size_t Projector::factor(double t) {
-  const std::size_t m = r_.size();
+  const std::size_t m = r_.size() - idle_count_;
   const auto column = [this](std::size_t k) { return scaled_.col(index(order_[k])); };
   std::iota(order_.begin(), order_.end(), std::size_t{0});
+  if (idle_count_ > 0) std::partition(order_.begin(), order_.end(), [this](std::size_t i) { return !idle(i); });
   R_.setZero();
   double first = 0;
   const double threshold = pivot_threshold();
@@ -392,12 +455,14 @@ std::size_t Projector::factor(double t) {
     for (std::size_t l = 0; l < rank; ++l) remove_component(order_[rank], order_[l]);
     const double size = column(rank).norm();
     if (rank == 0) first = size;
-    if (size <= threshold * first) break;
+    if (directions_ && size < least_share) break;
+    if (size <= (invariants_.sense(order_[rank]) == 0 ? threshold : least_pivot) * first) break;
     column(rank) /= size;
     R_(index(order_[rank]), index(order_[rank])) = size;
     for (std::size_t k = rank + 1; k < m; ++k) remove_component(order_[k], order_[rank]);
   }
-  for (std::size_t k = rank; k < m; ++k) leave_out(order_[k], t);
+  for (std::size_t k = rank; k < m; ++k)
+    if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
   return rank;
 }
 
@@ -429,6 +494,14 @@ void Projector::leave_out(std::size_t i, double t) {
   if (deficient_ == 0) dropped_at_ = t;
   left_out_[i] = 1;
   ++dropped_[i];
+}
+
+/// The latest linearization, and the counts.
+void Projector::state(Archive& archive) {
+  archive(linearized_, bent_, r_, J_, norm_, w_, point_, left_out_, dropped_, corrections_, deficient_, corrected_at_);
+  archive(covered_, covered_deficient_, dropped_at_);
+  archive(idle_, idle_count_);
+  archive.resizable(linearized_w_);
 }
 
 std::vector<char> Projector::dropped() const {

@@ -9,6 +9,7 @@
 #include <span>
 #include <vector>
 
+#include "manifold/directions.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/levels.hpp"
 #include "step.hpp"
@@ -73,6 +74,9 @@ class Projector {
   /// The same, with the iterate of least residual wherever it is.
   Imposed approach(double t, double* y);
 
+  /// From now on corrections are combinations of these vectors (n), which stay until the next projection.
+  void seek_along(std::span<const double* const> vectors);
+
   /// Takes r, J and the rows' norms at (t, y) with the weights W = max(|y|, thr), without moving y.
   Outcome linearize_at(double t, const double* y);
   /// The latest one.
@@ -87,6 +91,13 @@ class Projector {
   void release_all();
   [[nodiscard]] bool fixed(std::size_t j) const { return !fixed_.empty() && fixed_[j] != 0; }
   [[nodiscard]] bool any_fixed() const { return fixed_count_ > 0; }
+  /// Invariant i, which may only rise or fall, takes no part until it is engaged. None does at first.
+  void rest(std::size_t i);
+  void engage(std::size_t i);
+  void rest_one_sided();
+  [[nodiscard]] bool idle(std::size_t i) const { return !idle_.empty() && idle_[i] != 0; }
+  [[nodiscard]] bool all_idle() const { return idle_count_ == r_.size(); }
+  [[nodiscard]] bool any_engaged() const { return idle_count_ < one_sided_; }
   /// Forgets what is known of the gradients: the solution jumps.
   void forget() { linearized_ = false; }
   /// Which invariants are redundant: those left out in a tenth of the corrections so far, if in a fifth of them, and of
@@ -95,6 +106,7 @@ class Projector {
   [[nodiscard]] std::vector<char> dropped() const;
   /// The t at which some were first left out.
   [[nodiscard]] double dropped_at() const { return dropped_at_; }
+  void state(Archive& archive);
   /// Whether the latest correction left out invariant i.
   [[nodiscard]] bool left_out(std::size_t i) const { return left_out_[i] != 0; }
 
@@ -102,6 +114,7 @@ class Projector {
   Outcome linearize(double t, const double* y);
   Outcome linearize_known(double t, const double* y);
   void scale_row(std::size_t i);
+  [[nodiscard]] double preference(std::size_t i) const;
   Outcome measure(double t, const double* y);
   Outcome measure_after(double t, const double* y);
   bool defined(const double* r);
@@ -112,6 +125,8 @@ class Projector {
   [[nodiscard]] bool bends(const double* from, const double* y) const;
   [[nodiscard]] bool crossed_zero(const double* y) const;
   std::size_t solve(double t);
+  void keep_to_directions();
+  [[nodiscard]] bool out_of_reach(std::size_t i, double share) const;
   void count_correction(double t, std::size_t rank);
   std::size_t solve_one(double t);
   std::size_t solve_several(double t);
@@ -146,7 +161,10 @@ class Projector {
   int undefined_ = -1;
   std::vector<char> fixed_;  // components that corrections leave alone; empty: there never was one
   std::size_t fixed_count_ = 0;
-  std::vector<double> free_w_;    // w, 0 where fixed
+  std::vector<double> free_w_;            // w, 0 where fixed
+  std::vector<char> idle_;                // invariants that take no part; empty: none may only rise or fall
+  std::optional<Directions> directions_;  // of corrections, where these are told
+  std::size_t idle_count_ = 0, one_sided_ = 0;
   std::optional<Levels> levels_;  // where the invariants have any
 };
 

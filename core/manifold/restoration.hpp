@@ -18,6 +18,10 @@ class Restoration {
   Restoration(const Invariants& invariants, const Weights& weights);
   /// Leaves y alone where the invariants of level 0 are off by more than the tolerance, or no point is found.
   Status restore(double t, double* y);
+  void state(Archive& archive) {
+    demanded_.state(archive);
+    projector_.state(archive);
+  }
 
  private:
   const Weights& weights_;

@@ -14,7 +14,7 @@ constexpr double gamma_star[] = {0,      0.5,     0.0833,  0.0417,  0.0264,  0.0
                                  0.0114, 0.00936, 0.00789, 0.00679, 0.00592, 0.00524, 0.00468};
 
 /// Where the formulas of order k become unstable on the negative real axis, at equal steps (tests/test_stiffness.py).
-constexpr double real_limit[] = {0, 2.0, 2.4, 1.93, 1.41, 1.04, 0.77, 0.58, 0.44, 0.34, 0.26, 0.21, 0.16};
+constexpr double real_limits[] = {0, 2.0, 2.4, 1.93, 1.41, 1.04, 0.77, 0.58, 0.44, 0.34, 0.26, 0.21, 0.16};
 constexpr double indistinct = 1000 * eps;  // y₁ − p, in the weights: below, f tells nothing about λ but roundoff
 
 constexpr double starting_fraction = 0.25;  // of √rtol: what the first step may change y by
@@ -123,6 +123,13 @@ bool Adams::errors(double* out) const {
   const auto k = static_cast<std::size_t>(order_);
   for (std::size_t i = 0; i < n(); ++i) out[i] = h_ * (g_[k] - g_[k + 1]) * defect_[i];
   return true;
+}
+
+/// The predicted differences and the defect, of which y* − y is a combination.
+std::size_t Adams::directions(const double** vectors) const {
+  for (int i = 1; i <= order_; ++i) *vectors++ = phi(i);
+  *vectors = defect_;
+  return static_cast<std::size_t>(order_) + 1;
 }
 
 /// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
@@ -287,6 +294,18 @@ void Adams::choose_order_and_step() {
     h_ *= std::max(0.5, std::min(0.9, std::pow(goal / error, 1.0 / (order_ + 1))));
 }
 
+void Adams::state(Archive& archive) {
+  Step::state(archive);
+  archive(order_, previous_order_, previous_h_, steps_at_h_, phase1_, lower_, erk_, erkm1_, failures_);
+  archive(phi_);
+  for (Coefficients* one : {&psi_, &alpha_, &beta_, &sigma_, &g_, &v_, &w_}) archive.values(one->data(), one->size());
+  archive.values(slope_, n());
+  if (!archive.reading()) return;
+  for (const int k : {order_, previous_order_, lower_}) archive.require(k >= 1 && k <= max_order_);
+  archive.require(steps_at_h_ >= 0 && steps_at_h_ <= highest_order + 1);
+  predicted_ = false;
+}
+
 Interpolate Adams::interpolate() const { return integrate_polynomial; }
 
 std::size_t Adams::extension_size() const { return n() + (static_cast<std::size_t>(previous_order_) + 1) * (n() + 1); }
@@ -309,9 +328,10 @@ double Adams::stability() const {
     slopes.add((change[i] - defect_[i]) / weight_[i]);
     arguments.add((previous_h_ * g_[k + 1] * defect_[i] + (y_[i] - candidate_[i])) / weight_[i]);
   }
-  return arguments.value() > indistinct ? std::abs(previous_h_) * slopes.value() / arguments.value() / real_limit[k]
-                                        : 0;
+  return arguments.value() > indistinct ? std::abs(previous_h_) * slopes.value() / arguments.value() / real_limit() : 0;
 }
+
+double Adams::real_limit() const { return real_limits[previous_order_]; }
 
 int Adams::undefined_component() const {
   for (std::size_t i = 0; i < n(); ++i)

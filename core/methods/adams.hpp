@@ -28,8 +28,11 @@ class Adams final : public Step {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(max_order_) + 1; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override;
@@ -40,6 +43,7 @@ class Adams final : public Step {
 
   [[nodiscard]] int order() const override { return previous_order_; }
   [[nodiscard]] double stability() const override;
+  [[nodiscard]] double real_limit() const override;
   [[nodiscard]] const double* slope() const override { return slope_; }
   [[nodiscard]] int undefined_component() const override;
 

@@ -56,7 +56,7 @@ inline constexpr Tableau<13, 7, 3> dormand_prince_853{
     .summary = "the eighth-order pair DOP853, for tight tolerances and cheap f",
     .source =
         "E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer, Berlin, "
-        "1993, sections II.5 and II.10; not of the MATLAB ODE Suite",
+        "1993, sections II.5 and II.10; not in the MATLAB ODE Suite",
     .scipy_name = "DOP853",
     .iterations = 2,
     .order = 8,

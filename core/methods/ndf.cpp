@@ -177,6 +177,12 @@ bool Ndf::errors(double* out) const {
   return true;
 }
 
+std::size_t Ndf::directions(const double** vectors) const {
+  for (int j = 1; j <= order_; ++j) *vectors++ = D(j);
+  *vectors = d_.data();
+  return static_cast<std::size_t>(order_) + 1;
+}
+
 /// p = y + Σ D_j and ψ = invGa_k Σ γ_j D_j of c f(t₁, p + d) = M (ψ + d), where d = ∇^{k+1} y₁; the weights of the
 /// step.
 void Ndf::predict() {
@@ -270,6 +276,13 @@ void Ndf::choose_order_and_step() {
     h_ = best;
     order_ = order;
   }
+}
+
+void Ndf::state(Archive& archive) {
+  Step::state(archive);
+  newton_.state(archive);
+  archive(order_, memory_order_, memory_h_, steps_at_h_, failed_, differences_, weight_, slope_);
+  for (const int k : {order_, memory_order_}) archive.require(k >= 1 && k <= options_.max_order);
 }
 
 Interpolate Ndf::interpolate() const { return newton_backward; }

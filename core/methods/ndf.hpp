@@ -33,8 +33,11 @@ class Ndf final : public Step {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(options_.max_order) + 1; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override;
@@ -47,6 +50,7 @@ class Ndf final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return newton_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &newton_.jacobian(); }
 
  private:
   void restart(double t, const double* y, double h, int order);

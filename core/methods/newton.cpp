@@ -135,10 +135,11 @@ bool AgingJacobian::needs_factors(double c) {
   return true;
 }
 
-Outcome AgingJacobian::factored(double c, bool regular) {
+Outcome AgingJacobian::factored(double c, double t1, bool regular) {
   work_.singular = !regular;
   if (work_.singular) return Outcome::not_finite;
   factored_ = c;
+  factored_at_ = t1;
   return Outcome::ok;
 }
 
@@ -149,6 +150,12 @@ bool AgingJacobian::stiff(double c, const double* w) {
   MaxNorm norm;
   for (std::size_t i = 0; i < scratch_.size(); ++i) norm.add(scratch_[i] / w[i]);
   return norm.value() * std::abs(c) > large_stiffness;
+}
+
+void AgingJacobian::fields(Archive& archive) {
+  jacobian_.state(archive);
+  jacobian_.matrix_state(archive);
+  archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_);
 }
 
 LinearWork AgingJacobian::work() const {
@@ -240,6 +247,11 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Convergence::Verdict::go_on: break;
     }
   }
+}
+
+void Newton::state(Archive& archive) {
+  convergence_.state(archive);
+  AgingJacobian::state(archive, [this](double c) { return lu_->factor(mass_matrix(), c, jacobian()); });
 }
 
 void Newton::damp(double* v) {

@@ -35,6 +35,7 @@ class Convergence {
   /// Iterations since `begin`, and the rate of convergence, if two of them have told it.
   [[nodiscard]] int iterations() const { return iteration_; }
   [[nodiscard]] double rate() const { return rate_; }
+  void state(Archive& archive) { archive(iteration_, rate_, rate_known_); }
 
  private:
   Rules rules_;
@@ -63,6 +64,9 @@ class AgingJacobian {
   Outcome prepare(double c, double t1, Factor&& factor);
 
   void forget_factors() { factored_ = 0; }
+  /// factor(c) makes the factors again that were at hand, from the same matrices: true.
+  template <class Factor>
+  void state(Archive& archive, Factor&& factor);
 
   /// J is no longer that of the point reached.
   void step_accepted();
@@ -97,7 +101,8 @@ class AgingJacobian {
  private:
   bool defined_mass();
   bool needs_factors(double c);
-  Outcome factored(double c, bool regular);
+  Outcome factored(double c, double t1, bool regular);
+  void fields(Archive& archive);
 
   Callback& f_;
   const Weights& weights_;
@@ -105,10 +110,11 @@ class AgingJacobian {
   Mass* mass_;
   std::vector<double> undefined_f_, scratch_;
   LinearWork work_;
-  double factored_ = 0;   // c of the factors; 0: there are none
-  double first_c_ = 0;    // |c| of the first factors with this J
-  bool noisy_ = false;    // roundoff in a J of this run has counted
-  bool current_ = false;  // J is that of the point reached
+  double factored_ = 0;     // c of the factors; 0: there are none
+  double factored_at_ = 0;  // t of the M in them
+  double first_c_ = 0;      // |c| of the first factors with this J
+  bool noisy_ = false;      // roundoff in a J of this run has counted
+  bool current_ = false;    // J is that of the point reached
   bool renew_ = false;
   bool undefined_ = false;  // f, at the last evaluation
   int age_ = 0;
@@ -118,7 +124,15 @@ template <class Factor>
 Outcome AgingJacobian::prepare(double c, double t1, Factor&& factor) {
   if (mass_ && mass_->evaluate(t1) == Status::stop) return Outcome::stop;
   if (!defined_mass()) return Outcome::not_finite;
-  return needs_factors(c) ? factored(c, factor()) : Outcome::ok;
+  return needs_factors(c) ? factored(c, t1, factor()) : Outcome::ok;
+}
+
+template <class Factor>
+void AgingJacobian::state(Archive& archive, Factor&& factor) {
+  fields(archive);
+  if (!archive.reading() || !archive.whole() || factored_ == 0) return;
+  if (mass_ && mass_->evaluate(factored_at_) == Status::stop) return archive.stop();
+  archive.require(factor(factored_));
 }
 
 /// y' and y'' at the start, of M y' = f(t, y).
@@ -158,6 +172,7 @@ class Newton : public AgingJacobian {
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
   /// v becomes (M − c J)⁻¹ M v, with the factors at hand.
   void damp(double* v);
+  void state(Archive& archive);
 
  private:
   void residual(double c, const double* psi, const double* d);

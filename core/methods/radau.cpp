@@ -196,10 +196,14 @@ Outcome Radau::factor() {
     convergence_.forget();
     jacobian_.count_factorization();
     jacobian_.count_factorization();
-    const Matrix* M = jacobian_.mass_matrix();
-    const Matrix& J = jacobian_.jacobian();
-    return real_lu_->factor(M, signed_h_ / mu, J) && complex_lu_->factor(M, signed_h_ / Complex(alpha, beta), J);
+    return factorize();
   });
+}
+
+bool Radau::factorize() {
+  const Matrix* M = jacobian_.mass_matrix();
+  const Matrix& J = jacobian_.jacobian();
+  return real_lu_->factor(M, signed_h_ / mu, J) && complex_lu_->factor(M, signed_h_ / Complex(alpha, beta), J);
 }
 
 /// M(t) at the stages; the last of them is at hand.
@@ -334,6 +338,11 @@ bool Radau::errors(double* out) const {
   return true;
 }
 
+std::size_t Radau::directions(const double** vectors) const {
+  for (std::size_t i = 0; i < stages; ++i) vectors[i] = increments_.data() + i * n();
+  return stages;
+}
+
 /// By which h is to be multiplied; less where Newton's iteration was long.
 double Radau::factor_of_error() const {
   const double most = 2 * rules.most_iterations + 1;
@@ -389,6 +398,13 @@ Outcome Radau::accept(const double* y1) {
   failed_ = false;
   h_ = h;
   return Outcome::ok;
+}
+
+void Radau::state(Archive& archive) {
+  Step::state(archive);
+  archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_);
+  convergence_.state(archive);
+  jacobian_.state(archive, [this](double) { return factorize(); });
 }
 
 Interpolate Radau::interpolate() const { return runge_kutta::nested_polynomial; }

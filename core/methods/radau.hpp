@@ -27,8 +27,11 @@ class Radau final : public Step {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return stages; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return (stages + 1) * n(); }
@@ -40,6 +43,7 @@ class Radau final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
 
  private:
   using Complex = std::complex<double>;
@@ -47,6 +51,7 @@ class Radau final : public Step {
   double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
   [[nodiscard]] double norm(const double* v) const;
   Outcome factor();
+  bool factorize();
   Status take_masses();
   void predict();
   Newton::Result solve_stages();

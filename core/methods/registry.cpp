@@ -7,19 +7,11 @@
 #include "methods/ndf.hpp"
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
+#include "methods/switching.hpp"
 #include "methods/trbdf2.hpp"
 
 namespace invariode {
 namespace {
-
-bool rows_of_n(std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
-bool rows_and_steps(std::size_t size, std::size_t n) {
-  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
-}
-constexpr Extension runge_kutta_polynomial{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n};
-constexpr Extension adams_polynomial{"Adams", integrate_polynomial, rows_and_steps};
-constexpr Extension hermite_cubics{"TR-BDF2", two_hermite_cubics, rows_of_n};
-constexpr Extension backward_differences{"NDF", newton_backward, rows_of_n};
 
 template <std::size_t I>
 std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& told,
@@ -47,6 +39,31 @@ std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& w
   return std::make_unique<Implicit>(f, weights, linear);
 }
 
+/// What one Jacobian costs, in evaluations of f.
+double calls_per_jacobian(const Jacobian& jacobian) {
+  switch (jacobian.kind()) {
+    case Jacobian::Kind::constant: return 0;
+    case Jacobian::Kind::function: return 1;
+    case Jacobian::Kind::differences: break;
+  }
+  return static_cast<double>(jacobian.groups());
+}
+
+/// With a mass matrix the implicit member is alone, without linear algebra the explicit one.
+std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& told,
+                                     const LinearAlgebra& linear) {
+  const auto [explicit_one, implicit_one] = members(told);
+  MethodOptions own = told;
+  own.max_order = 0;  // each goes up to its own
+  Switching::Members two;
+  if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear);
+  if (linear.jacobian != nullptr) {
+    two.implicit_one = implicit_one.step(f, weights, own, linear);
+    two.jacobian_cost = calls_per_jacobian(*linear.jacobian);
+  }
+  return std::make_unique<Switching>(f, weights, std::move(two));
+}
+
 /// The row of the pair T, number I of the pairs.
 template <const auto& T, std::size_t I>
 constexpr Method row() {
@@ -62,7 +79,6 @@ constexpr Method row() {
                 .extra = static_cast<int>(T.all_stages - T.stages),
                 .iterations = T.iterations,
                 .refine = T.refine,
-                .extension = &runge_kutta_polynomial,
                 .make = make_pair<I>};
   if (T.last_in_error()) method.options[0] = "fsal";  // else f(t₁, y₁) is evaluated in any case
   return method;
@@ -78,7 +94,6 @@ constexpr Method others[] = {
      .order = Adams::highest_order,
      .extension_order = Adams::highest_order,
      .options = {"max_order"},
-     .extension = &adams_polynomial,
      .make = make_adams},
     {.name = "ode15s",
      .summary = "NDFs of order 1 to 5, for stiff problems and M y' = f",
@@ -91,7 +106,6 @@ constexpr Method others[] = {
      .extension_order = Ndf::highest_order,
      .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate"},
      .mass = MassMatrices::any,
-     .extension = &backward_differences,
      .make = make_ndf},
     {.name = "ode23s",
      .summary = "modified Rosenbrock formulas (2,3), for stiff problems at crude tolerances",
@@ -102,7 +116,6 @@ constexpr Method others[] = {
      .extension_order = Rosenbrock::formula_order,
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::constant_regular,
-     .extension = &runge_kutta_polynomial,
      .make = make_implicit<Rosenbrock>},
     {.name = "ode23tb",
      .summary = "TR-BDF2 of order 2, for stiff problems at crude tolerances and M y' = f",
@@ -114,7 +127,6 @@ constexpr Method others[] = {
      .extension_order = TrBdf2::formula_order,
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::any,
-     .extension = &hermite_cubics,
      .make = make_implicit<TrBdf2>},
     {.name = "radau",
      .summary = "Radau IIA formula of order 5, for stiff problems at tight tolerances and M y' = f",
@@ -127,8 +139,19 @@ constexpr Method others[] = {
      .extension_order = Radau::extension_order,
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::any,
-     .extension = &runge_kutta_polynomial,
      .make = make_implicit<Radau>},
+    {.name = "auto",
+     .summary = "ode113 and ode15s that take turns, for problems of which nobody knows whether they are stiff",
+     .family = "explicit and implicit methods that take turns",
+     .source = "L. R. Petzold, Automatic selection of methods for solving stiff and nonstiff systems of ordinary "
+               "differential equations, SIAM J. Sci. Stat. Comput. 4 (1983) 136-148",
+     .scipy_name = "LSODA",
+     .min_order = 1,
+     .order = Adams::highest_order,
+     .extension_order = Adams::highest_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer"},
+     .mass = MassMatrices::any,
+     .make = make_switching},
 };
 
 template <const auto&... T>
@@ -139,10 +162,18 @@ constexpr auto all(runge_kutta::Tableaux<T...>) {
 }
 constexpr auto table = all(runge_kutta::Pairs());
 
+/// The row of that name, which is there.
+const Method& row_of(std::string_view name) { return *std::ranges::find(table, name, &Method::name); }
+
 }  // namespace
 
 bool Method::takes(std::string_view option) const {
   return std::ranges::any_of(options, [&](const char* one) { return one != nullptr && option == one; });
+}
+
+Members members(const MethodOptions& told) {
+  return {told.prefer_explicit ? *told.prefer_explicit : row_of("ode113"),
+          told.prefer_implicit ? *told.prefer_implicit : row_of("ode15s")};
 }
 
 std::span<const Method> methods() { return table; }
@@ -150,17 +181,6 @@ std::span<const Method> methods() { return table; }
 const Method* find_method(std::string_view name) {
   const auto found = std::ranges::find(table, name, &Method::name);
   return found == table.end() ? nullptr : &*found;
-}
-
-const Extension* find_extension(std::string_view name) {
-  const auto found = std::ranges::find_if(table, [&](const Method& one) { return one.extension->name == name; });
-  return found == table.end() ? nullptr : found->extension;
-}
-
-const Extension* find_extension(Interpolate evaluate) {
-  const auto found =
-      std::ranges::find_if(table, [&](const Method& one) { return one.extension->evaluate == evaluate; });
-  return found == table.end() ? nullptr : found->extension;
 }
 
 }  // namespace invariode

@@ -15,23 +15,20 @@ namespace invariode {
 
 using runge_kutta::Fsal;
 
+struct Method;
+
 /// What a method may be told; one that cannot use an entry leaves it alone.
 struct MethodOptions {
   Fsal fsal = Fsal::reuse;
-  int max_order = 0;       ///< highest order of the formulas; 0: the method's own
-  bool bdf = false;        ///< backward differentiation formulas instead of NDFs
-  bool projected = false;  ///< the steps are projected, which Newton's iteration does not see
+  int max_order = 0;                        ///< highest order of the formulas; 0: the method's own
+  bool bdf = false;                         ///< backward differentiation formulas instead of NDFs
+  bool projected = false;                   ///< the steps are projected, which Newton's iteration does not see
+  const Method* prefer_explicit = nullptr;  ///< of those that take turns; null: see `members`
+  const Method* prefer_implicit = nullptr;
 };
 
 /// Which M of M y' = f(t, y) a method takes.
 enum class MassMatrices { none, constant_regular, any };
-
-/// A raw continuous extension under its name in files, and the sizes that its data may have.
-struct Extension {
-  const char* name;
-  Interpolate evaluate;
-  bool (*fits)(std::size_t size, std::size_t n);
-};
 
 /// A method as data: what it is called, what it can do, where it comes from, how a step of it is made.
 struct Method {
@@ -52,7 +49,6 @@ struct Method {
   int refine = 1;       ///< points per step that the function of this name returns
   std::array<const char*, most_options> options{};  ///< those that not every method takes, and this one does
   MassMatrices mass = MassMatrices::none;
-  const Extension* extension;
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
                                 const LinearAlgebra& linear);
 
@@ -62,13 +58,21 @@ struct Method {
   }
   [[nodiscard]] bool takes(std::string_view option) const;
   [[nodiscard]] bool implicit() const { return takes("jac"); }
+  /// Made of an explicit and an implicit one.
+  [[nodiscard]] bool switches() const { return takes("prefer"); }
   [[nodiscard]] bool fixed_order() const { return min_order == order; }
 };
 
+/// The members of a method that switches between two.
+struct Members {
+  const Method& explicit_one;
+  const Method& implicit_one;
+};
+/// Those preferred, else ode113 and ode15s, which evaluate f least often (benchmarks/auto.py).
+[[nodiscard]] Members members(const MethodOptions& told);
+
 [[nodiscard]] std::span<const Method> methods();
-/// Null where no method, or extension, has that name.
+/// Null where no method has that name.
 [[nodiscard]] const Method* find_method(std::string_view name);
-[[nodiscard]] const Extension* find_extension(std::string_view name);
-[[nodiscard]] const Extension* find_extension(Interpolate evaluate);
 
 }  // namespace invariode

@@ -120,6 +120,11 @@ bool Rosenbrock::errors(double* out) const {
   return true;
 }
 
+std::size_t Rosenbrock::directions(const double** vectors) const {
+  for (const std::vector<double>* k : {&k1_, &k2_, &k3_}) *vectors++ = k->data();
+  return 3;
+}
+
 bool Rosenbrock::reject(Cause cause, double hmin) {
   if (h_ <= hmin) return false;
   const bool first = !failed_ && cause == Cause::error;
@@ -149,6 +154,12 @@ Outcome Rosenbrock::accept(const double* y1) {
   if (!failed_) h_ /= std::max(smallest_divisor, safety * std::pow(error_ / weights_.rtol(), 1 / estimate_order));
   failed_ = false;
   return Outcome::ok;
+}
+
+void Rosenbrock::state(Archive& archive) {
+  Step::state(archive);
+  jacobian_.state(archive, [this](double c) { return lu_->factor(jacobian_.mass_matrix(), c, jacobian_.jacobian()); });
+  archive(f0_, slope_, ft_, ft_known_, failed_);
 }
 
 Interpolate Rosenbrock::interpolate() const { return runge_kutta::nested_polynomial; }

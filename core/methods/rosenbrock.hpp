@@ -22,8 +22,11 @@ class Rosenbrock final : public Step {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return 3; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
   [[nodiscard]] std::size_t extension_size() const override { return 3 * n(); }
@@ -35,6 +38,7 @@ class Rosenbrock final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
 
  private:
   Outcome linearize();

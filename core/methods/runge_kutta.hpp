@@ -36,8 +36,7 @@ using Pairs = Tableaux<bogacki_shampine, dormand_prince, dormand_prince_853, ver
 using MakePair = std::unique_ptr<Step> (*)(Callback& f, const Weights& weights, Fsal fsal);
 
 /// The pairs compiled for few equations, where vector instructions cost more than they gain: what f has just written
-/// one number at a time cannot be read two at a time before it has reached the cache (docs/benchmarks.md, 'Native
-/// functions').
+/// one number at a time cannot be read two at a time before it has reached the cache (docs/benchmarks/native.md).
 extern const std::array<MakePair, Pairs::count> pairs_for_few;
 /// The same for any number of equations.
 extern const std::array<MakePair, Pairs::count> pairs_for_many;

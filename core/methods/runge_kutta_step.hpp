@@ -24,6 +24,7 @@ template <const auto& T, bool Few>
 class Pair final : public Step {
   static constexpr std::size_t stages = T.stages;
   static constexpr std::size_t last = stages - 1;
+  static constexpr std::size_t evaluated_in_attempt = T.last_in_error() ? stages : last;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
   using Kernel = runge_kutta::Kernel<T, double, Few>;
 
@@ -73,6 +74,12 @@ class Pair final : public Step {
     return true;
   }
 
+  std::size_t directions(const double** vectors) const override {
+    std::copy(k_.begin(), k_.begin() + evaluated_in_attempt, vectors);
+    return evaluated_in_attempt;
+  }
+  [[nodiscard]] std::size_t max_directions() const override { return evaluated_in_attempt; }
+
   bool reject(Cause cause, double hmin) override {
     if (h_ <= hmin) return false;
     double factor = 0.5;
@@ -109,6 +116,14 @@ class Pair final : public Step {
     return Outcome::ok;
   }
 
+  /// Of the stages only the first of the next step is read again.
+  void state(Archive& archive) override {
+    Step::state(archive);
+    if (archive.reading()) accepted_ = false;
+    archive.values(next_first_stage(), n());
+    archive(failed_);
+  }
+
   [[nodiscard]] Interpolate interpolate() const override { return nested_polynomial; }
   [[nodiscard]] std::size_t extension_size() const override { return (T.degree + 1) * n(); }
   [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
@@ -132,7 +147,6 @@ class Pair final : public Step {
 
   [[nodiscard]] int order() const override { return T.order; }
   [[nodiscard]] double stability() const override {
-    static const double limit = real_limit<T>();
     MaxNorm slopes, arguments;
     for (std::size_t i = 0; i < n(); ++i) {
       const double w = weights_.at(i, start_[i], y_[i]);
@@ -143,7 +157,11 @@ class Pair final : public Step {
       arguments.add(argument / w);
     }
     const double moved = std::abs(purified_) * arguments.value();
-    return moved > indistinct ? slopes.value() / arguments.value() / limit : 0;
+    return moved > indistinct ? slopes.value() / arguments.value() / real_limit() : 0;
+  }
+  [[nodiscard]] double real_limit() const override {
+    static const double limit = runge_kutta::real_limit<T>();
+    return limit;
   }
   [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
   [[nodiscard]] int undefined_component() const override {
@@ -170,6 +188,10 @@ class Pair final : public Step {
     else
       std::swap(k_[0], k_[last]);
     accepted_ = false;
+  }
+  double* next_first_stage() {
+    if (!accepted_) return k_[0];
+    return T.last_in_error() && evaluates_again() ? reevaluated_ : k_[last];
   }
 
   /// f is never asked at a point that is not finite: what an earlier stage got wrong shows in the argument of a later

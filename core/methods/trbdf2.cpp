@@ -142,6 +142,11 @@ bool TrBdf2::errors(double* out) const {
   return true;
 }
 
+std::size_t TrBdf2::directions(const double** vectors) const {
+  for (const std::vector<double>* z : {&z0_, &z1_, &z2_}) *vectors++ = z->data();
+  return 3;
+}
+
 bool TrBdf2::reject(Cause cause, double hmin) {
   if (cause == Cause::newton && newton_.renew_if_old()) return true;
   if (h_ <= hmin) return false;
@@ -173,6 +178,12 @@ Outcome TrBdf2::accept(const double* y1) {
   }
   failed_ = false;
   return Outcome::ok;
+}
+
+void TrBdf2::state(Archive& archive) {
+  Step::state(archive);
+  newton_.state(archive);
+  archive(slope_, last_y_, last_slope_, last_h_, failed_);
 }
 
 Status TrBdf2::extension(double* data) {

@@ -24,8 +24,11 @@ class TrBdf2 final : public Step {
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return 3; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override { return two_hermite_cubics; }
   [[nodiscard]] std::size_t extension_size() const override { return 6 * n(); }
@@ -37,6 +40,7 @@ class TrBdf2 final : public Step {
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return newton_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &newton_.jacobian(); }
 
  private:
   Newton::Result solve_stage(double t, double* y, double* z);

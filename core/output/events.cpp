@@ -54,7 +54,6 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
       times_seen_(functions_.size()),
       y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
-  for (std::size_t e = 0; e < count(); ++e) times_seen_[e] = functions_[e].seen;
   for (std::vector<double>& p : points_) p.resize((intervals_ - 1) * n);
   brackets_.reserve(intervals_);
   occurrences_.reserve(functions_.size() * intervals_);
@@ -70,7 +69,6 @@ Outcome Events::evaluate(std::size_t event, double t, const double* y, double& v
 Outcome Events::start(double t, const double* y) {
   for (std::size_t e = 0; e < count(); ++e) {
     if (const Outcome outcome = evaluate(e, t, y, last_[e]); outcome != Outcome::ok) return outcome;
-    if (std::exchange(functions_[e].asleep, false)) last_[e] = 0;
     sign_[e] = sign_of(last_[e]);
   }
   return Outcome::ok;
@@ -84,6 +82,37 @@ Outcome Events::restart(double t, const double* y) {
       last_[occurrence.event] = 0;
     }
   return Outcome::ok;
+}
+
+Outcome Events::go_on(double t, const double* y) {
+  for (std::size_t e = 0; e < count(); ++e)
+    if (functions_[e].terminal > 0) times_seen_[e] %= functions_[e].terminal;
+  return restart(t, y);
+}
+
+/// What is left of a count is archived: one of the start may have been taken off `terminal`.
+void Events::state(Archive& archive) {
+  archive(last_, sign_);
+  for (std::size_t e = 0; e < count(); ++e) {
+    std::int64_t left = functions_[e].terminal - times_seen_[e];
+    archive(left);
+    times_seen_[e] = functions_[e].terminal - left;
+  }
+  std::vector<std::size_t> which;
+  std::vector<double> when;
+  for (const Occurrence& occurrence : occurrences_) {
+    which.push_back(occurrence.event);
+    when.push_back(occurrence.t);
+  }
+  archive.resizable(which);
+  archive.resizable(when);
+  if (!archive.reading()) return;
+  archive.require(which.size() == when.size());
+  occurrences_.clear();
+  for (std::size_t k = 0; k < which.size(); ++k) {
+    archive.require(which[k] < count());
+    occurrences_.push_back({which[k], when[k]});
+  }
 }
 
 Outcome Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {

@@ -17,12 +17,10 @@ struct EventFunction {
   int direction = 0;          ///< > 0: rising in the direction of integration, < 0: falling, 0: both
   Callback action;            ///< (t, y) -> y from there on, or empty
   bool rehold = true;         ///< after the action invariants are held at their new values
-  std::int64_t seen = 0;      ///< occurrences before the start, where a run is continued
   /// Points inside a step at which it is evaluated, if these are more than the usual ones; or as many as it takes to
   /// separate its roots.
   int samples = 0;
   static constexpr int adaptive = -1;
-  bool asleep = false;  ///< it has occurred right at the start, and sleeps until it has left zero
 };
 
 /// An event that happened.
@@ -52,6 +50,11 @@ class Events {
 
   /// Takes the signs after a jump at t to y. The events that have just occurred sleep until they have left zero.
   Outcome restart(double t, const double* y);
+
+  void state(Archive& archive);
+  /// Goes on at (t, y) behind the occurrences of the last search, which may have ended a run: the count that did so
+  /// begins again.
+  Outcome go_on(double t, const double* y);
 
   /// Of the last search.
   [[nodiscard]] const std::vector<Occurrence>& occurrences() const { return occurrences_; }

@@ -3,11 +3,13 @@
 #include <algorithm>
 
 #include "manifold/active_set.hpp"
+#include "manifold/one_sided.hpp"
 
 namespace invariode {
 namespace {
 
-constexpr int interpolation_iterations = 3;  // of the projection between steps (docs/algorithms.md, 'Between steps')
+constexpr int interpolation_iterations = 3;   // of the projection between steps (docs/algorithms.md, 'Between steps')
+constexpr std::size_t fewest_directions = 4;  // of corrections there: as many as a cubic extension has, and one more
 
 }  // namespace
 
@@ -26,6 +28,23 @@ void Interpolant::correct_ends(const double* e0, double theta, double* y) const 
   for (std::size_t i = 0; i < n_; ++i) y[i] += e0[i] * at0 + e1[i] * at1;
 }
 
+/// Differences of points of the segment: among these are all linear functions that the steps keep, as they are among
+/// what a step is made of.
+void Interpolant::choose_directions(const Segment& segment) {
+  const std::size_t count = std::max(fewest_directions, m_ + 2);
+  if (path_.empty()) {
+    path_.resize((count + 1) * n_);
+    for (std::size_t k = 1; k <= count; ++k) directions_.push_back(path_.data() + k * n_);
+  }
+  for (std::size_t k = 0; k <= count; ++k) {
+    const double theta = static_cast<double>(k) / static_cast<double>(count);
+    double* point = path_.data() + k * n_;
+    corrected(segment, segment.t0 + theta * (segment.t1 - segment.t0), point);
+    for (std::size_t i = 0; i < n_ && k > 0; ++i) point[i] -= path_[i];
+  }
+  projector_->seek_along(directions_);
+}
+
 Status Interpolant::value(const Segment& segment, double t, double* y) {
   corrected(segment, t, y);
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
@@ -35,9 +54,12 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   const double* g1 = g0 + m_;
   const std::vector<double>& held = projector_->invariants().value();
   for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * g0[i] + theta * g1[i] - held[i];
-  const Outcome outcome = bounds_ != nullptr
-                              ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, interpolation_iterations)
-                              : projector_->onto(t, w, target_.data(), y, interpolation_iterations);
+  if (projector_->invariants().along_steps()) choose_directions(segment);
+  const int most = interpolation_iterations;
+  const Outcome outcome = projector_->invariants().any_one_sided()
+                              ? onto_between(*projector_, bounds_, t, w, g0, g1, target_, y, most)
+                          : bounds_ != nullptr ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, most)
+                                               : projector_->onto(t, w, target_.data(), y, most);
   switch (outcome) {
     case Outcome::stop: return Status::stop;
     case Outcome::not_finite: corrected(segment, t, y); break;  // g is not defined here

@@ -15,7 +15,8 @@ namespace invariode {
 
 /// `raw`: the method's own extension P(θ), as in the paper and the suite. `corrected`: P(θ) + e₀ (1−θ)²(1+2θ) + e₁
 /// θ²(3−2θ) with e₀ = y − P(0), e₁ = y₁ − P(1). `projected`: that, projected with the step's W onto g = (1−θ) g₀ + θ
-/// g₁, where g₀ and g₁ are the values at the ends; without invariants the same as `corrected`.
+/// g₁, where g₀ and g₁ are the values at the ends (what is one-sided, between these); without invariants the same as
+/// `corrected`.
 enum class Interpolation { projected, corrected, raw };
 
 /// One accepted step as data: [raw extension | e₀ e₁ | W g₀ g₁], the later parts only where the mode reads them.
@@ -53,6 +54,7 @@ class Interpolant {
 
  private:
   void correct_ends(const double* e0, double theta, double* y) const;
+  void choose_directions(const Segment& segment);
 
   std::size_t n_, m_;
   Interpolation mode_;
@@ -60,6 +62,8 @@ class Interpolant {
   Projector* projector_;
   const Bounds* bounds_;
   std::vector<double> target_;
+  std::vector<double> path_;               // points of the segment less its start,
+  std::vector<const double*> directions_;  // as vectors
 
   friend class StepInterpolant;
 };
@@ -83,6 +87,9 @@ class StepInterpolant {
   void accept();
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
+
+  /// What is known of the start of the next step.
+  void state(Archive& archive) { archive(g_known_, g_t_, g_end_); }
 
   Status value(double t, double* y);
   Status corrected(double t, double* y);

@@ -19,11 +19,19 @@ void DenseOutput::add(const Segment& segment, double t, const double* y) {
   knots_.add(t, y, n_);
 }
 
-void DenseOutput::append(const DenseOutput& next) {
+DenseOutput DenseOutput::from(std::size_t first) const {
+  DenseOutput rest(n_, m_, mode_, raw_, bounds_);
+  rest.append(*this, first);
+  return rest;
+}
+
+void DenseOutput::append(const DenseOutput& next, std::size_t first) {
   const Buffer<double>& t = next.knots_.t;
   const double* y = next.knots_.y.data();
-  if (knots_.t.empty() || t[0] != knots_.t.back() || !std::equal(y, y + n_, knots_.y.end() - n_)) start(t[0], y);
-  for (std::size_t s = 0; s < next.end_.size(); ++s) {
+  const double* start_y = y + first * n_;
+  if (knots_.t.empty() || t[first] != knots_.t.back() || !std::equal(start_y, start_y + n_, knots_.y.end() - n_))
+    start(t[first], start_y);
+  for (std::size_t s = first; s < next.end_.size(); ++s) {
     const double* reached = y + (s + 1) * n_;
     if (next.end_[s] == t[s]) {  // a jump
       start(t[s], reached);

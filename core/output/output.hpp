@@ -21,15 +21,23 @@ struct Trajectory {
     y.append(point, n);
   }
   [[nodiscard]] std::size_t bytes() const { return (t.size() + y.size()) * sizeof(double); }
+  /// A copy of the points from number `first` on.
+  [[nodiscard]] Trajectory from(std::size_t first, std::size_t n) const {
+    Trajectory rest;
+    rest.t.append(t.data() + first, t.size() - first);
+    rest.y.append(y.data() + first * n, y.size() - first * n);
+    return rest;
+  }
   void clear() {
     t.clear();
     y.clear();
   }
 };
 
-/// An accepted step: where it ended, its signed size, order, error and correction, both in units of rtol.
+/// An accepted step: where it ended, its signed size, order, error and correction, both in units of rtol, and which
+/// member of the method made it, where it has several.
 struct AcceptedStep {
-  double t, h, order, error, correction;
+  double t, h, order, error, correction, member;
 };
 
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
@@ -43,7 +51,9 @@ class DenseOutput {
   /// Adds a step whose segment ends at segment.t1, used up to (t, y).
   void add(const Segment& segment, double t, const double* y);
   /// Goes on with all of `next`, which is of the same kind and starts at the last knot.
-  void append(const DenseOutput& next);
+  void append(const DenseOutput& next) { append(next, 0); }
+  /// What there is from knot number `first` on, as a function of its own.
+  [[nodiscard]] DenseOutput from(std::size_t first) const;
 
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
@@ -78,6 +88,8 @@ class DenseOutput {
   Status evaluate(const double* t, std::size_t count, double* out, Projector* projector) const;
 
  private:
+  void append(const DenseOutput& next, std::size_t first);
+
   std::size_t n_, m_;
   Interpolation mode_;
   Interpolate raw_;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -16,19 +17,18 @@
 namespace invariode {
 namespace {
 
+/// About as long as it takes to start two threads and to wait for their end (measured: 60 µs).
+constexpr std::chrono::microseconds few(50);
+
 constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
 
 bool failed(State state) {
   return state != State::reached_end && state != State::terminal_event && state != State::stopped_by_callback;
 }
 
-/// A single solve has in ng, before its run, each invariant once; `prepare` has evaluated those that are held, for the
-/// steps and for the output between them. The difference makes ng that of a single solve.
-std::int64_t uncounted_starts(const Problem& problem) {
-  const std::vector<InvariantBlock>& blocks = problem.invariants;
-  const bool twice = problem.linear && problem.linear->mass && problem.linear->mass->singular();
-  return static_cast<std::int64_t>(blocks.size()) -
-         (twice ? 2 : 1) * std::ranges::count_if(blocks, &InvariantBlock::held);
+/// A single solve has in ng, before its run, each invariant once. The difference makes ng that of a single solve.
+std::int64_t uncounted_starts(const Solver& solver, const Run& run) {
+  return static_cast<std::int64_t>(solver.problem().invariants.size()) - run.evaluations_of_prepare();
 }
 
 void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
@@ -51,6 +51,48 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
   std::ranges::sort(places);
   require(ensemble.parameters == 0 || std::ranges::adjacent_find(places) == places.end(),
           "solvers of an ensemble must have parameters of their own");
+}
+
+/// Trajectory i, on a thread that has the solver to itself. Once stopped() is true, it is left as if not begun.
+template <class Stopped>
+void integrate_until(const Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
+                     EnsembleResult& result) {
+  const double* row = ensemble.rows + i * ensemble.parameters;
+  std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
+  const double t0 = solver.settings().t0;
+  const double* given = ensemble.y0 + i * ensemble.n;
+  if (!all_finite(given, ensemble.n)) return result.refuse(i, EnsembleResult::not_finite, t0, given);
+  std::vector<double> y0(given, given + ensemble.n);
+  Run run(solver);
+  switch (run.prepare(t0, y0.data())) {
+    case Consistency::not_found: return result.refuse(i, EnsembleResult::not_found, t0, given);
+    case Consistency::index_too_high: return result.refuse(i, EnsembleResult::index_too_high, t0, given);
+    case Consistency::consistent:
+    case Consistency::corrected:
+    case Consistency::undefined:  // the run says so
+    case Consistency::stop: break;
+  }
+  result.hold(i, run);
+  State state = run.integration().start(y0.data());
+  while (state == State::running && !stopped()) state = run.integration().advance();
+  if (state == State::running) return;
+  result.keep(i, run, uncounted_starts(solver, run));
+}
+
+/// The first trajectories, on this thread, until threads are worth their start. How many were done.
+std::size_t integrate_few(const Solver& solver, const Ensemble& ensemble, EnsembleResult& result) {
+  using Clock = std::chrono::steady_clock;
+  const auto end = Clock::now() + few;
+  bool late = false;
+  const auto stopped = [&] { return late = Clock::now() >= end; };
+  std::size_t done = 0;
+  while (done < ensemble.size && !late) {
+    integrate_until(solver, ensemble, done, stopped, result);
+    if (late) break;  // in the middle of it
+    ++done;
+    stopped();
+  }
+  return done;
 }
 
 }  // namespace
@@ -126,7 +168,8 @@ void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invarian
     if (invariants.evaluate(at, point, g.data()) == Status::stop) return;
     for (std::size_t k = 0; k < m; ++k) {
       double& largest = after[i * m + k];
-      const double residual = std::abs(g[k] - held[k]);
+      const double residual = invariants.excess(k, g[k] - held[k]);
+      if (invariants.sense(k) != 0 && !(residual > 0)) held[k] = g[k];
       if (residual > largest || std::isnan(residual)) largest = residual;  // NaN, where g was NaN, stays
     }
   };
@@ -159,25 +202,8 @@ void EnsembleResult::keep_happenings(std::size_t i, const RunResult& run) {
 
 void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
                    EnsembleResult& result) {
-  const double* row = ensemble.rows + i * ensemble.parameters;
-  std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
-  const double t0 = solver.settings().t0;
-  const double* given = ensemble.y0 + i * ensemble.n;
-  if (!all_finite(given, ensemble.n)) return result.refuse(i, EnsembleResult::not_finite, t0, given);
-  std::vector<double> y0(given, given + ensemble.n);
-  Run run(solver);
-  switch (run.prepare(t0, y0.data())) {
-    case Consistency::not_found: return result.refuse(i, EnsembleResult::not_found, t0, given);
-    case Consistency::index_too_high: return result.refuse(i, EnsembleResult::index_too_high, t0, given);
-    case Consistency::consistent:
-    case Consistency::corrected:
-    case Consistency::undefined:  // the run says so
-    case Consistency::stop: break;
-  }
-  result.hold(i, run);
-  State state = run.integration().start(y0.data());
-  while (state == State::running && !cancelled.load(std::memory_order_relaxed)) state = run.integration().advance();
-  result.keep(i, run, uncounted_starts(solver.problem()));
+  const auto stopped = [&] { return cancelled.load(std::memory_order_relaxed); };
+  integrate_until(solver, ensemble, i, stopped, result);
 }
 
 std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
@@ -186,13 +212,17 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
   require_alike(solvers, ensemble);
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
   const bool in_lanes = form && obstacle_to_lanes(*solvers.front()) == nullptr;
+  const std::size_t first = in_lanes ? 0 : integrate_few(*solvers.front(), ensemble, *result);
+  const auto told = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
+  if (first == ensemble.size) return told(0) ? std::move(result) : nullptr;
   const auto work = [&](std::size_t worker, Queue& queue) {
     const Solver& solver = *solvers[worker];
     if (in_lanes) return LaneWorker(solver, ensemble, *form, queue, *result).run();
     for (std::uint32_t i; queue.next(i); queue.finish_one())
-      integrate_one(solver, ensemble, i, queue.cancelled(), *result);
+      integrate_one(solver, ensemble, first + i, queue.cancelled(), *result);
   };
-  if (!on_workers(static_cast<std::uint32_t>(ensemble.size), solvers.size(), patience, work, watch)) return {};
+  const auto left = static_cast<std::uint32_t>(ensemble.size - first);
+  if (!on_workers(left, solvers.size(), patience, work, told)) return {};
   return result;
 }
 

@@ -54,7 +54,7 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require_sizes(problem_, weights_);
   require_settings(settings_);
   require(static_cast<bool>(problem_.f), "the problem has no f");
-  require(!method_.implicit() || problem_.linear,
+  require(!method_.implicit() || method_.switches() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
   require(takes_mass(method_, problem_),
           std::string(method_.name) + " takes a constant and regular mass matrix only; use ode15s or radau");
@@ -62,14 +62,11 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }
 
-void Solver::resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep) {
-  require(seen.size() == problem_.events.size() && asleep.size() == problem_.events.size(),
-          "resume must be told of each event how often it has occurred, and whether it sleeps");
-  settings_.resumed = true;
-  for (std::size_t e = 0; e < seen.size(); ++e) {
-    problem_.events[e].seen = seen[e];
-    problem_.events[e].asleep = asleep[e];
-  }
+void Solver::cover(double t0, double tf, double hmax) {
+  settings_.t0 = t0;
+  settings_.tf = tf;
+  settings_.hmax = hmax;
+  require_settings(settings_);
 }
 
 }  // namespace invariode

@@ -50,7 +50,7 @@ void require_sizes(const Problem& problem, const Weights& weights);
 
 /// All that is known before the initial value. A solver serves any number of runs, one after the other or together, as
 /// long as its functions may be called by several threads and its parameters stay. Its members do not change but by
-/// `resume`, and by what is written to the parameters.
+/// `cover`, and by what is written to the parameters.
 class Solver {
  public:
   /// Throws std::invalid_argument where sizes do not match, or the method needs linear algebra that is not there.
@@ -58,9 +58,9 @@ class Solver {
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
 
-  /// Its runs go on from where another one ended, with so many occurrences `seen` of each event; those `asleep`
-  /// occurred right there.
-  void resume(std::span<const std::int64_t> seen, const std::vector<bool>& asleep);
+  /// Its next runs cover another interval, with steps up to hmax. Output times and breakpoints stay as they are:
+  /// whoever calls this has none. Throws std::invalid_argument where hmax is not positive.
+  void cover(double t0, double tf, double hmax);
 
   [[nodiscard]] const Method& method() const { return method_; }
   [[nodiscard]] const Problem& problem() const { return problem_; }

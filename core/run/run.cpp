@@ -1,5 +1,6 @@
 #include "run/run.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -19,8 +20,10 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           ng,
           ngjac,
           ngdiff,
+          switches,
           static_cast<std::int64_t>(dropped.size()),
-          harm.component + 1};
+          harm.component + 1,
+          stiffness.found ? 1 : 0};
 }
 
 /// In this order: each refers to what the ones before have made.
@@ -65,14 +68,16 @@ LinearAlgebra Run::linear_algebra() {
   return {.jacobian = &*jacobian_, .mass = mass_ ? &*mass_ : nullptr, .lapack = lapack ? &*lapack : nullptr};
 }
 
-/// With a mass matrix f is not y', and stays as it is.
+/// With a mass matrix that is not diagonal f_i is not a multiple of y_i', and f stays as it is.
 void Run::keep_within_bounds() {
   const Problem& problem = solver_.problem();
   if (!problem.bounds) return;
   manifold_.bounds = &*problem.bounds;
-  if (mass_) return;
+  std::optional<std::vector<double>> mass = mass_ ? mass_->diagonal() : std::vector<double>{};
+  if (!mass) return;
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
-  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, solver_.method().implicit()).callback();
+  const bool implicit = solver_.method().implicit();
+  bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass)).callback();
   manifold_.bounded_slope = &*bounded_slope_;
   method_f_ = &bounded_f_;
 }
@@ -95,10 +100,10 @@ void Run::bind_invariants() {
     return;
   }
   if (mass_ && mass_->singular()) {
-    users_invariants_ = &between_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &between_.emplace(bound(problem.invariants, problem.value));
     steps_.emplace(with_algebraic_equations());
   } else {
-    users_invariants_ = &steps_.emplace(problem.n, problem.invariants, problem.value, solver_.weights());
+    users_invariants_ = &steps_.emplace(bound(problem.invariants, problem.value));
   }
   manifold_.steps = &*steps_;
   manifold_.between = users_invariants_;
@@ -120,7 +125,14 @@ Invariants Run::with_algebraic_equations() {
   blocks.push_back(block);
   std::vector<double> value = problem.value;
   value.resize(value.size() + algebraic_->count());
-  return {problem.n, std::move(blocks), std::move(value), solver_.weights()};
+  return bound(std::move(blocks), std::move(value));
+}
+
+/// What never rises as t grows never falls in a run backwards.
+Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const {
+  if (solver_.settings().tf < solver_.settings().t0)
+    for (InvariantBlock& block : blocks) block.sense = -block.sense;
+  return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
 }
 
 void Run::start_loop() {
@@ -137,6 +149,7 @@ void Run::start_loop() {
 }
 
 Consistency Run::prepare(double t0, double* y0) {
+  prepared_ = evaluations_of_prepare();
   Consistency verdict = Consistency::consistent;
   Callback uncounted = f_;  // nfev is what the method evaluates
   if (mass_ && mass_->singular()) verdict = make_consistent(uncounted, linear_algebra(), solver_.weights(), t0, y0);
@@ -145,11 +158,17 @@ Consistency Run::prepare(double t0, double* y0) {
   return verdict;
 }
 
+std::int64_t Run::evaluations_of_prepare() const {
+  const auto held = std::ranges::count_if(solver_.problem().invariants, &InvariantBlock::held);
+  return static_cast<std::int64_t>((between_ ? 2 : 1) * held);
+}
+
 void Run::count_evaluations(RunResult& result) const {
   result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0);
   if (!steps_) return;
+  result.ng = -before_;
   result.nfev_check = slope_->evaluations();
-  result.ng = steps_->calls();
+  result.ng += steps_->calls();
   result.ngjac = steps_->jacobian_calls();
   result.ngdiff = steps_->derivative_calls();
   if (!algebraic_) return;
@@ -174,30 +193,92 @@ void Run::describe_invariants(RunResult& result) const {
   result.harm = integration_->harm();
 }
 
-RunResult Run::take_result() {
-  Integration& loop = *integration_;
-  RunResult result;
+/// All but the arrays.
+void Run::describe(RunResult& result) const {
+  const Integration& loop = *integration_;
   result.n = loop.step().n();
-  result.points = std::move(loop.points);
-  result.occurrences = std::move(loop.occurrences);
-  result.record = std::move(loop.steps);
-  result.drift = std::move(loop.drift);
-  result.jumps = std::move(loop.jumps);
-  result.dense = std::move(loop.dense);
+  result.drift = loop.drift;
   result.state = loop.state();
   result.report = loop.report();
   result.counts = loop.counts();
   result.stiffness = loop.stiffness();
+  result.switches = loop.step().switches();
   result.linear = loop.step().linear_work();
   count_evaluations(result);
   describe_invariants(result);
   result.clipped = loop.clipped;
   result.t_end = loop.t();
+  result.next_h = loop.step().h();
+}
+
+RunResult Run::take_result() {
+  Integration& loop = *integration_;
+  RunResult result;
+  describe(result);
+  result.points = std::move(loop.points);
+  result.occurrences = std::move(loop.occurrences);
+  result.record = std::move(loop.steps);
+  result.jumps = std::move(loop.jumps);
+  result.dense = std::move(loop.dense);
   if (solver_.settings().output_at_times || result.points.t.empty())
     result.y_end.emplace(loop.y(), loop.y() + result.n);
-  result.next_h = loop.step().h();
-  result.breakpoints_passed = loop.passed();
   return result;
+}
+
+RunResult Run::result_since(Marks& marks) const {
+  const Integration& loop = *integration_;
+  RunResult result;
+  describe(result);
+  result.y_end.emplace(loop.y(), loop.y() + result.n);
+  if (solver_.settings().save_all) result.points = loop.points.from(marks.points, result.n);
+  result.record.append(loop.steps.data() + marks.steps, loop.steps.size() - marks.steps);
+  marks.occurrences.resize(loop.occurrences.size());
+  for (std::size_t e = 0; e < loop.occurrences.size(); ++e) {
+    result.occurrences.push_back(loop.occurrences[e].from(marks.occurrences[e], result.n));
+    marks.occurrences[e] = loop.occurrences[e].t.size();
+  }
+  for (; marks.jumps < loop.jumps.size(); ++marks.jumps) {
+    Jump& jump = result.jumps.emplace_back(loop.jumps[marks.jumps]);
+    jump.row -= solver_.settings().save_all ? marks.points : 0;
+  }
+  marks.points = loop.points.t.size();
+  marks.steps = loop.steps.size();
+  if (loop.dense) {
+    result.dense.emplace(loop.dense->from(marks.knots));
+    marks.knots = loop.dense->knots().size() - 1;
+  }
+  return result;
+}
+
+void Run::archive_prepared(Archive& archive) {
+  std::int64_t both = prepared_ + before_;
+  archive(both);
+  if (archive.reading()) before_ = both;
+}
+
+void Run::state(Archive& archive) {
+  archive_prepared(archive);
+  f_.state(archive);
+  bounded_f_.state(archive);
+  if (bounded_slope_) bounded_slope_->state(archive);
+  if (slope_) slope_->state(archive);
+  if (algebraic_) algebraic_->state(archive);
+  for (std::optional<Invariants>* one : {&steps_, &between_})
+    if (*one) (*one)->state(archive);
+  integration_->state(archive);
+}
+
+Memory Run::memory(std::size_t most_values) {
+  Archive archive(most_values);
+  state(archive);
+  return archive.take();
+}
+
+State Run::resume(std::span<const std::byte> memory, bool anew) {
+  Archive archive(memory);
+  state(archive);
+  archive.require(archive.exhausted());
+  return integration_->resume(anew);
 }
 
 }  // namespace invariode

@@ -7,6 +7,7 @@
 #include <iterator>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "callback.hpp"
@@ -32,6 +33,7 @@ struct RunResult {
   State state = State::created;
   Report report;
   Counts counts;
+  std::int64_t switches = 0;  ///< from an explicit to an implicit method, or back
   LinearWork linear;
   std::int64_t nfev = 0;
   std::int64_t nfev_check = 0;  ///< evaluations of f by the tests that invariants are some
@@ -47,13 +49,13 @@ struct RunResult {
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;
-  std::size_t breakpoints_passed = 0;
 
-  static constexpr const char* count_names[] = {"steps", "failed", "nfev",        "nfev_check", "njev",
-                                                "nlu",   "nsolve", "projections", "skipped",    "clipped",
-                                                "ng",    "ngjac",  "ngdiff",      "dropped",    "harmed"};
+  static constexpr const char* count_names[] = {"steps",  "failed",      "nfev",    "nfev_check", "njev", "nlu",
+                                                "nsolve", "projections", "skipped", "clipped",    "ng",   "ngjac",
+                                                "ngdiff", "switches",    "dropped", "harmed",  "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
-  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none.
+  /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
+  /// "stiff" is 1 where `stiffness` was found.
   [[nodiscard]] std::array<std::int64_t, count_size> counted() const;
   [[nodiscard]] const double* end() const { return y_end ? y_end->data() : points.y.data() + points.y.size() - n; }
 };
@@ -68,6 +70,9 @@ class Run {
   /// Holds the invariants whose values are not demanded at those of the initial value, which is moved before where the
   /// algebraic equations of a singular mass matrix ask for it. For a run whose solver was made for another y0.
   Consistency prepare(double t0, double* y0);
+  /// Evaluations of invariants by `prepare`: the result counts them, where a single solve counts its own before the
+  /// run.
+  [[nodiscard]] std::int64_t evaluations_of_prepare() const;
 
   [[nodiscard]] Integration& integration() { return *integration_; }
   [[nodiscard]] const Integration& integration() const { return *integration_; }
@@ -78,6 +83,21 @@ class Run {
 
   /// What the run did, when it has ended. Arrays are moved out: once only.
   RunResult take_result();
+  /// How much of the arrays is known already.
+  struct Marks {
+    std::size_t points = 0, steps = 0, jumps = 0, knots = 0;
+    std::vector<std::size_t> occurrences;
+  };
+  /// What the run has done so far, with the arrays from the marks on, which are set to their ends. Rows of jumps count
+  /// from the mark.
+  [[nodiscard]] RunResult result_since(Marks& marks) const;
+
+  /// What the run remembers, between two steps or when it has ended, before the result is taken; without matrices of
+  /// more entries than `most_values`.
+  [[nodiscard]] Memory memory(std::size_t most_values);
+  /// Instead of `Integration::start`: goes on from what another run of the same problem remembered. `anew`: see
+  /// `Integration::resume`. Throws std::invalid_argument where the memory does not fit.
+  State resume(std::span<const std::byte> memory, bool anew);
 
  private:
   void see_pieces();
@@ -85,9 +105,13 @@ class Run {
   void keep_within_bounds();
   void derive_slope();
   void bind_invariants();
+  [[nodiscard]] Invariants bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const;
   [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
   void start_loop();
+  void state(Archive& archive);
+  void archive_prepared(Archive& archive);
+  void describe(RunResult& result) const;
   void count_evaluations(RunResult& result) const;
   void describe_invariants(RunResult& result) const;
   LinearAlgebra linear_algebra();
@@ -115,6 +139,8 @@ class Run {
   Integration::Manifold manifold_;
 
   std::optional<Integration> integration_;
+  std::int64_t prepared_ = 0;  // evaluations of invariants by `prepare`,
+  std::int64_t before_ = 0;    // and by that of the run that goes on here, which did not count them
 };
 
 }  // namespace invariode

@@ -12,15 +12,15 @@ namespace invariode {
 /// How long native code runs before it is looked after.
 inline constexpr std::chrono::milliseconds patience(50);
 
-/// Starts the integration at y0 and runs it to its end. Whenever `patience` has passed, watch() may stop it by
+/// Begins the integration by begin() and runs it to its end. Whenever `patience` has passed, watch() may stop it by
 /// returning false. True: it has ended by itself.
-template <class Watch>
-bool run_watched(Integration& integration, const double* y0, Watch watch) {
+template <class Begin, class Watch>
+bool run_watched(Integration& integration, Begin begin, Watch watch) {
   using Clock = std::chrono::steady_clock;
   constexpr int most = 16;  // steps from one look at the clock to the next: more of those that are fast
   int steps = 1;
   auto watched = Clock::now(), looked = watched;
-  State state = integration.start(y0);
+  State state = begin();
   for (int step = 0; state == State::running;) {
     state = integration.advance();
     if (++step < steps) continue;

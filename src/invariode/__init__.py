@@ -9,13 +9,16 @@ from importlib.metadata import version
 from . import ode_functions
 from ._moved import announce_moves
 from .compiled import CompiledFunction, compile
+from .dissipation import Dissipated
 from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from .ensemble_store import EnsembleStore
 from .events import Event
+from .imposing import ImposeResult, impose
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
-from .invariants import AccuracyWarning, ImposeResult, InvariantError, Invariants, impose
+from .invariants import AccuracyWarning, InvariantError, Invariants
 from .ivp import solve_ivp
 from .loading import load
 from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
@@ -24,6 +27,7 @@ from .methods import METHODS, Method
 from .ode_functions import *  # noqa: F403 - the registry says what is in it
 from .odepack import odeint
 from .pictures.precision import plot_work_precision
+from .prepared import PreparedSolver
 from .problem import Problem
 from .solution import DenseSolution, Drift, Solution, Stats, Steps, StiffnessWarning
 
@@ -33,10 +37,12 @@ __all__ = [
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",
+    "Dissipated",
     "Drift",
     "EnsembleEvents",
     "EnsembleSolution",
     "EnsembleStats",
+    "EnsembleStore",
     "Event",
     "ImposeResult",
     "Input",
@@ -45,6 +51,7 @@ __all__ = [
     "MechanicalSystem",
     "Method",
     "PolynomialInvariant",
+    "PreparedSolver",
     "Problem",
     "RotationMatrix",
     "Solution",

@@ -24,10 +24,10 @@ EPS = float(np.finfo(float).eps)
 #: The largest number that the core's `int` holds.
 LARGEST_INT = 2**31 - 1
 
-#: The same of its counts.
+#: The same for its counts.
 LARGEST_COUNT = 2**63 - 1
 
-#: The kinds of NumPy's types that are numbers; objects may be, which is found out.
+#: The kinds of NumPy's types that are numbers; objects may be, which is tested.
 _NUMERIC = "biufcO"
 
 _Value = TypeVar("_Value")
@@ -50,7 +50,7 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Without warnings of this package, where they have been said."""
+    """Without this package's warnings, which have been given already."""
     token = _quiet.set(True)
     try:
         yield
@@ -59,7 +59,7 @@ def quietly() -> Iterator[None]:
 
 
 def call_name(fun: object, default: str) -> str:
-    """A name for messages: the function's own, where it has one that tells something."""
+    """A name for messages: the function's own, if it is informative."""
     name = getattr(fun, "__name__", None)
     if name == LAMBDIFIED:
         return _expression(fun) or default
@@ -79,7 +79,7 @@ def _expression(fun: object) -> str | None:
 
 
 def distinct(names: list[str]) -> list[str]:
-    """The names, those that occur several times numbered: tables and columns tell things apart by them."""
+    """The names, numbered where they repeat: tables and columns tell things apart by them."""
     if len(set(names)) == len(names):
         return names
     numbered = [f"{one}_{names[:i].count(one)}" if names.count(one) > 1 else one for i, one in enumerate(names)]
@@ -130,6 +130,12 @@ def positive(name: str, value: object) -> float:
     return result
 
 
+def path(name: str, value: object) -> str:
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a str or path-like, got {shown(value)}")
+    return os.fspath(value)
+
+
 def positive_integer(name: str, value: object) -> int:
     try:
         result = operator.index(value)  # type: ignore[arg-type]  # the same
@@ -169,8 +175,10 @@ def flag(name: str, value: object) -> bool:
 
 
 def items(value: object) -> list[Any] | None:
-    """What is in a list, a tuple, an array and the like; None where nothing can be."""
-    if not isinstance(value, Iterable) or hasattr(value, "tocsr"):  # a sparse matrix, whose items are such again
+    """The items of a list, a tuple, an array and the like; None for what has no items."""
+    if not isinstance(value, Iterable) or hasattr(
+        value, "tocsr"
+    ):  # a sparse matrix, whose items are sparse matrices again
         return None
     try:
         return list(value)
@@ -190,7 +198,7 @@ def interval(t_span: object) -> tuple[float, float]:
 
 
 def kept(value: _Value) -> _Value:
-    """What was given, to be kept: a copy of what the caller can change."""
+    """A copy of what was given, which the caller could change."""
     return value if value is None or isinstance(value, float) else copy(value)
 
 
@@ -203,7 +211,7 @@ def as_array(name: str, value: object) -> Array:
     try:
         return np.asarray(value)
     except ValueError:
-        if hasattr(value, "__array__"):  # an error of its own
+        if hasattr(value, "__array__"):  # has its own error
             raise
         raise ValueError(
             f"{name} must be a number or an array of numbers, with rows of equal length, got {shown(value)}"

@@ -36,8 +36,8 @@ def _after_one_step(plan: Plan) -> tuple[float, Array]:
     settings = plan.settings._replace(times=None, dense=False, save_all=False, record=False, refine=1)
     functions = plan.functions._replace(events=[], callback=lambda t, y: True)
     run = solver(plan._replace(settings=settings, functions=functions)).integrate(plan.y0.view(float))
-    _, rows, t_end, end = run.take_points()
-    return t_end, (rows[-1] if end is None else end).view(plan.y0.dtype)
+    _, _, t_end, y_end = run.take_points()
+    return t_end, y_end
 
 
 def ended_at_start(plan: Plan, found: list[int]) -> bool:
@@ -46,7 +46,7 @@ def ended_at_start(plan: Plan, found: list[int]) -> bool:
 
 
 def without_start(plan: Plan, found: list[int]) -> Plan:
-    """The plan of the rest of the run: nothing, if it ends at the start; else with one occurrence less to come."""
+    """The plan of the rest of the run: nothing, if it ends at the start; else with one occurrence fewer to come."""
     if ended_at_start(plan, found):
         t0, times = plan.settings.t0, plan.settings.times
         times = None if times is None else times[times == t0]

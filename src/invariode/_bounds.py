@@ -20,12 +20,12 @@ class Limits(NamedTuple):
 
 
 def limits(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | None) -> Limits | None:
-    """Both options in one. None: nothing is bounded.
+    """Both options as one pair of bounds. None: nothing is bounded.
 
     Raises
     ------
     TypeError, ValueError
-        Names and indices that do not exist or come twice; bounds of a wrong shape, NaN, crossed, or that depend on t; a
+        Names and indices that do not exist or occur twice; bounds of a wrong shape, NaN, crossed, or dependent on t; a
         complex y0.
     """
     n = len(y0)
@@ -45,7 +45,7 @@ def limits(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | Non
 
 
 def _components(nonnegative: Any, n: int, labels: Sequence[str] | None) -> list[int]:
-    """Indices of the components that are not to be negative."""
+    """Indices of the components that must not become negative."""
     if nonnegative is None or nonnegative is False:
         return []
     if nonnegative is True:
@@ -55,7 +55,8 @@ def _components(nonnegative: Any, n: int, labels: Sequence[str] | None) -> list[
         given = [nonnegative]
     if given and all(isinstance(one, (bool, np.bool_)) for one in given):
         raise TypeError(
-            f"nonnegative must be True, indices or labels, got {shown(nonnegative)}: of a mask use np.flatnonzero(mask)"
+            f"nonnegative must be True, indices or labels, got {shown(nonnegative)}: "
+            "for a mask use np.flatnonzero(mask)"
         )
     chosen = [_component(one, n, labels) for one in given]
     if len(set(chosen)) < len(chosen):
@@ -67,7 +68,7 @@ def _component(one: Any, n: int, labels: Sequence[str] | None) -> int:
     if isinstance(one, str):
         if labels is None:
             raise ValueError(
-                f"nonnegative: {one!r} is a label, and the problem has none: give Problem(labels=), or indices"
+                f"nonnegative: {one!r} is a label, but the problem has none: give Problem(labels=), or indices"
             )
         if one not in labels:
             raise ValueError(f"nonnegative: no component is called {one!r}; choose from {', '.join(labels)}")
@@ -101,5 +102,5 @@ def _side(name: str, given: Any, absent: float, n: int) -> Array:
     if values.shape not in ((), (1,), (n,)):
         raise ValueError(f"{name} bounds must be a number or of shape ({n},), got shape {values.shape}")
     if np.isnan(values).any():
-        raise ValueError(f"{name} bounds must not be NaN, got {shown(given)}: where there is no bound give {absent}")
+        raise ValueError(f"{name} bounds must not be NaN, got {shown(given)}: for no bound give {absent}")
     return np.broadcast_to(values, (n,)).copy()

@@ -1,4 +1,4 @@
-"""What to say of a function that cannot be called as the solvers call it."""
+"""The message for a function that cannot be called as the solvers call it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["explain"]
 
 
 def explain(error: TypeError | ValueError, problem: Description) -> None:
-    """Adds to an exception what the call of a function has to do with it, where that is known; it stays the same."""
+    """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
     if isinstance(error, TypeError):
         if problem.args and (found := [name for name, fun in _functions(problem) if not _takes(fun, problem.args)]):
             several = len(found) > 1
@@ -44,6 +44,6 @@ def _takes(fun: Any, args: Iterable[Any]) -> bool:
         inspect.signature(fun).bind(None, None, *args)
     except TypeError:
         return False
-    except ValueError:  # of a builtin, which tells no signature
+    except ValueError:  # a builtin, which has no signature
         return True
     return True

@@ -18,14 +18,16 @@ _ITERATIONS = 50
 _SETTLED = 4 * EPS
 #: Residuals are roundoff below this part of the terms Φ_ij q_j, as in `impose`, and with room for differences.
 _ROUNDOFF = 1e-11
-#: How far from q0, in units of its components, the constraints are looked at once more.
-_BESIDE = 0.01
-#: What is left of a row that depends on others, on the manifold to roundoff.
+#: How far from q0, in units of its components, the constraints are looked at once more: nearer in long chains, whose
+#: components are many times the lengths of their links. Newton's iterations are few where it is near enough.
+_BESIDE = (1e-2, 1e-3, 1e-4)
+_FEW = 10
+#: The rest of a row that depends on others, on the manifold to roundoff.
 _REDUNDANT = 1e-8
-#: Sparse factors are faster from so many velocities on, where at most this part of the entries is other than 0.
+#: Sparse factors are faster from this many velocities on, if at most this fraction of the entries is nonzero.
 _LARGE = 100
 _SPARSE = 0.1
-#: What is left of rows that are surely no roundoff, though the factors lose half of the digits.
+#: The rest of a row above this is surely not roundoff, though the factors lose half of the digits.
 _FAR = 1e-4
 _GOLDEN = 0.6180339887498949
 
@@ -45,7 +47,7 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
     after = at._replace(v=at.v + change)
     left = np.abs(motion.rates(after))
     terms = np.abs(motion.rates(at)) + np.abs(rows) @ (np.abs(at.v) + np.abs(change))
-    off = left > _ROUNDOFF**0.5 * terms + np.finfo(float).tiny  # rates have rounding of φ_t and of differences too
+    off = left > _ROUNDOFF**0.5 * terms + np.finfo(float).tiny  # rates also have roundoff from φ_t and from differences
     if off.any():
         i = int(np.flatnonzero(off)[0])
         if i < motion.m_phi and not rows[i].any():
@@ -55,26 +57,27 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
             )
         raise InvariantError(
             f"no velocities satisfy the constraints at t = {start.t}: what is left of the rate of {names[i]} is "
-            f"{left[i]:.3g}. Constraints that contradict each other, or a position where they are singular, show like "
-            "this: check their formulas, or start from another q0"
+            f"{left[i]:.3g}. The constraints may contradict each other, or be singular at this position: check their "
+            "formulas, or start from another q0"
         )
     return after
 
 
 def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
-    """The q of `consistent_state`; without `nearest` some consistent q, the first of the iteration."""
+    """The q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
     if not motion.m_phi:
         return start.q
     t, q0 = start.t, start.q
     weight = np.eye(motion.n_q) if motion.has_map else motion.mass(start)
     q = q0
-    for _ in range(_ITERATIONS):
+    for _ in range(_ITERATIONS if nearest else _FEW):
         residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
         if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
             break
         if not nearest and not _off(residual, rows, q, q0).any():
             break
-        after = q0 + _least_change(weight, rows, rows @ (q - q0) - residual)
+        base = q0 if nearest else q
+        after = base + _least_change(weight, rows, rows @ (q - base) - residual)
         moved = np.abs(after - q).max(initial=0.0)
         q = after
         if moved <= _SETTLED * sizes(q).max(initial=0.0):
@@ -90,13 +93,13 @@ def _consistent_positions(motion: Motion, start: Point, names: list[str], neares
             )
         raise InvariantError(
             f"no position near q0 satisfies the constraints at t = {t}: {names[i]} is {residual[i]:.6g} at the best "
-            "one found. Constraints that contradict each other show like this; or start from a q0 nearer to a solution"
+            "one found. The constraints may contradict each other: check them, or start from a q0 nearer to a solution"
         )
     return q
 
 
 def _off(residual: Array, rows: Array, q: Array, q0: Array) -> Array:
-    """Which residuals are no roundoff."""
+    """Which residuals are more than roundoff."""
     roundoff: Array = _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0))
     off: Array = ~(np.abs(residual) <= roundoff)
     return off
@@ -121,7 +124,7 @@ def _least_change(weight: Array, rows: Array, right: Array) -> Array:
 
 def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | None:
     """The same by sparse factors of (W, -Aᵀ; A, 0); None: it is not determined, or not to roundoff."""
-    from scipy.sparse import block_array, csc_array  # takes longer to import than all the rest
+    from scipy.sparse import block_array, csc_array  # takes longer to import than everything else
     from scipy.sparse.linalg import splu
 
     W, A = csc_array(weight), csc_array(rows)
@@ -137,11 +140,14 @@ def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | No
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
     """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
     golden = np.modf(_GOLDEN * np.arange(1, motion.n_q + 1))[0]
-    step = _BESIDE * sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
-    try:
-        return at._replace(q=_consistent_positions(motion, at._replace(q=at.q + step), names, nearest=False))
-    except InvariantError:
-        return at
+    direction = sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
+    for part in _BESIDE:
+        try:
+            beside = at._replace(q=at.q + part * direction)
+            return at._replace(q=_consistent_positions(motion, beside, names, nearest=False))
+        except InvariantError:
+            continue
+    return at
 
 
 def _surely_independent(rows: Array) -> bool:

@@ -32,7 +32,7 @@ def capsule_address(capsule: object) -> int:
 class Invariant:
     """An invariant, for the core."""
 
-    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0) -> None: ...
+    def __init__(self, fun: object, jac: object, m: int, name: str, held: bool, level: int = 0, moves: Sequence[int] = [], metric: object | None = None, metric_size: int = 0, sense: int = 0, along_steps: bool = False) -> None: ...
 
 class Breakpoint:
     """A breakpoint, for the core."""
@@ -161,6 +161,18 @@ class Settings:
     def bdf(self, arg: object, /) -> None: ...
 
     @property
+    def prefer_explicit(self) -> object: ...
+
+    @prefer_explicit.setter
+    def prefer_explicit(self, arg: object, /) -> None: ...
+
+    @property
+    def prefer_implicit(self) -> object: ...
+
+    @prefer_implicit.setter
+    def prefer_implicit(self, arg: object, /) -> None: ...
+
+    @property
     def iterations(self) -> object: ...
 
     @iterations.setter
@@ -230,10 +242,10 @@ class Run:
     Results of `integrate`. Arrays are handed over: each `take_…` works once.
     """
 
-    def take_points(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None]:
-        """
-        (t, y) of the points and of the end; the last is None where it is the last point.
-        """
+    def take_points(self) -> tuple[numpy.ndarray, numpy.ndarray, float, numpy.ndarray]:
+        """(t, y) of the points, y of shape (n, n_t), and of the end."""
+
+    def take_start(self) -> numpy.ndarray: ...
 
     def take_events(self) -> list[tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]: ...
 
@@ -242,6 +254,8 @@ class Run:
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]: ...
 
     def take_jumps(self) -> list[tuple[int, float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]: ...
+
+    def take_value(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     def take_dense(self) -> Dense | None: ...
 
@@ -303,7 +317,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property
@@ -334,10 +348,11 @@ class Run:
     def clipped(self) -> float: ...
 
     @property
-    def breakpoints_passed(self) -> int: ...
+    def next_h(self) -> float: ...
 
     @property
-    def next_h(self) -> float: ...
+    def memory(self) -> bytes:
+        """What the run remembers, for `Solver.resume`; empty if it cannot go on."""
 
 class EnsembleRun:
     """
@@ -392,6 +407,12 @@ class Solver:
         """Whether no function needs the interpreter."""
 
     @property
+    def members(self) -> tuple:
+        """
+        The names of the methods that make the steps: one, or the explicit and the implicit one that take turns.
+        """
+
+    @property
     def obstacle_to_lanes(self) -> str | None:
         """Why its trajectories cannot be integrated side by side, or None."""
 
@@ -401,14 +422,19 @@ class Solver:
         What a mechanical system has cost so far: calls of its functions and factorisations.
         """
 
-    def resume(self, seen: Sequence[int], asleep: Sequence[bool]) -> None:
+    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
         """
-        Its runs go on from where another one ended, with so many occurrences of each event.
+        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made. keep(part) is called at the start, after `every` seconds, and at the end, with a Run of what has come since the last time.
         """
 
-    def integrate(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], progress: object | None = None, request: StopRequest | None = None) -> Run:
+    def resume(self, memory: bytes, anew: bool, progress: object | None = None, request: StopRequest | None = None, keep: object | None = None, every: float = 0.0) -> Run:
         """
-        Integrates from (t0, y0). progress(t, h) is called at most ten times a second, and at the end. `request` ends the run after the step in which it is made.
+        Goes on from the `Run.memory` of a run of the same problem. `anew`: the method starts again.
+        """
+
+    def integrate_anew(self, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], args: object | None = None, cover: tuple[float, float, float] | None = None) -> Run | None:
+        """
+        Integrates from y0, with other parameters, a tuple of floats or an array, over another interval with other largest steps, (t0, tf, hmax). None: y0 is not finite, or something is not of the right size or type.
         """
 
 class Stepper:
@@ -449,6 +475,10 @@ class Stepper:
     def harm(self) -> float: ...
 
     @property
+    def stiff_since(self) -> float | None:
+        """From which t on stability limits the steps; None: it does not."""
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -456,6 +486,8 @@ class Stepper:
 
     @property
     def nlu(self) -> int: ...
+
+MEMORY_VERSION: int = 1
 
 STATES: list = ...
 

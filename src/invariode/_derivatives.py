@@ -1,4 +1,4 @@
-"""Derivatives of functions of t, q and v without symbols: complex steps where they take them, else differences."""
+"""Derivatives of functions of t, q and v without symbols: complex steps if they take them, else differences."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from .compiled import CompiledFunction, is_native, native_parameters, to_native
 
 __all__ = ["Derivatives", "Forms", "Quiet", "compressed", "full_pattern", "sizes"]
 
-#: Complex increment: its square is nothing beside 1, and products of x and it do not vanish.
+#: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 _TINY = 1e-40
 #: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
 _SMALLEST_PART = 0.1
 #: What counts as agreement of a complex step with a difference of order 4.
 _SAME = 1e-6
-#: From so many entries on it is worth knowing which of them are always zero.
+#: From this many entries on it is worth knowing which of them are always zero.
 _LARGE = 500
-#: Where the pattern is looked for: beside x, by so much of the sizes of the components.
+#: Distance from x at which the pattern is sought, in units of the sizes of the components.
 _BESIDE = (0.0, 0.1, -0.07)
 _GOLDEN = 0.6180339887498949
 
 
 class Forms(NamedTuple):
-    """A function in the forms that the core takes."""
+    """A function in the forms the core takes."""
 
     function: Any
-    complex: Any  # of complex t and x; None: there is no such form
-    quiet: Any  # the same, for points outside of its domain
+    complex: Any  # for complex t and x; None: there is no such form
+    quiet: Any  # the same, for points outside its domain
 
 
 class Quiet:
-    """A function without NumPy's warnings, which are no news where it is asked outside of its domain."""
+    """A function without NumPy's warnings, which are expected when it is evaluated outside its domain."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -59,12 +59,12 @@ class Derivatives:
     name : str
         For messages.
     m : int, optional
-        Number of its values, where a native function does not tell.
+        Number of its values, which a native function does not say.
 
     Attributes
     ----------
     kind : {'complex step', 'differences'}
-        Where derivatives come from.
+        How derivatives are formed.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class Derivatives:
         direction = _somewhere(x)
         dt = max(abs(t), 1.0)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
+            warnings.simplefilter("error")  # a warning says that the imaginary part was discarded
             for beside in (0.1, 0.0):
                 at = x + beside * direction
                 try:
@@ -173,7 +173,7 @@ class Derivatives:
                 z = np.concatenate([[t + 1j * _TINY * dt], at + 1j * _TINY * direction])
                 try:
                     by_step = form.complex_value(z.view(float)).view(complex).imag / _TINY
-                except Exception:  # the function is not made for this: no reason to tell the user
+                except Exception:  # the function is not made for this: the user need not know
                     return False
                 return bool((np.abs(by_step - by_differences) <= _SAME * size_of_terms).all())
         return False
@@ -187,7 +187,7 @@ def _count_values(
         returned = np.asarray(function(t, *(part.copy() for part in parts), *([parameters] if len(parameters) else [])))
     elif is_native(function):
         raise ValueError(
-            f"{name} is native and does not tell how many values it has: give it as "
+            f"{name} is native, so the number of its values is unknown: give it as "
             "Invariants(function, value=0, names=[...]), with one name for each"
         )
     else:

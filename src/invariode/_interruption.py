@@ -1,4 +1,4 @@
-"""Ctrl-C as a request: the run ends after its present step, and returns what there is."""
+"""Ctrl-C as a request: the run ends after the current step, and returns the results so far."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ __all__ = ["stopped_by_interrupt"]
 
 @contextmanager
 def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
-    """Within the block the first Ctrl-C makes the request; the second is as before. None where no Ctrl-C arrives: in
-    another than the main thread, or where the process ignores it."""
+    """Within the block the first Ctrl-C makes the request; the second is as before. None if no Ctrl-C arrives: outside
+    the main thread, or if the process ignores it."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
         yield None

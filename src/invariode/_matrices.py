@@ -18,11 +18,15 @@ from ._arguments import EPS, Array, as_array, shown, warn
 from .compiled import is_native, to_native
 from .description import Matrices
 
-__all__ = ["prepare"]
+__all__ = ["prepare", "too_large_to_be_dense"]
 
-_DENSE_LIMIT = 2**30  # bytes: above, a dense Jacobian is worth a word
+_DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
+
+
+#: Compressed columns (starts, rows, values) of a matrix without columns.
+_NO_COLUMNS = (np.zeros(1, dtype=np.int32), np.zeros(0, dtype=np.int32), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class _Storage:
         return np.ascontiguousarray(dense, dtype=float)
 
     def mass_values(self, given: Any) -> Any:
-        """The same of a mass matrix, which is given whole also where the Jacobian is banded."""
+        """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
         matrix = _matrix("mass", given, self.complex)
         if matrix.shape != (self.n, self.n):
             raise ValueError(f"mass has shape {matrix.shape}, expected shape {(self.n, self.n)}")
@@ -63,7 +67,7 @@ class _Storage:
         row = self.upper + entries.row - entries.col
         if ((row < 0) | (row > self.lower + self.upper)).any():
             raise ValueError(
-                f"mass has entries outside of the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
+                f"mass has entries outside the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
                 "give a band that holds both"
             )
         packed = np.zeros(self.given_shape, dtype=entries.dtype)
@@ -86,7 +90,7 @@ def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Arr
         kind=kind,
         jacobian=jacobian,
         mass=mass,
-        null_basis=_columns(sp.csc_array((n, 0)) if mass is None else _null_basis(storage, mass, t0)),
+        null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, t0)),
         lapack=_lapack(),
     )
 
@@ -117,13 +121,23 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: A
     held = storage(given.jac_sparsity is not None)
     if held.kind == "sparse":
         return held, "differences", held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
-    bytes_needed = 8 * (n * (2 if is_complex else 1)) ** 2
-    if held.kind == "dense" and bytes_needed > _DENSE_LIMIT:
+    if too_large_to_be_dense(given, y0):
+        size = _dense_bytes(y0) / 2**30
         warn(
-            f"a dense Jacobian of {n} components takes {bytes_needed / 2**30:.1f} GiB: say what is zero in it by "
-            "jac_sparsity, or by lband and uband"
+            f"a dense Jacobian of {n} components takes {size:.1f} GiB: give jac_sparsity, or lband and uband, to say "
+            "which entries are zero"
         )
     return held, "differences", None
+
+
+def too_large_to_be_dense(given: Matrices, y0: Array) -> bool:
+    """Whether nothing is known of the Jacobian, and a dense one would fill the memory."""
+    known = (given.jac, given.jac_sparsity, given.lband, given.uband)
+    return all(one is None for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
+
+
+def _dense_bytes(y0: Array) -> int:
+    return 8 * y0.view(float).size ** 2
 
 
 def _native_jacobian(
@@ -195,7 +209,7 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
             return units
     if n > _NULL_SPACE_LIMIT:
         raise ValueError(
-            f"mass is singular beyond its rows of zeros, and its {n} rows are too many to find its null space: "
+            f"mass is singular beyond its rows of zeros, and with {n} rows too large to find its null space: "
             "transform the system so that each algebraic equation has a row of zeros in mass"
         )
     safe = np.where(scale == 0, 1, scale)
@@ -243,7 +257,7 @@ def _matrix(name: str, given: Any, is_complex: bool) -> Any:
 def _sound(name: str, given: Any) -> Any:
     """A sparse matrix, once its indices are seen to fit its shape.
 
-    SciPy's constructors do not look at them all, and nothing stops who changes them later; its conversions, and the
+    SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
     core, would write where they point.
     """
     matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()
@@ -304,7 +318,7 @@ def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
 
 def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
     """(starts, rows, values) of compressed columns with ascending rows."""
-    # A new object: one that was changed may still say of itself that its rows ascend.
+    # A new object: one that was changed may still claim that its rows ascend.
     A = sp.csc_array((A.data, A.indices, A.indptr), A.shape)
     if not A.has_canonical_format:
         A = A.copy()  # the user's arrays stay as they are

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ._arguments import EPS
 from ._bounds import Limits
 from ._core import Run
 
-#: How runs end that do not fail: status and message, those of SciPy where it has them.
+#: Runs that do not fail: status and message, SciPy's if it has them.
 MESSAGES = {
     "reached_end": (0, "The solver successfully reached the end of the integration interval."),
     "terminal_event": (1, "A termination event occurred."),
+    "running": (-3, "The run had not ended when this was written: Solution.extend goes on."),
     "stopped_by_callback": (2, "The callback stopped the integration."),
 }
 
@@ -19,7 +21,7 @@ _LIMITS = {
     "steps": ("max_steps = {0} is reached", "give a larger max_steps, or looser tolerances"),
     "time": ("time_limit = {0:g} s is over", "give a larger time_limit, or looser tolerances"),
     "points": (
-        "{0} points are kept, as many as max_points allows",
+        "{0} points are kept, the most that max_points allows",
         "give a larger max_points, or keep fewer: t_eval or keep='end'",
     ),
     "memory": (
@@ -29,14 +31,22 @@ _LIMITS = {
 }
 
 
-def status_and_message(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
-    """The status of the Solution and its message. `demanded`: of each invariant, whether its value was."""
-    status, message = _ended(run, names, demanded, pairs)
+class Laws(NamedTuple):
+    """The invariants of a run: names, whether values were demanded, and which may only fall (-1) or rise (1)."""
+
+    names: list[str]
+    demanded: list[bool]
+    senses: list[int]
+
+
+def status_and_message(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
+    """The status of the Solution and its message."""
+    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
     return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
 
 
 def limited_by_stability(since: float) -> str:
-    """What is said of an explicit method on a stiff problem."""
+    """The warning about an explicit method on a stiff problem."""
     return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
 
 
@@ -44,13 +54,11 @@ def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tuple[int, str]:
-    if run.state in MESSAGES:
-        return MESSAGES[run.state]
+def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
     if run.state == "stopped_by_request":
         return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
     if run.state == "invariant_convicted":
-        return -2, _convicted(run, names, demanded, pairs)
+        return -2, _convicted(run, laws, pairs)
     if run.state == "start_undefined" and run.singular:
         return -1, (
             f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'. Try a mass matrix "
@@ -63,7 +71,7 @@ def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tup
         )
     if run.state == "action_out_of_bounds":
         return -1, (
-            f"After the action at t = {run.t:.6g} component {run.component} is outside of its bounds by "
+            f"After the action at t = {run.t:.6g} component {run.component} is outside its bounds by "
             "more than the tolerance. Let the action return a point within them."
         )
     if run.state == "restart_inconsistent":
@@ -71,13 +79,13 @@ def _ended(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> tup
             f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
             "it an action that returns a state near the consistent one."
         )
-    return -1, _step_failed(run, names, pairs)
+    return -1, _step_failed(run, laws.names, pairs)
 
 
 def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
-    """The text of the ValueError for a start that is outside of its bounds."""
+    """The text of the ValueError for a start that is outside its bounds."""
     within = "" if limits is None else f", {limits.lower[component]} to {limits.upper[component]},"
-    return f"{what}[{component}] is outside of its bounds{within} by more than the tolerance: correct it, or the bounds"
+    return f"{what}[{component}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
 
 
 def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
@@ -88,8 +96,8 @@ def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
         text += f"{(run.t - t0) / (tf - t0):.2%} of the interval, "
     text += f"after {run.steps_to_limit} steps and {run.seconds_to_limit:.3g} s. The next step is of size {run.h:.3g}"
     if math.isfinite(tf) and run.h > 0:
-        text += f"; with steps of this size {abs(tf - run.t) / run.h:.2g} more lead to the end"
-    return f"{text}. All results so far are kept. To come farther {advice}; a solution can also be extended from here."
+        text += f"; the rest takes {abs(tf - run.t) / run.h:.2g} steps of this size"
+    return f"{text}. All results so far are kept. To get further, {advice}; or extend the solution from here."
 
 
 def _component(run: Run, pairs: bool) -> str:
@@ -101,26 +109,26 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     if run.cause == "not_finite":
         what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
         return (
-            f"{what} NaN or infinite also with the smallest step, {where}. If the solution should not come "
-            "there, try a smaller rtol and atol; if it should, stop it before by a terminal event."
+            f"{what} NaN or infinite even with the smallest step, {where}. If the solution should not get "
+            "there, try a smaller rtol and atol; if it should, stop it earlier with a terminal event."
         )
     if run.cause == "newton":
         return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
     if run.cause == "bounds":
         return (
-            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance also with the "
+            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance even with the "
             f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
         )
     if run.cause == "projection" and run.finding == "undefined":
         return (
-            f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, also "
-            f"with the smallest step, {where}. If the solution should not come there, try a smaller atol for the "
-            "components that come close (or a smaller rtol); if it should, stop it before by a terminal event."
+            f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, even "
+            f"with the smallest step, {where}. If the solution should not get there, try a smaller atol for the "
+            "components that come close (or a smaller rtol); if it should, stop it earlier with a terminal event."
         )
     if run.cause == "projection":
         return (
-            f"The projection onto the invariants fails also with the smallest step, {where}: "
-            "the tolerance is too loose, or the invariants are near singular here. Try a smaller rtol, or fewer "
+            f"The projection onto the invariants fails even with the smallest step, {where}: "
+            "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
             "invariants."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
@@ -131,33 +139,33 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         )
     else:
         text += (
-            " The solution may have a singularity there, or fun a jump: try another rtol, stop before it by a terminal "
-            "event, or let an event with an action take the jump."
+            " The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a "
+            "terminal event, or give the jumps of fun as breakpoints."
         )
     return text
 
 
 #: What helps where Newton's iteration fails.
-_NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution before by a terminal event."
+_NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution earlier with a terminal event."
 
 
 def _newton_failed(run: Run, pairs: bool) -> str:
     if run.undefined_mass:
-        return "The mass matrix becomes NaN or infinite, also with the smallest step,"
+        return "The mass matrix becomes NaN or infinite, even with the smallest step,"
     if run.undefined_jacobian:
-        return "The Jacobian of fun is NaN or infinite, also with the smallest step,"
+        return "The Jacobian of fun is NaN or infinite, even with the smallest step,"
     if run.singular:
-        return "The iteration matrix M - h c J is singular also with the smallest step,"
+        return "The iteration matrix M - h c J is singular even with the smallest step,"
     if run.component >= 0:
-        return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration also with the smallest step,"
+        return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration even with the smallest step,"
     return (
-        "Newton's iteration does not converge also with the smallest step (a wrong Jacobian, or a jac_sparsity or band "
-        "that misses entries, shows like this),"
+        "Newton's iteration does not converge even with the smallest step (a wrong Jacobian, or a jac_sparsity or band "
+        "that misses entries, may be the cause),"
     )
 
 
 def inconsistent_start(verdict: str, t0: float) -> str:
-    """The text of the ValueError for a start that satisfies no algebraic equations."""
+    """The text of the ValueError for a start that does not satisfy the algebraic equations."""
     if verdict == "index_too_high":
         return (
             f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
@@ -170,35 +178,51 @@ def inconsistent_start(verdict: str, t0: float) -> str:
     )
 
 
-def _convicted(run: Run, names: list[str], demanded: list[bool], pairs: bool) -> str:
+def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
+    names = laws.names
+    if run.finding == "off_value" and laws.senses[run.finding_invariant]:
+        return (
+            f"The action at t = {run.finding_t:.6g} takes {names[run.finding_invariant]} back by "
+            f"{abs(run.finding_size):.6g}, {run.finding_distance:.3g} times the tolerance, which Dissipated excludes. "
+            "Correct the action, or give the event rehold=True."
+        )
     if run.finding == "off_value":
         return (
             f"After the action at t = {run.finding_t:.6g} the solution violates invariant "
             f"{names[run.finding_invariant]}: g - value = {run.finding_size:.6g}, a distance of "
-            f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or the "
-            "event rehold."
+            f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or give "
+            "the event rehold=True."
         )
     if run.finding == "undefined":
         return (
             f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let "
-            "the action return a point where it is."
+            "the action return a point where it is finite."
         )
     if run.finding == "wrong_jacobian":
         text = _wrong_jacobian_of(run, names, pairs)
         return text[0].upper() + text[1:]
-    return _not_conserved(run, names, demanded)
+    return _not_conserved(run, laws)
 
 
-def _not_conserved(run: Run, names: list[str], demanded: list[bool]) -> str:
+def _not_conserved(run: Run, laws: Laws) -> str:
+    names, demanded = laws.names, laws.demanded
+    if sense := laws.senses[run.finding_invariant]:
+        return (
+            f"{names[run.finding_invariant]} is not dissipated by fun: at t = {run.finding_t:.6g} it "
+            f"{'rises' if sense < 0 else 'falls'} at the rate {abs(run.finding_size):.6g} "
+            f"({run.finding_distance:.1e} of the size of its terms), and Dissipated(rises={sense > 0}) excludes that. "
+            "Check its formula, its sign and the parameters; no law of this kind holds if something drives the system. "
+            "check=False switches this test off."
+        )
     text = (
         f"Invariant {names[run.finding_invariant]} is not conserved by fun: at t = {run.finding_t:.6g}, on the "
         f"manifold, it changes at the rate {run.finding_size:.6g} ({run.finding_distance:.1e} of the size of its "
-        "terms; for invariants this is roundoff). "
+        "terms; for an invariant this is roundoff). "
     )
     if demanded[run.finding_invariant]:
         text += (
-            "A hidden constraint is missing: the derivative of this constraint with respect to t has to be imposed "
-            "with it; or the formula is wrong, or not smooth there, as abs at 0. "
+            "A hidden constraint is missing: impose the derivative of this constraint with respect to t "
+            "with it; or the formula is wrong, or not smooth there, like abs at 0. "
         )
     else:
         text += "This is not an invariant of fun: check its formula and the parameters. "
@@ -212,7 +236,7 @@ def _wrong_jacobian_of(run: Run, names: list[str], pairs: bool) -> str:
 
 
 def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: float, pairs: bool) -> str:
-    """What is wrong with the Jacobian of an invariant. `component`: of the reals that make up y."""
+    """What is wrong with the Jacobian of an invariant. `component`: an index into the reals that make up y."""
     part = (" (real part)", " (imaginary part)")[component % 2] if pairs else ""
     column = component // 2 if pairs else component
     return (
@@ -221,8 +245,9 @@ def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: 
     )
 
 
-def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs: bool) -> str:
+def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
     """The text of the InvariantError with which a run was refused at its start."""
+    names = laws.names
     name = names[run.finding_invariant]
     if run.finding == "off_value":
         return (
@@ -235,7 +260,7 @@ def refusal(run: Run, names: list[str], demanded: list[bool], rtol: float, pairs
         return _wrong_jacobian_of(run, names, pairs)
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
-    return _not_conserved(run, names, demanded)
+    return _not_conserved(run, laws)
 
 
 def harmful_projection(components: str, distance: str) -> str:
@@ -243,6 +268,6 @@ def harmful_projection(components: str, distance: str) -> str:
     return (
         f"projection moved {components} by {distance}: it corrects other components at the cost of "
         f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
-        "invariants. Try an atol per component, larger for what changes fast (for velocities, than for positions, by "
+        "invariants. Try an atol for each component, larger for fast ones (for velocities that of the positions times "
         "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
     )

@@ -1,4 +1,4 @@
-"""The equations of motion of a constrained mechanical system, in the form that the core evaluates."""
+"""The equations of motion of a constrained mechanical system, in the form the core evaluates."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ __all__ = ["Accelerations", "FunctionOfState", "Functions", "Motion", "MotionFun
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
 #: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.
 DEPENDENT = 1e-10
-#: From so many entries on it is worth knowing which entries of M are always zero.
+#: From this many entries on it is worth knowing which entries of M are always zero.
 _LARGE = 500
-#: Where the patterns of M and Φ are looked for: at q, and beside it by so much of the sizes of its components.
+#: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
 _BESIDE = (0.1, -0.07)
 
 Columns = tuple[Array, Array, Array]  # a sparse matrix: starts of its columns, rows, values
@@ -57,7 +57,7 @@ class Functions(NamedTuple):
     velocity_constraints: Any
     kinematics: Any
     jacobian: Any
-    counts: dict[str, int]  # of values, where a native function does not tell it
+    counts: dict[str, int]  # number of values, which a native function does not say
 
 
 class Motion:
@@ -68,14 +68,14 @@ class Motion:
     functions : Functions
         The user's.
     start : Point
-        Where the functions are tried.
+        A point at which the functions are tried.
 
     Attributes
     ----------
     kept : ndarray of bool, (m,)
         Which constraints are imposed, those of φ first.
     derivatives : dict
-        How the derivatives of each function are had.
+        How the derivatives of each function are formed.
     """
 
     def __init__(self, functions: Functions, start: Point) -> None:
@@ -95,7 +95,7 @@ class Motion:
         self.m_psi = self._differentiate("velocity_constraints", "(t, q, v)", functions, start, at_x)
         mapped = self._differentiate("kinematics", "(t, q, v)", functions, start, at_x)
         if mapped and mapped != self.n_q:
-            raise ValueError(f"kinematics(t, q, v) returned shape ({mapped},), expected ({self.n_q},), as q0 has")
+            raise ValueError(f"kinematics(t, q, v) returned shape ({mapped},), expected ({self.n_q},), the shape of q0")
         self.has_map = mapped > 0
         self._mass_writes, self._mass = self._choose_mass(functions.mass, start, p)
         self._jacobian_entries = False
@@ -218,7 +218,7 @@ class Motion:
 
     @contextmanager
     def bound(self, args: tuple[Any, ...], kept: Array | None = None) -> Iterator[_core.Motion]:
-        """The motion with these arguments, for evaluations here; nobody else has it meanwhile."""
+        """The motion with these arguments, for evaluations here; it is not shared meanwhile."""
         spec = self.spec(kept)
         key = (self.kept if kept is None else kept).tobytes()
         known = self._idle.pop() if self._idle else None
@@ -242,7 +242,7 @@ class Motion:
     def metric(self) -> Any:
         """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v).
 
-        None where M has off-diagonal entries and is sparse: what is least in it costs more than it gains.
+        None if M is sparse with off-diagonal entries: corrections in that metric would cost more than they gain.
         """
         starts, rows, values = self._mass
         diagonal = np.array_equal(rows, np.arange(self.n_v)) and np.array_equal(starts, np.arange(self.n_v + 1))
@@ -318,7 +318,7 @@ class MotionFunction(CoreFunction):
 
     @property
     def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
-        """How the derivatives of the constraints are had."""
+        """How the derivatives of the constraints are formed."""
         return self._motion.derivatives
 
     def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
@@ -356,7 +356,7 @@ class _Entries:
         self._function, self._pattern, self._shape, self._name = function, pattern, shape, name
 
     def __call__(self, t: float, q: Array, *args: Any) -> Array:
-        from scipy.sparse import csc_array  # takes longer to import than all the rest
+        from scipy.sparse import csc_array  # takes longer to import than everything else
 
         given = csc_array(self._function(t, q, *args), dtype=float)
         if given.shape != self._shape:
@@ -403,7 +403,7 @@ def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:
 
 
 def _beside(start: Point) -> Iterator[Array]:
-    """Positions near the start where nothing vanishes by chance."""
+    """Positions near the start, where nothing vanishes by chance."""
     rng = np.random.default_rng(0)
     scale = np.abs(start.q).max(initial=0.0) or 1.0
     for part in _BESIDE:

@@ -11,11 +11,12 @@ from typing import Any
 
 __all__ = ["MOVED", "announce_moves"]
 
-#: Since 0.2. What a module on the left had, and has no more, is in the one on the right.
+#: Since 0.2. Former contents of the module on the left are in the one on the right.
 MOVED = {
     "invariode.check": "invariode.invariant_check",
     "invariode.discovery": "invariode.invariant_search",
     "invariode.export": "invariode.loading",
+    "invariode.invariants": "invariode.imposing",
     "invariode.suite": "invariode",
 }
 
@@ -34,7 +35,7 @@ def _attributes_from(old: str, new: str) -> Callable[[str], Any]:
     def moved_attribute(name: str) -> Any:
         if name.startswith("__") or not hasattr(module := importlib.import_module(new), name):
             raise AttributeError(f"module {old!r} has no attribute {name!r}")
-        message = f"{old}.{name} has moved, and will be gone in invariode 0.3: use {new}.{name}"
+        message = f"{old}.{name} has moved, and will be removed in invariode 0.3: use {new}.{name}"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return getattr(module, name)
 

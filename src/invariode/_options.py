@@ -1,10 +1,11 @@
-"""The options, once: what each is called, its type, default, check and meaning, and who takes it.
+"""The options, each defined once: name, type, default, check, meaning, and the functions that take it.
 
 A row of the table is a line of a TypedDict: its name and type are what type checkers read, the `Option` beside the type
-holds the rest. The classes say who takes a row: an entry point takes the rows of its class, and nothing else. Checks,
-signatures and docstrings follow from the rows, so that a new option is one row here and its use.
+holds the rest. The classes say which function takes a row: an entry point takes the rows of its class, and no others.
+Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,7 +13,7 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, choice, count, flag, function, positive, positive_integer, unknown_option, warn
+from ._arguments import Array, choice, count, flag, function, path, positive, positive_integer, unknown_option, warn
 from ._types import (
     BreakpointsLike,
     EventsLike,
@@ -52,19 +53,31 @@ __all__ = [
 
 
 def as_given(name: str, value: Any) -> Any:
-    """No check here: what is right depends on the problem, and is checked with it."""
+    """No check here: the value depends on the problem, and is checked with it."""
     return value
+
+
+def to_members(name: str, value: Any) -> tuple[str, str]:
+    """The names of an explicit and an implicit method."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise TypeError(f"{name} must be the names of an explicit and an implicit method, got {value!r}")
+    explicit_one, implicit_one = (find_method(one)[0] for one in value)
+    if "jac" in explicit_one.options or "jac" not in implicit_one.options or "prefer" in implicit_one.options:
+        raise ValueError(
+            f"{name} must be an explicit method and then an implicit one, as in ('ode45', 'ode15s'); got {value!r}"
+        )
+    return explicit_one.name, implicit_one.name
 
 
 @dataclass(frozen=True)
 class Option:
-    """A row of the table, but for the name and the type of the option."""
+    """A row of the table, without the name and the type of the option."""
 
     default: Any
     kind: str  # the type in words
-    text: str | None  # the paragraph of the documentation; None: it shares that of the next row
+    text: str | None  # the paragraph of the documentation; None: shared with the next row
     check: Callable[[str, Any], Any] = as_given
-    every_method: bool = True  # False: only those whose row in METHODS names it can use it
+    every_method: bool = True  # False: only methods whose row in METHODS names it can use it
     command: bool = False  # the command line has a flag of this name
     type: Any = field(default=None, compare=False)  # filled in by `table_of`
 
@@ -78,7 +91,7 @@ class StepSizeOptions(TypedDict, total=False):
             1e-3,
             "float or array_like of shape (n,)",
             "The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is "
-            "raised to it.",
+            "raised to 100 ε.",
             command=True,
         ),
     ]
@@ -124,7 +137,7 @@ class MethodOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Highest order of the formulas. Default: that of the method.",
+            "Highest order of the formulas. Default: the method's highest.",
             positive_integer,
             every_method=False,
         ),
@@ -135,8 +148,20 @@ class MethodOptions(TypedDict, total=False):
             None,
             "bool",
             "Backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5 are "
-            "stable in wider sectors. Default: False, but for ``method='BDF'``.",
+            "stable in wider sectors. Default: False, except with ``method='BDF'``.",
             flag,
+            every_method=False,
+        ),
+    ]
+    prefer: Annotated[
+        tuple[str, str] | None,
+        Option(
+            None,
+            "(str, str)",
+            "The explicit and the implicit method between which ``method='auto'`` switches. Default: 'ode113' and "
+            "'ode15s', which evaluate f least often. With a compiled, cheap f the pairs 'ode45' and 'ode78' are faster "
+            "than 'ode113'.",
+            to_members,
             every_method=False,
         ),
     ]
@@ -153,7 +178,7 @@ class MethodOptions(TypedDict, total=False):
     ]
     check: Annotated[
         bool,
-        Option(True, "bool", "Test that the invariants are invariants, and that their Jacobians are right.", flag),
+        Option(True, "bool", "Test that f conserves the invariants, and that their Jacobians are right.", flag),
     ]
     min_step: Annotated[
         float | None,
@@ -171,7 +196,7 @@ class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
 
 
 class KeepingOptions(TypedDict, total=False):
-    """What a run keeps, and whom it tells."""
+    """What a run keeps, and what it calls after each step."""
 
     callback: Annotated[
         Callable[[float, Array], object] | None,
@@ -187,29 +212,29 @@ class KeepingOptions(TypedDict, total=False):
         Option(
             None,
             "{'all', 'outputs', 'end'}",
-            "Keep the outputs and a record of each step (``Solution.steps``), the outputs only, or the final state "
-            "only; events are kept always. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with "
-            "'outputs' at `t_eval`, memory does not grow with the number of steps, unless `dense_output` is asked for.",
+            "Keep the outputs and a record of each step (``Solution.steps``), only the outputs, or only the final "
+            "state; events are always kept. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with "
+            "'outputs' at `t_eval`, memory does not grow with the number of steps, unless `dense_output` is set.",
             partial(choice, known=get_args(Keep)),
         ),
     ]
     save: Annotated[
         Keep | None,
-        Option(None, "{'all', 'outputs', 'end'}", "Another name of `keep`.", partial(choice, known=get_args(Keep))),
+        Option(None, "{'all', 'outputs', 'end'}", "Another name for `keep`.", partial(choice, known=get_args(Keep))),
     ]
 
 
 class LimitOptions(TypedDict, total=False):
-    """What may end a run early, with status -3 and everything up to there."""
+    """What may end a run early, with status -3 and all results so far."""
 
     max_steps: Annotated[
         int | None,
         Option(
             None,
             "int",
-            "Most accepted steps. Where this or one of the next two limits is reached, the run ends with status -3, a "
-            "message that says how far it came and how fast, and everything up to there; ``Solution.extend`` goes on. "
-            "Default: no limit.",
+            "Largest number of accepted steps. A run that reaches this or one of the next two limits ends with status "
+            "-3, a message that says how far it got and how fast, and all results so far; ``Solution.extend`` "
+            "continues it. Default: no limit.",
             count,
             command=True,
         ),
@@ -219,7 +244,7 @@ class LimitOptions(TypedDict, total=False):
         Option(
             None,
             "float",
-            "Most seconds of the run, looked at after each attempted step. Default: no limit.",
+            "Most seconds that the run may take, checked after each attempted step. Default: no limit.",
             positive,
             command=True,
         ),
@@ -229,11 +254,31 @@ class LimitOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Most points that are kept: outputs (or steps of the continuous solution, if these are more) and "
-            "occurrences of events. Default: 10 million or as many as fill 4 GiB, whichever is less, beyond those of "
-            "`t_eval`: no run fills the memory by accident.",
+            "Most points that are kept: outputs (or steps of the continuous solution, if there are more) and "
+            "occurrences of events. Default: 10 million or the number that fills 4 GiB, whichever is less, beyond "
+            "those of `t_eval`: no run fills the memory by accident.",
             count,
         ),
+    ]
+
+
+class CheckpointOptions(TypedDict, total=False):
+    """What a run writes while it goes on."""
+
+    checkpoint: Annotated[
+        str | os.PathLike[str] | None,
+        Option(
+            None,
+            "str or path-like",
+            "A file from which ``load(path, problem).extend(tf)`` goes on, to the last bit, if the process dies: the "
+            "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to PATH.output "
+            "beside it. A run of another process that has not ended is not overwritten. An extension goes on writing.",
+            path,
+            command=True,
+        ),
+    ]
+    checkpoint_every: Annotated[
+        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive, command=True)
     ]
 
 
@@ -246,16 +291,16 @@ class BreakingOptions(TypedDict, total=False):
             None,
             "list of float or of (float, callable)",
             "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
-            "reached exactly, and the method starts anew there; each piece sees the functions from its own side, at a "
-            "time inside of it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
-            "invariants without a demanded value are held at their new values, and the output has both states. Those "
-            "outside the interval wait for an extension.",
+            "reached exactly, and the method starts anew there; each piece evaluates the functions only at times "
+            "inside it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
+            "invariants without a demanded value are held at their new values, and the output has both states. "
+            "Breakpoints outside the interval wait for an extension.",
             to_breakpoints,
         ),
     ]
 
 
-class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, total=False):
+class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, CheckpointOptions, BreakingOptions, total=False):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[
@@ -267,8 +312,8 @@ class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions,
         Option(
             "raise",
             "{'raise', 'return'}",
-            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the present step and return what there "
-            "is, with status 2. A second Ctrl-C raises in any case.",
+            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
+            "so far, with status 2. A second Ctrl-C always raises.",
             partial(choice, known=get_args(OnInterrupt)),
         ),
     ]
@@ -277,15 +322,15 @@ class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions,
         Option(
             False,
             "bool",
-            "Whether a bar on the standard error shows t, h and the time left, ten times a second at most (needs "
-            "rich).",
+            "Whether a bar shows t, h and the time left, at most ten times a second: under the cell in notebooks, else "
+            "on standard error (with rich).",
             flag,
         ),
     ]
 
 
 class OutputOptions(TypedDict, total=False):
-    """What is computed beside the steps."""
+    """What is computed besides the steps."""
 
     t_eval: Annotated[
         ArrayLike | None,
@@ -300,7 +345,7 @@ class OutputOptions(TypedDict, total=False):
 
 
 class DescribingOptions(TypedDict, total=False):
-    """What is known of the solution and of the equations: arguments of `Problem`, options of its shorter forms."""
+    """What is known about the solution and the equations: arguments of `Problem`, options of its shorter forms."""
 
     invariants: Annotated[
         InvariantsLike | None,
@@ -316,7 +361,7 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "callable, (n, n) array_like or sparse matrix",
-            "The Jacobian of f: ``jac(t, y, *args)``, or a constant. Where it is (or returns) a sparse matrix, the "
+            "The Jacobian of f: ``jac(t, y, *args)``, or a constant. If it is (or returns) a sparse matrix, the "
             "linear algebra is sparse. Default: differences.",
             every_method=False,
         ),
@@ -327,7 +372,7 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "(n, n) array_like or sparse matrix",
             "Which entries of the Jacobian can differ from zero, for differences and sparse linear algebra. An entry "
-            "that is missing here is taken for zero: Newton's iteration then converges slowly or not at all, and the "
+            "missing here is taken to be zero: Newton's iteration then converges slowly or not at all, and the "
             "steps are small.",
             every_method=False,
         ),
@@ -338,8 +383,8 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "The Jacobian is zero but for ``i - lband <= j <= i + uband``. `jac` then has, or returns, the bands as an "
-            "array (lband + uband + 1, n) with ``[uband + i - j, j]`` for entry (i, j).",
+            "The Jacobian is zero except for ``i - lband <= j <= i + uband``. `jac` then is, or returns, the array of "
+            "its bands (lband + uband + 1, n), with entry (i, j) at ``[uband + i - j, j]``.",
             every_method=False,
         ),
     ]
@@ -348,7 +393,7 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "(n, n) array_like or sparse matrix, or callable",
-            "M of M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
+            "M in M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
             "(index 1); y0 is then moved to consistent values.",
             every_method=False,
         ),
@@ -358,11 +403,12 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "bool, indices or labels",
-            "Components that are not to be negative, as concentrations are: True, all. A step that takes one below 0 "
-            "by more than its tolerance is repeated with half the size; by less, the component is moved to 0, before "
-            "the method commits the step. Output between steps is not negative either; the arguments at which explicit "
-            "methods evaluate f within a step may be. With `invariants` the result is the nearest point that keeps "
-            "both.",
+            "Components that must not become negative, such as concentrations; True means all. A step that takes one "
+            "below 0 by more than its tolerance is repeated with half the size; by less, the component is moved to 0 "
+            "before the method commits the step. Output between steps is not negative either; the arguments at which "
+            "explicit methods evaluate f within a step may be. With `invariants` the result is the nearest point that "
+            "satisfies both.",
+            command=True,
         ),
     ]
     bounds: Annotated[
@@ -370,13 +416,13 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "(lower, upper) or scipy.optimize.Bounds",
-            "The same for any bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
+            "The same for other bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
         ),
     ]
 
 
 class CallingOptions(TypedDict, total=False):
-    """What else describes a problem, by position in SciPy's call."""
+    """The rest of what describes a problem; positional in SciPy's call."""
 
     events: Annotated[
         EventsLike,
@@ -389,7 +435,7 @@ class CallingOptions(TypedDict, total=False):
     ]
     args: Annotated[
         Iterable[Any] | None,
-        Option(None, "tuple", "Extra arguments of `fun`, `jac`, `mass`, invariants, events and actions."),
+        Option(None, "tuple", "Extra arguments for `fun`, `jac`, `mass`, invariants, events and actions."),
     ]
 
 
@@ -418,7 +464,7 @@ class StepperOptions(MethodOptions, DescribingOptions, total=False):
 
 
 class ExtensionOptions(TypedDict, total=False):
-    """Those that `Solution.extend` may have of its own. With any other the parts would not be of one solution."""
+    """Those that `Solution.extend` may change. With any other the parts would not belong to one solution."""
 
     t_eval: ArrayLike | None
     first_step: float | None
@@ -467,8 +513,8 @@ _Part = TypeVar("_Part")
 
 
 def checked(given: Options, method: Method) -> Options:
-    """All options of a run: those given, each checked, and the defaults. One that the method cannot use is a warning,
-    an unknown one an error."""
+    """All options of a run: those given, each checked, and the defaults. One that the method cannot use draws a
+    warning, an unknown one raises an error."""
     complete = dict(_DEFAULTS)
     for name, value in given.items():
         row = _OF_A_RUN.get(name)
@@ -483,7 +529,7 @@ def checked(given: Options, method: Method) -> Options:
     if save is not None:
         if keep is not None and keep != save:
             raise TypeError(
-                f"keep and save are two names of one option, got keep={keep!r} and save={save!r}: give keep"
+                f"keep and save are two names for one option, got keep={keep!r} and save={save!r}: give keep"
             )
         complete["keep"] = save
     return cast("Options", complete)
@@ -504,7 +550,7 @@ def warn_unused(method: Method, name: str, given: object) -> None:
 
 
 def unused(method: MethodName, describing: DescribingOptions) -> None:
-    """The same for what describes the problem. A mass matrix that the method cannot use is an error of the plan."""
+    """The same for what describes the problem. A mass matrix that the method cannot use is an error in the plan."""
     for name, given in describing.items():
         if name in _OF_SOME_METHODS and name != "mass":
             warn_unused(find_method(method)[0], name, given)

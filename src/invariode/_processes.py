@@ -31,22 +31,22 @@ __all__ = ["may_start", "solve_rows"]
 
 T = TypeVar("T")
 
-#: Rows that a worker gets at once: so few that each worker gets several chunks, and that results do not pile up.
+#: Rows that a worker gets at once: few enough that each worker gets several chunks, and results do not pile up.
 CHUNKS_PER_WORKER, LARGEST_CHUNK = 8, 256
 #: Chunks under way per worker: the one that it solves, and the next, so that it need not wait.
 AHEAD = 2
-#: Windows waits for no more processes at once (documentation of `ProcessPoolExecutor`).
+#: Windows cannot wait for more processes at once (documentation of `ProcessPoolExecutor`).
 MOST_WORKERS = 61 if sys.platform == "win32" else sys.maxsize
-#: Seconds between two looks of a worker at whether its parent is alive.
+#: Seconds between a worker's checks that its parent is alive.
 INTERVAL = 0.5
 #: Seconds that the parent waits for outcomes until it listens for Ctrl-C.
 LISTENING = 0.05
-#: So many times in a row a process may die before it comes to a row: a few may be killed by accident.
+#: How often in succession a process may die before it comes to a row: a few may be killed by accident.
 PATIENCE = 5
 
 NOTHING_SOLVED = (
-    "the worker processes end before they solve anything: where processes are started afresh, define the functions in "
-    'a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
+    "the worker processes end before they solve anything: if processes are spawned, not forked, define the functions "
+    'in a module and guard the script by if __name__ == "__main__":, or solve with workers=1'
 )
 
 
@@ -85,7 +85,7 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
     fruitless = 0
     with tempfile.TemporaryDirectory(prefix="invariode-", ignore_cleanup_errors=True) as folder:
         while left:
-            # Where it is not clear who dies, one worker shows it.
+            # If it is not clear which row is fatal, one worker shows it.
             crew: _Crew[T] = _Crew(context, _Work(solve, folder, at), left, 1 if fruitless else workers)
             solved = 0
             with closing(crew.outcomes()) as found:
@@ -298,7 +298,7 @@ def _end_with_parent(pid: int, folder: str) -> None:
     """Ends this process when its parent has died, by whatever cause."""
     parent = multiprocessing.parent_process()
     assert parent is not None  # this is a worker
-    # Other processes that were forked may keep the sentinel open, but nobody keeps the parent's number.
+    # Other forked processes may keep the sentinel open, but none keeps the parent's id.
     while not wait_for_any([parent.sentinel], INTERVAL) and os.getppid() == pid:
         pass
     shutil.rmtree(folder, ignore_errors=True)
@@ -312,7 +312,7 @@ def _solve_chunk(chunk: range) -> str:
         _work.at[i] = me
         outcomes.append(_work.solve(i))
         _work.at[i] = 0
-    _work.at[chunk[-1]] = me  # should it be too much for the memory, the last row is tried alone
+    _work.at[chunk[-1]] = me  # if it exceeds the memory, the last row is tried alone
     file = Path(_work.folder) / str(chunk.start)
     file.write_bytes(pickle.dumps(outcomes))
     _work.at[chunk[-1]] = 0

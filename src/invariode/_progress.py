@@ -1,4 +1,4 @@
-"""The progress bar, the same for runs, ensembles and commands, drawn by rich where one was asked for.
+"""The progress bar, the same for runs, ensembles and commands: drawn by rich, in notebooks as HTML.
 
 A bar is drawn when it is told something and by nobody else: a run of native code need not share the interpreter with a
 thread that draws, and no process is forked beside one.
@@ -6,16 +6,19 @@ thread that draws, and no process is forked beside one.
 
 from __future__ import annotations
 
+import html
 import math
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from time import perf_counter
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 __all__ = ["INTERVAL", "PATIENCE", "bar", "in_passing", "run_bar"]
 
-#: Seconds between two pictures, and before a bar that is shown in passing appears.
+#: Seconds between two updates, and before a transient bar appears.
 INTERVAL, PATIENCE = 0.1, 0.3
 
 _in_passing = ContextVar("_in_passing", default=False)
@@ -23,7 +26,7 @@ _in_passing = ContextVar("_in_passing", default=False)
 
 @contextmanager
 def in_passing() -> Iterator[None]:
-    """Bars appear only where it takes longer, and leave nothing behind."""
+    """Bars appear only when it takes longer, and leave nothing behind."""
     token = _in_passing.set(True)
     try:
         yield
@@ -32,8 +35,8 @@ def in_passing() -> Iterator[None]:
 
 
 @contextmanager
-def bar(shown: bool, what: str, total: float) -> Iterator[Callable[..., None] | None]:
-    """Shows a bar while the block runs; what it yields is called with how much is done, and of what, if that changes.
+def bar(shown: bool, what: str, total: float | None) -> Iterator[Callable[..., None] | None]:
+    """Shows a bar while the block runs; call what it yields with how much is done, and with the total if that changes.
 
     It yields None if no bar was asked for.
 
@@ -63,7 +66,21 @@ def run_bar(what: str, t0: float, tf: float) -> Iterator[Callable[[float, float]
 
 @contextmanager
 def _drawn(what: str, total: float | None, text: str = "", **fields: float) -> Iterator[Callable[..., None]]:
-    """A bar of rich on stderr, since the output of a script stays its own, with this text about the fields."""
+    """A bar with this text about the fields; call what it yields with their new values."""
+    if (display := _notebook()) is not None:
+        cell = _Cell(display, what, total, text, fields)
+        try:
+            yield cell.update
+        finally:
+            cell.draw()  # with the last news
+        return
+    with _on_stderr(what, total, text, fields) as update:
+        yield update
+
+
+@contextmanager
+def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, float]) -> Iterator[Callable[..., None]]:
+    """A bar of rich on stderr, since the output of a script stays its own."""
     rich = _rich()
     from rich.console import Console
 
@@ -90,6 +107,50 @@ def _drawn(what: str, total: float | None, text: str = "", **fields: float) -> I
             progress.update(task, **news, refresh=drawn)
 
         yield update
+
+
+def _notebook() -> ModuleType | None:
+    """How this process shows HTML in a notebook's cell, or None outside a notebook."""
+    ipython = sys.modules.get("IPython")  # code that runs in a notebook has imported it
+    if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
+        return None
+    display: ModuleType = ipython.display
+    return display
+
+
+class _Cell:
+    """The bar as an element of HTML in the output of a cell, which needs no widgets."""
+
+    def __init__(self, display: Any, what: str, total: float | None, text: str, fields: dict[str, float]) -> None:
+        self._display, self._total, self._text = display, total, text
+        self._news: dict[str, Any] = {"completed": 0.0, "description": what, **fields}
+        self._start = perf_counter()
+        self._due = self._start
+        self._shown = display.display(display.HTML(self._html()), display_id=True)
+
+    def update(self, **news: Any) -> None:
+        self._news |= news
+        now = perf_counter()
+        if now >= self._due:
+            self._due = now + INTERVAL
+            self.draw()
+
+    def draw(self) -> None:
+        self._shown.update(self._display.HTML(self._html()))
+
+    def _html(self) -> str:
+        words = [html.escape(str(self._news["description"]))]
+        if self._total is None:
+            words.append("<progress></progress>")
+        else:
+            done = min(self._news["completed"] / self._total, 1.0) if self._total else 1.0
+            words += [f'<progress value="{done:.4f}" max="1"></progress>', f"{100 * done:.0f}%"]
+            if 0.0 < done < 1.0:
+                left = (perf_counter() - self._start) * (1.0 - done) / done
+                words.append(f"{left // 60:.0f}:{left % 60:02.0f} left")
+        if self._text:
+            words.append(self._text.format(task=SimpleNamespace(fields=self._news)))
+        return f'<div style="white-space: pre">{"  ".join(words)}</div>'
 
 
 def _rich() -> Any:

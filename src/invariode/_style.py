@@ -22,25 +22,25 @@ __all__ = [
     "SHADE",
 ]
 
-#: The palette of Okabe and Ito (https://jfly.uni-koeln.de/color), which all kinds of colour vision tell apart, without
-#: its yellow, which is too faint for lines on white.
+#: The palette of Okabe and Ito (https://jfly.uni-koeln.de/color), distinguishable with any colour vision, without its
+#: yellow, which is too faint for lines on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 
 #: Lines of real and imaginary parts: the first time through the palette, and the second.
 DASHES = (("-", "--"), ("-.", ":"))
 
-#: Lines of the levels of invariants; dots are what was before projection.
+#: Lines of the levels of invariants; dots show the drift before projection.
 LEVELS = ("-", "--", "-.")
 
-#: What colours stand for where runs are compared: without projection, with it, imposed afterwards.
+#: The meaning of colours where runs are compared: without projection, with it, imposed afterwards.
 PROJECTED, PLAIN, IMPOSED = COLOURS[:3]
 QUIET, INK = "#8a8f98", "#20242c"
 #: Axes and their numbers, grids, and ranges that are shaded.
 AXES, GRID, SHADE = "#555b66", "#e4e7ec", "#eef0f3"
-#: A colour for one thing more than the palette has.
+#: A colour for one item beyond the palette.
 BLACK = "#000000"
 
-#: For what stands in the background, one for each kind of thing.
+#: Background colours, one for each kind of item.
 MUTED = ("#8c8c8c", "#5f8f8f", "#b08f5f", "#9aa35a", "#9b8fc0", "#404040", "#c09090")
 
 #: Pages: background, behind code, text, secondary text, lines and heavier lines of tables, what agrees, what differs.

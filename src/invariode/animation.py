@@ -20,19 +20,19 @@ from .result import Result
 
 __all__ = ["Film", "Motion", "film_size", "motion", "polylines"]
 
-#: Seconds of a film whose length was not told: that of the motion, within these bounds.
+#: Seconds of a film without a given length: those of the motion, within these bounds.
 _SHORTEST, _LONGEST = 4.0, 8.0
 
-#: Points of a path that is drawn behind a point: the eye sees no corners.
+#: Points of the path drawn behind a point: enough that the eye sees no corners.
 _PATH = 2000
 
-#: Inches: the width of a new figure, its least and largest height, and what titles and labels take of that.
+#: Inches: the width of a new figure, its least and largest height, and the room for titles and labels.
 _WIDTH, _LOWEST, _HIGHEST, _WORDS = 5.6, 2.6, 6.2, 0.9
 
 #: Room around the motion, in units of its extent.
 _MARGIN = 0.06
 
-#: An extent is at least this part of the largest one: motion along a line has room to be seen in.
+#: An extent is at least this fraction of the largest one, so that motion along a line is visible.
 _THINNEST = 0.2
 
 #: matplotlib's page of controls takes its icons from the network; these signs are in every font.
@@ -50,7 +50,7 @@ _ICONS = {
 
 
 class Motion(NamedTuple):
-    """Points at the times of the frames, and between them where their paths are drawn."""
+    """Points at the times of the frames, and between the frames if their paths are drawn."""
 
     times: Array  # (frames,)
     points: Array  # (frames, k, 2 or 3)
@@ -153,7 +153,7 @@ class Film(FuncAnimation):
     Attributes
     ----------
     figure : matplotlib.figure.Figure
-        Where it is drawn.
+        The figure with the film.
     times : ndarray, (frames,)
         The time that each frame shows.
     points : ndarray, (frames, k, 2 or 3)
@@ -199,17 +199,17 @@ class Film(FuncAnimation):
         return [*self._joined, *self._paths, self._dots, self._clock]
 
     def save(self, filename: str | os.PathLike[str], writer: Any = None, **options: Any) -> None:  # type: ignore[override]  # theirs in **options
-        """Saves the film; the ending of the name tells how.
+        """Saves the film in the format given by the ending of the name.
 
         Parameters
         ----------
         filename : str or path
-            ``.gif``; ``.html``, a page with controls that needs no network; ``.mp4``, ``.webm`` and what else ffmpeg
-            knows, where this program is installed.
+            ``.gif``; ``.html``, a page with controls that needs no network; ``.mp4``, ``.webm`` and whatever else
+            ffmpeg knows, if it is installed.
         writer : str or matplotlib.animation.AbstractMovieWriter, optional
-            What writes it. Default: what the ending says.
+            What writes it. Default: chosen by the ending.
         **options
-            As for ``matplotlib.animation.Animation.save``: fps, dpi and others; for a page, fps only.
+            As for ``matplotlib.animation.Animation.save``: fps, dpi and others; for a page, only fps.
 
         Raises
         ------
@@ -230,12 +230,12 @@ class Film(FuncAnimation):
         super().save(os.fspath(filename), writer=writer, **options)
 
     def to_jshtml(self, fps: int | None = None, embed_frames: bool = True, default_mode: str | None = None) -> str:
-        """A page's part with the film and its controls, which needs no network.
+        """HTML that shows the film with its controls, and needs no network.
 
         Parameters
         ----------
         fps, embed_frames, default_mode
-            As in matplotlib. Frames are embedded whatever their size.
+            As in matplotlib. Frames of any size are embedded.
 
         Returns
         -------
@@ -265,7 +265,7 @@ def _move(line: Any, to: Array) -> None:
 
 
 def _frame(ax: Any, points: Array) -> None:
-    """Axes that hold the whole motion, and what else they have in the plane, with the same scale on all."""
+    """Limits for the whole motion, and in the plane for whatever else the axes show, with one scale on all axes."""
     low, high = _corners(points)
     if len(low) == 2 and ax.has_data():
         low, high = np.minimum(low, ax.dataLim.min), np.maximum(high, ax.dataLim.max)

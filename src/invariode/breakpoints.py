@@ -44,7 +44,7 @@ def _one(name: str, entry: Any) -> Breakpoint:
 
 
 def of_inputs(inputs: Sequence[Input]) -> list[Breakpoint]:
-    """Where the inputs jump."""
+    """The times at which the inputs jump."""
     return [Breakpoint(t, None) for one in inputs if one.breakpoints for t in one.times.tolist()]
 
 

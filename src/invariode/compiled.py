@@ -1,14 +1,14 @@
 """Native functions: pointers to machine code wherever a Python function is accepted, and `compile`, which makes them.
 
-The signatures, all double, row-major, p the arguments or NULL:
+The signatures (all numbers are doubles, matrices are row-major, p points to the arguments or is NULL):
 
 =================  ====================================================================================
 f, g, Jacobians    ``void (double t, const double* y, double* out, const double* p)``
 event              ``double (double t, const double* y, const double* p)``
 =================  ====================================================================================
 
-NaN in the output means 'cannot be evaluated here'. The code must not raise, and must be thread-safe. `compile` makes
-such code of functions that do raise: their values are NaN there.
+NaN in the output means 'cannot be evaluated here'. The code must not raise, and must be thread-safe. `compile` turns
+functions that do raise into such code: their values are NaN there.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ __all__ = ["CompiledFunction", "compile", "event_value", "is_native", "made_by_c
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
 
-#: Tuples of more values, all of one type, are stored by a loop, which is compiled in less time.
+#: Longer tuples, with values of one type, are stored by a loop, which compiles faster.
 _UNROLLED = 32
 
 
 class CoreFunction:
-    """A function of (t, y, *args) that the core has itself: callable from Python; the core takes `for_core`."""
+    """A function of (t, y, *args) that the core itself evaluates: callable from Python; the core takes `for_core`."""
 
-    #: Whether it calls machine code of the user's, which takes the arguments as numbers.
+    #: Whether it calls the user's machine code, which takes the arguments as numbers.
     native = False
-    #: How its derivatives are had, by the name of the function.
+    #: How its derivatives are formed, by the name of the function.
     derivatives: Mapping[str, str] = MappingProxyType({})
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
@@ -67,7 +67,7 @@ class _Shape(NamedTuple):
         return ["y", "v"] if self.second else ["y"]
 
     def unpacked(self) -> list[str]:
-        """Lines that bind what the function takes, from y_: (t,) q and v, one behind the other."""
+        """Lines that bind what the function takes, from y_: (t,) q and v, in succession."""
         first, middle = int(self.is_complex), int(self.is_complex) + self.n - self.second
         if not first and not self.second:
             return [f"y = carray(y_, ({self.n},))"]
@@ -132,11 +132,11 @@ class CompiledFunction:
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
         """The machine code for n components, `size` values and that many parameters. With `second` the function takes
-        two vectors, of n - second and second components, which stand one behind the other in y."""
+        two vectors, of n - second and second components, which follow each other in y."""
         return self._machine_code(_Shape(n, size, parameters, event, second))
 
     def complex_native(self, n: int, size: int, parameters: int, second: int = 0) -> _core.Native:
-        """The same function of complex t and y, which stand one behind the other, with complex values.
+        """The same function of complex t and y, which follow each other, with complex values.
 
         Raises
         ------
@@ -263,8 +263,8 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     fun : callable
         ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
         compiles; it returns a number, a tuple (fast), a list or an array, the rows of a Jacobian one after the other.
-        Where it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here'. Of a
-        function that numba, or this, has compiled, the Python function is taken.
+        If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here'. If it is
+        already compiled by numba or by this function, its Python function is used.
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
 
@@ -278,8 +278,8 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     ModuleNotFoundError
         numba, the extra `compiled`, is not installed.
     TypeError
-        Where it is used: numba cannot compile the function; it takes other arguments, or returns another number of
-        values.
+        When it is used: numba cannot compile the function, or it takes other arguments or returns another number of
+        values than it should.
 
     Examples
     --------
@@ -334,13 +334,13 @@ def _is_low_level(fun: object) -> bool:
 
 
 def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool = False, second: int = 0) -> Any:
-    """For the core, if `fun` is native: its address, with what keeps the code alive. Python functions pass unchanged.
-    `second`: as in `CompiledFunction.native`.
+    """The form for the core: the address of a native `fun`, with what keeps the code alive. Python functions pass
+    unchanged. `second`: as in `CompiledFunction.native`.
 
     Raises
     ------
     TypeError
-        The object tells a signature, and it is another one.
+        The object states a signature, and it is the wrong one.
     """
     if isinstance(fun, CoreFunction):
         return fun.for_core(n, size, args)
@@ -390,7 +390,7 @@ class _Native(_core.Native):
 
     def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
         if self.made_of is None:
-            raise TypeError("native functions cannot be pickled, but for those that invariode.compile makes")
+            raise TypeError("native functions cannot be pickled, except those that invariode.compile makes")
         return CompiledFunction._machine_code, self.made_of
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
@@ -434,15 +434,17 @@ _NO_PARAMETERS = np.zeros(0)
 
 
 def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
-    """The arguments of native functions: the values of `args` one after the other. Empty where none of them is native.
+    """The arguments of native functions: the values of `args` one after the other. Empty if no function is native.
 
     Raises
     ------
     TypeError
-        They are no real numbers.
+        They are not real numbers.
     """
     if not args or not any(map(is_native, functions)):
         return _NO_PARAMETERS
+    if len(args) == 1 and type(args[0]) is float:  # the common case
+        return np.array(args)
     try:
         return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
     except (TypeError, ValueError):

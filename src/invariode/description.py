@@ -76,7 +76,7 @@ class Description:
         self.limits = limits(nonnegative, bounds, self.y0, self._labels)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
-        """A problem that differs from this one in some arguments; this one does not change.
+        """A copy of this problem with some arguments changed.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Description:
         Raises
         ------
         TypeError, ValueError
-            What `Problem` raises for such arguments; a name that `Problem` does not know.
+            As for `Problem`; also a name that `Problem` does not know.
 
         Examples
         --------

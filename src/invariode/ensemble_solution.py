@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 
 from ._arguments import Array, choice
+from ._bound_invariants import BoundInvariants
 from ._messages import MESSAGES
 from ._types import Numbers
 from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
-from .invariants import BoundInvariants
 from .notebook import html_of_ensemble
 from .pictures.ensembles import draw as draw_ensemble
 from .result import BeforeProjection, Names, Record, Stats
@@ -95,7 +95,10 @@ class EnsembleEvents(Record):
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleStats(Record):
-    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words."""
+    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words.
+
+    `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0.
+    """
 
     steps: Array
     failed: Array
@@ -110,6 +113,8 @@ class EnsembleStats(Record):
     ng: Array
     ngjac: Array
     ngdiff: Array
+    stiff: Array
+    switches: Array
     clipped_amount: Array
     _lanes: str = ""
 
@@ -159,6 +164,8 @@ class EnsembleSolution:
         The same at the outputs and the end.
     correction : ndarray, (N,)
         Largest correction by projection of a step, in units of rtol.
+    attempt : ndarray of int, (N,)
+        Whose result each trajectory is: 0 of the method and options given, k of the k-th of `retry`.
     """
 
     t: Array
@@ -174,6 +181,7 @@ class EnsembleSolution:
     residual_before: Array
     residual_after: Array
     correction: Array
+    attempt: Array
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
 
     def _repr_html_(self) -> str:
@@ -190,6 +198,11 @@ class EnsembleSolution:
             first = min(self.messages)
             text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
         return text
+
+    @property
+    def failed(self) -> Array:
+        """The numbers of the trajectories that failed; `messages` say why."""
+        return np.flatnonzero(~self.success)
 
     def keys(self) -> list[str]:
         """The names of the fields."""
@@ -225,7 +238,7 @@ class EnsembleSolution:
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
         m = len(invariants)
-        stats: dict[str, Any] = {name: counts[i].item() for name, counts in self.stats.items()}
+        stats: dict[str, Any] = {name: counts[i].item() for name, counts in self.stats.items() if name != "stiff"}
         here = [event.trajectory == i for event in self.events]
         t = np.array([self.t_end[i]]) if self._final else self.t[reached]
         return Solution(
@@ -362,6 +375,7 @@ class EnsembleSolution:
                 for name in [name for name in arrays if "." in name]:
                     room, _, field = name.rpartition(".")
                     parts.setdefault(room, {})[field] = arrays.pop(name)
+                arrays.setdefault("attempt", np.zeros(len(arrays["status"]), dtype=np.int8))  # 0.1 had no `retry`
                 return cls(
                     **arrays,
                     stats=EnsembleStats(**parts["stats"]),

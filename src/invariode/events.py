@@ -25,31 +25,31 @@ class Event:
     terminal : bool or int, default False
         True ends the integration at the first occurrence, a positive integer at that occurrence.
     direction : float, default 0
-        Only zeros through which `fun` rises (positive) or falls (negative) in the direction of integration.
+        Find only zeros through which `fun` rises (positive) or falls (negative) in the direction of integration.
     action : callable, optional
-        ``action(t, y, *args) -> y_new`` of shape (n,): the solution jumps there (impact, switching, dosing) and goes on
-        from y_new. The output has both values under the same t, ``sol(t)`` there the later one. Until the event has
-        left zero it is not reported again. An occurrence that ends the integration is not acted upon. Events that
-        accumulate, as the impacts of a ball that comes to rest, need a `terminal` count.
+        ``action(t, y, *args) -> y_new`` of shape (n,): the solution jumps there (impact, switching, dosing) and
+        continues from y_new. The output has both states at the same t; ``sol(t)`` gives the later one there. The event
+        is not reported again until it has left zero. No action is taken at an occurrence that ends the integration.
+        Events that accumulate, like the impacts of a ball that comes to rest, need a `terminal` count.
     rehold : bool, default True
         After the action, invariants without a demanded value are held at their values at y_new; False: at the old ones,
-        which y_new must have. Demanded values of invariants of a later level, as constraints of velocities, are imposed
-        first, whatever y_new: a blow on one body of a mechanism becomes one on all, as the joints pass it on.
+        which y_new must have. Demanded values of invariants of a later level, such as velocity constraints, are first
+        imposed on y_new: the joints of a mechanism pass a blow on one body on to all the others.
     at_start : bool, default False
         Whether an event that is exactly zero at t0 occurs there, as in SciPy: then it is the first in `t_events`,
         counts for `terminal`, and has the direction in which the first step leaves zero. False: it does not occur until
-        it has left zero, so that a run that starts at an event does not find this event again. Not with an `action`.
+        it has left zero, so that a run that starts at an event does not find it again. Not possible with an `action`.
     samples : int or 'adaptive', optional
-        At how many equally spaced points inside each step `fun` is looked at for changes of its sign, at least.
-        Default: as many as the degree of the method's continuous extension, at least 3. 'adaptive': as many as it takes
-        to resolve `fun` along the step, by Chebyshev interpolation, from which all of its roots follow: from 9 for a
-        smooth function, hundreds around a kink.
+        The least number of equally spaced points inside each step at which `fun` is evaluated to find sign changes.
+        Default: the degree of the method's continuous extension, at least 3. 'adaptive': enough points to resolve `fun`
+        along the step by Chebyshev interpolation, from which all of its roots follow: from 9 for a smooth function to
+        hundreds around a kink.
 
     Notes
     -----
-    An odd number of roots between two neighbouring points is seen as one, an even number as none. What is found is a
-    sign change of `fun` along the continuous solution, to two units in the last place of t; with 'adaptive' all sign
-    changes are, if `fun` rises above 1e-11 of its largest value in the step on both sides of each.
+    An odd number of roots between two neighbouring points is seen as one, an even number as none. Roots are sign
+    changes of `fun` along the continuous solution, to two units in the last place of t; 'adaptive' finds all sign
+    changes if `fun` rises above 1e-11 of its largest value in the step on both sides of each.
 
     Examples
     --------
@@ -80,7 +80,7 @@ class Event:
         self.at_start = flag("at_start", at_start)
         if self.at_start and self.action is not None:
             raise ValueError(
-                "at_start is not possible with an action: where the event is zero at t0, apply the action to y0 first"
+                "at_start is not possible with an action: if the event is zero at t0, apply the action to y0 first"
             )
         self.samples = _samples(samples)
         self.__name__ = call_name(fun, "event")

@@ -35,8 +35,8 @@ __all__ = [
 ]
 __all__ += ["to_xarray", "write_arrays"]
 
-#: What every file says of itself, and the version of its contents: raised whenever they change.
-FORMAT, VERSION = "invariode solution", 2
+#: What every file says about itself, and the version of its contents: raised whenever they change.
+FORMAT, VERSION = "invariode solution", 3
 
 #: The fields of a Solution that JSON takes as they are.
 PLAIN = ("nfev", "njev", "nlu", "status", "message", "success")
@@ -51,10 +51,10 @@ class Exports(Result):
         Returns
         -------
         xarray.Dataset
-            `y` (component, t), with the problem's labels and the times as coordinates, complex where the problem is.
+            `y` (component, t), with the problem's labels and the times as coordinates, complex if the problem is.
             With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
             `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
-            a name are numbered. Of the accepted steps, if kept, `h, order, error, correction` (t_step). The attributes
+            a name are numbered. If the steps were kept, `h, order, error, correction` (t_step). The attributes
             are the problem's name, the outcome, the tolerances, and all counts of `stats`.
 
         Raises
@@ -84,13 +84,15 @@ class Exports(Result):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes everything but the functions to one file, from which `invariode.load` makes an equal Solution.
 
-        The residuals of the invariants and their distances are evaluated for it, at all outputs.
+        What the run remembers is in it too: ``load(path, problem).extend(tf)`` goes on to the last bit. The residuals
+        of the invariants and their distances are evaluated for it, at all outputs, and f at the start, by which
+        `invariode.load` tells whether a problem is the same.
 
         Parameters
         ----------
         path : str or path-like
-            The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced, all at
-            once when the new one is complete, which keeps its mode. A pipe or a device is written to.
+            The file, under exactly this name; conventionally it ends in ``.npz``. An existing file is replaced, all at
+            once when the new one is complete, and keeps its mode. A pipe or a device is written to.
 
         Raises
         ------
@@ -123,8 +125,9 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["order"] = ("t_step", solution.steps.order)
         variables["error"] = ("t_step", solution.steps.error, {"long_name": "estimated error / rtol"})
         variables["correction"] = ("t_step", solution.steps.correction, {"long_name": "correction / rtol"})
+        variables["method"] = ("t_step", solution.steps.method)
     attributes = {
-        name: int(value) if isinstance(value, bool) else value  # netCDF has no truth values
+        name: int(value) if isinstance(value, bool) else value  # netCDF has no booleans
         for name, value in _attributes(solution).items()
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, attributes)
@@ -160,7 +163,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
     variables: dict[str, Any] = {
         "y": (whole, ensemble.y),
         "y_end": (whole[:2], ensemble.y_end),
-        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "correction")},
+        **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "attempt", "correction")},
         **{name: ("trajectory", counts) for name, counts in ensemble.stats.items()},
     }
     if ensemble.value.shape[1]:
@@ -239,14 +242,18 @@ def save(solution: Result, path: str | os.PathLike[str]) -> None:
     write_arrays(_to_arrays(solution), path)
 
 
-def write_arrays(arrays: dict[str, Any], path: str | os.PathLike[str]) -> None:
-    """Writes an archive of arrays, which takes the place of one that is there when it is complete."""
+def write_arrays(arrays: dict[str, Any], path: str | os.PathLike[str], durable: bool = False) -> None:
+    """Writes an archive of arrays, which takes the place of one that is there when it is complete; `durable`: when it
+    is on the disk."""
     try:
         there = os.stat(path)
     except FileNotFoundError:
         there = None
     if there is None or stat.S_ISREG(there.st_mode):
-        _replace(Path(os.path.realpath(path)), there, arrays)
+        target = Path(os.path.realpath(path))
+        _replace(target, there, arrays, durable)
+        if durable:
+            _write_through(target.parent)
     else:  # a pipe, a device, where an archive cannot go back; of a directory this says what it is
         with open(path, "wb") as file:
             whole = io.BytesIO()
@@ -254,7 +261,18 @@ def write_arrays(arrays: dict[str, Any], path: str | os.PathLike[str]) -> None:
             file.write(whole.getbuffer())
 
 
-def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any]) -> None:
+def _write_through(folder: Path) -> None:
+    """Waits until the names in a folder are on the disk, where the system can say so."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any], durable: bool) -> None:
     """Writes the file beside the target, and puts it in its place once it is complete."""
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     try:
@@ -262,6 +280,8 @@ def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any])
         with nameless or open(temporary, "xb") as file:
             np.savez(file, **arrays)
             file.flush()
+            if durable:
+                os.fsync(file.fileno())
             if there is not None and hasattr(os, "fchmod"):
                 if there.st_uid != os.fstat(file.fileno()).st_uid:
                     with suppress(PermissionError):
@@ -276,7 +296,7 @@ def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any])
 
 
 def _nameless(folder: Path) -> Any:
-    """A file without a name, which is gone when the process is killed; None where the system has no such files."""
+    """A file without a name, which is gone when the process is killed; None if the system has no such files."""
     if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
         return None
     try:
@@ -307,6 +327,10 @@ def _to_arrays(solution: Result) -> dict[str, Any]:
         arrays["steps"] = solution.steps._rows
     for what, events in (("t_events", solution.t_events), ("y_events", solution.y_events)):
         arrays |= {f"{what}.{i}": one for i, one in enumerate(events or ())}
+    origin: dict[str, Any] | None = None
+    if solution._origin is not None:
+        origin, of_origin = solution._origin.stored()
+        arrays |= {f"origin.{name}": one for name, one in of_origin.items()}
     parts = {} if dense is None else dense._dense.parts()
     arrays |= {f"dense.{name}": part for name, part in parts.items() if isinstance(part, np.ndarray)}
     about = {
@@ -323,8 +347,10 @@ def _to_arrays(solution: Result) -> dict[str, Any]:
         **{name: solution[name] for name in PLAIN},
         "t_end": solution.t_end,
         "stats": dict(solution.stats),
+        "methods": [] if solution.steps is None else list(solution.steps._methods),
         "dense": {name: part for name, part in parts.items() if not isinstance(part, np.ndarray)},
         "imposed": dense is not None and dense._imposed is not None,
+        "origin": origin,
     }
     arrays["about"] = np.array(json.dumps(about))
     return arrays

@@ -1,4 +1,4 @@
-"""Inputs: functions of t that a table gives, and where they jump."""
+"""Inputs: functions of t given by a table, and where they jump."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class Input:
     Parameters
     ----------
     times : array_like of shape (k,)
-        When; increasing.
+        The times; increasing.
     values : array_like of shape (k,) or (k, m)
-        What u is then: a number, or m numbers.
+        The values of u then: one number, or m numbers.
     kind : {'previous', 'linear', 'cubic'}
-        Between the times: the value of the last one, which holds from its time on and after the last time for ever;
-        straight lines; or the cubic spline of `scipy.interpolate.CubicSpline` (not-a-knot), for k of at least 2.
+        Between the times: the previous value, where the last one holds for ever; straight lines; or the cubic spline of
+        `scipy.interpolate.CubicSpline` (not-a-knot), for k of at least 2.
     breakpoints : bool, default True
-        Whether runs start anew at each of the times, where the values, the slopes or (of a spline) third derivatives
-        jump. False saves evaluations of f where the table is dense and smooth; the error control then has to find out.
+        Whether runs start anew at each of the times, where the values, the slopes or (for a spline) third derivatives
+        jump. False saves evaluations of f if the table is dense and smooth; the error control then has to notice jumps.
 
     Notes
     -----
-    ``u(t)`` is a number for a number t, (m,) if there are several values; for an array of t these along its first axis.
+    ``u(t)`` for a number t is a number, or has shape (m,); for an array of t these follow along the first axis.
 
     Examples
     --------
@@ -68,7 +68,7 @@ class Input:
 
     @property
     def size(self) -> int:
-        """How many numbers u is."""
+        """How many numbers u has."""
         return 1 if self.values.ndim == 1 else int(self.values.shape[1])
 
     def __call__(self, t: ArrayLike) -> Any:
@@ -80,7 +80,7 @@ class Input:
         return u.reshape(times.shape if single else (*times.shape, self.size))[()]
 
     def covers(self, t0: float, tf: float) -> bool:
-        """Whether the table says what u is from t0 to tf."""
+        """Whether the table covers t0 to tf."""
         low, high = min(t0, tf), max(t0, tf)
         return bool(self.times[0] <= low and (self.kind == "previous" or high <= self.times[-1]))
 
@@ -102,7 +102,7 @@ def _polynomial(times: Array, values: Array, kind: str) -> _core.PiecewisePolyno
     elif kind == "linear":
         powers = np.stack([np.diff(rows, axis=0) / np.diff(times)[:, None], rows[:-1]])
     else:
-        from scipy.interpolate import CubicSpline  # takes longer to import than all the rest
+        from scipy.interpolate import CubicSpline  # takes longer to import than everything else
 
         powers = CubicSpline(times, rows).c
     ordered = np.ascontiguousarray(np.moveaxis(powers, 0, -1), dtype=float)  # (pieces, size, powers)
@@ -126,7 +126,7 @@ def to_inputs(inputs: InputsLike | None, t_span: tuple[float, float]) -> list[In
 
 
 def fed(fun: Any, inputs: Sequence[Input]) -> Any:
-    """A function of (t, y, *inputs, *args) as one of (t, y, *args), native where it is."""
+    """A function of (t, y, *inputs, *args) as one of (t, y, *args), native if the function is."""
     if not inputs or not (callable(fun) or is_native(fun)):
         return fun
     if is_native(fun):

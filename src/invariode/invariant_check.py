@@ -1,4 +1,4 @@
-"""The pre-flight check of invariants: a report of how they stand at one point."""
+"""The check of invariants before a run: a report on them at one point."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from ._arguments import Array, extra_arguments, flag, function, number, quietly, reals, state, tolerances
+from ._bound_invariants import BoundInvariants, bind
 from ._messages import wrong_jacobian
 from ._types import Function, Numbers
 from .compiled import is_native, native_parameters, to_native
 from .description import Description
-from .invariants import BoundInvariants, InvariantsLike, bind, to_invariants
+from .invariants import InvariantsLike, to_invariants
 from .notebook import html_of_check
 from .run import solve
 
@@ -25,7 +26,7 @@ __all__ = ["CheckReport", "check_invariants"]
 
 @dataclass(frozen=True)
 class CheckReport:
-    """How invariants stand at a point; prints as a table. Arrays of one value per invariant.
+    """A report on invariants at a point; prints as a table. Arrays have one value per invariant.
 
     Attributes
     ----------
@@ -35,26 +36,29 @@ class CheckReport:
     residual : ndarray
         g(t, y) - value.
     distance : ndarray
-        That as a distance from the level set, in units of rtol.
+        The residual as a distance from the level set, in units of rtol.
     rate : ndarray
         d/dt of the invariant along f, at the nearest point of the manifold.
     angle : ndarray
-        That in units of the size of its terms: roundoff for invariants.
+        The rate in units of the size of its terms: roundoff for an invariant.
     detectable : ndarray
-        The smallest angle that the check tells from roundoff and from errors of the derivatives. (A run sees smaller
-        ones, where its tolerance asks for it.)
+        The smallest angle that the check can distinguish from roundoff and from errors in the derivatives. (A run
+        detects smaller ones if its tolerance requires it.)
     redundant : ndarray of bool
         Dependent on the others.
     stationary : ndarray of bool
         The gradient is 0.
     conserved : ndarray of bool
-        The rate is roundoff, at the point and at others near it: the angle is not above what is detectable.
+        The rate is roundoff, at the point and at others near it: the angle is at most `detectable`. For
+        `invariode.Dissipated` functions, a rate of the right sign suffices.
+    senses : list of int
+        -1: it may only fall as t grows; 1: it may only rise; 0: it must be conserved.
     on_manifold : ndarray of bool
         The distance is at most 1.
     derivatives : list of str
-        Where the gradient came from.
+        How the gradient was computed.
     findings : list of str
-        What is wrong or worth knowing, in words; empty where all is well.
+        What is wrong or worth knowing, in words; empty if all is well.
     ok : bool
         All are conserved and on the manifold, and no Jacobian is wrong. (Redundant ones do no harm.)
     """
@@ -69,6 +73,7 @@ class CheckReport:
     redundant: Array
     stationary: Array
     conserved: Array
+    senses: list[int]
     on_manifold: Array
     derivatives: list[str]
     findings: list[str]
@@ -80,11 +85,15 @@ class CheckReport:
         for i, name in enumerate(self.names):
             lines.append(
                 f"{name:<{width}} {self.value[i]:>13.6g} {self.residual[i]:>10.2e} {self.rate[i]:>10.2e} "
-                f"{self.angle[i]:>13.1e}  {'yes' if self.conserved[i] else 'NO'}"
+                f"{self.angle[i]:>13.1e}  {self.verdict(i)}"
             )
         return "\n".join(lines + self.findings)
 
     __repr__ = __str__
+
+    def verdict(self, i: int) -> str:
+        """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
+        return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
 
     def _repr_html_(self) -> str:
         return html_of_check(self)
@@ -101,7 +110,7 @@ def check_invariants(
     atol: Numbers = 1e-6,
     nearby: bool = True,
 ) -> CheckReport:
-    """Are these functions invariants of y' = f(t, y)? What a solve asks at its start, as a report.
+    """Checks whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
 
     Parameters
     ----------
@@ -119,14 +128,14 @@ def check_invariants(
     atol : float or array_like of shape (n,), default 1e-6
         The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured.
     nearby : bool, default True
-        Whether what is conserved at the point is tested at points near it too, and along a short run: at points of
-        rest and of symmetry much looks conserved.
+        Whether to test also at points near this one and along a short run: at points of rest and of symmetry many
+        functions look conserved.
 
     Returns
     -------
     CheckReport
-        Finite, on the manifold, independent, conserved on the manifold (constraints are invariant only there), their
-        Jacobians right.
+        Whether they are finite, on the manifold, independent and conserved on the manifold (constraints are invariant
+        only there), and their Jacobians right.
 
     Raises
     ------
@@ -175,7 +184,7 @@ def check_invariants(
 #: Points near the one that is checked, and their distance in units of the sizes of the components.
 _NEARBY, _SPREAD = 4, 0.05
 
-#: The short run: so many steps of ode45, of which so many points are checked.
+#: The short run: the number of steps of ode45, and of points checked among them.
 _STEPS, _ALONG = 20, 4
 
 
@@ -188,7 +197,7 @@ def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
         run.append((at, state.copy()))
         return len(run) >= _STEPS
 
-    # outside of its domain f may raise anything: what the run has reached by then will do
+    # outside its domain f may raise anything: the part of the run so far is enough
     with quietly(), suppress(Exception):
         solve(problem, "ode45", {"callback": note, "keep": "end", "max_step": np.inf})
     sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
@@ -210,25 +219,32 @@ class _Elsewhere(NamedTuple):
 
 
 def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
-    """None where something is not defined."""
+    """The examination; None if something is not defined there."""
     try:
         found = _core.examine(t, y.view(float), problem, weights)
-    except Exception:  # of a function of the user, where the user did not send it
+    except Exception:  # from a user's function, at a point that the user did not choose
         return None
     return None if found is None else _Elsewhere(t, y, found)
 
 
+#: Words for messages: an invariant is ..., or it ...
+_CONSERVED = ("conserved", "changes")
+
+
 def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
-    """The report, with invariants refused that are conserved at its point only."""
+    """The report, with those refused that are conserved only at its point."""
     conserved, findings = report.conserved.copy(), []
     for i in np.flatnonzero(report.conserved):
         there = [other for other in others if other is not None and not other.found.conserved[i]]
         if there:
             worst = max(there, key=lambda other: float(other.found.angle[i]))
             conserved[i] = False
+            kept, does = (
+                ("dissipated", "falls" if report.senses[i] > 0 else "rises") if report.senses[i] else _CONSERVED
+            )
             findings.append(
-                f"{report.names[i]} is not conserved by fun: it looks so at this point, but at t = {worst.t:.6g}, "
-                f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it changes at the rate "
+                f"{report.names[i]} is not {kept} by fun: it looks so at this point, but at t = {worst.t:.6g}, "
+                f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it {does} at the rate "
                 f"{worst.found.rate[i]:.3g} ({worst.found.angle[i]:.1e} of its terms)"
             )
     if not findings:
@@ -242,10 +258,13 @@ def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: b
     redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
     on_manifold = found.distance <= 1
     kinds = [one.jac if isinstance(one.jac, str) else "given" for one in bound.specs for _ in range(one.m)]
+    senses = np.array(bound.senses)
     findings = [
-        *_each(bound.names, ~conserved, "{} is not conserved by fun"),
+        *_each(bound.names, ~conserved & (senses == 0), "{} is not conserved by fun"),
+        *_each(bound.names, ~conserved & (senses < 0), "{} is not dissipated by fun: it rises"),
+        *_each(bound.names, ~conserved & (senses > 0), "{} is not dissipated by fun: it falls"),
         *_each(bound.names, ~on_manifold, "the point is not on the manifold of {}"),
-        *_each(bound.names, stationary, "{} is stationary here: it holds nothing"),
+        *_each(bound.names, stationary & (senses == 0), "{} is stationary here: it holds nothing"),
         *_each(bound.names, redundant & ~stationary, "{} is redundant here: the others imply it"),
     ]
     wrong = found.wrong_jacobian
@@ -263,6 +282,7 @@ def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: b
         stationary=stationary,
         redundant=redundant,
         conserved=conserved,
+        senses=bound.senses,
         on_manifold=on_manifold,
         derivatives=kinds,
         findings=findings,

@@ -1,4 +1,4 @@
-"""Discovery: polynomials that the equations keep, found as a null space and verified."""
+"""Discovery: polynomials that the equations conserve, found as a null space and verified."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class PolynomialInvariant(Invariants):
     Attributes
     ----------
     coefficients : dict
-        Exponents of the components -> coefficient, a Fraction where that fits, else a float.
+        Exponents of the components -> coefficient, a Fraction if it is a simple one, else a float.
     degree : int
         Total degree.
     formula : str
-        The polynomial in words; also its name.
+        The polynomial as text; also its name.
     """
 
     def __init__(self, coefficients: dict[Exponents, Number], labels: Sequence[str]) -> None:
@@ -98,11 +98,11 @@ def find_invariants(
     *,
     labels: Sequence[str] | None = None,
 ) -> list[PolynomialInvariant]:
-    """Proposes polynomials that y' = f(t, y) keeps.
+    """Proposes polynomials that y' = f(t, y) conserves.
 
-    p is an invariant where ∇p · f = 0. With the monomials up to the degree as unknowns this is a linear system at
-    points around several trajectories; its null space is taken where its dimension is beyond doubt, degree by degree,
-    and what is found is verified on trajectories that were not used.
+    p is an invariant if ∇p · f = 0. At points around several trajectories this is a linear system for the coefficients
+    of the monomials; degree by degree its null space is taken if its dimension is beyond doubt, and the polynomials
+    found are verified on other trajectories.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def find_invariants(
     t_span : (float, float)
         Interval of the trajectories, finite.
     y0 : array_like of shape (n,)
-        Their start; others start nearby. Real. Better not a point of symmetry.
+        Where one starts; the others start nearby. Real; preferably not a point of symmetry.
     degree : int, default 2
         Highest total degree.
     args : tuple, optional
@@ -122,8 +122,8 @@ def find_invariants(
     Returns
     -------
     list of PolynomialInvariant
-        Functionally independent ones, those of low degree first: no products or powers of others. Empty if there are
-        none, or if the singular values leave a doubt: a wrong invariant is worse than a missing one.
+        Functionally independent ones, low degrees first: no products or powers of others. Empty if there are none, or
+        if the singular values leave doubt: a wrong invariant is worse than a missing one.
 
     Raises
     ------
@@ -132,9 +132,9 @@ def find_invariants(
 
     Notes
     -----
-    Invariants that hold on a part of the space only, as on a constraint's manifold, are not found, nor are those that
-    are not polynomials in y. Evaluations of f away from the solution are needed; where f is not finite there, points
-    are left out. The random points come from a fixed seed.
+    Invariants that hold only on part of the space, such as a constraint's manifold, are not found, nor are those that
+    are not polynomials in y. f is evaluated away from the solution; points where it is not finite are left out. The
+    random points come from a fixed seed.
 
     Examples
     --------
@@ -171,7 +171,7 @@ def find_invariants(
 
 
 class _Search:
-    """Sample points of a problem, and what polynomials do there.
+    """Sample points of a problem, and the rates of polynomials there.
 
     The unit of y is a power of two of the size of y0: powers of components of any size neither overflow nor underflow,
     and nothing else changes.
@@ -200,7 +200,7 @@ class _Search:
         return near
 
     def _trajectory(self, y0: Array, rtol: float) -> tuple[Array, Array] | None:
-        """(t, y) of a run, by the code for stiff problems if the other one labours; None where f is not defined."""
+        """(t, y) of a run, by the code for stiff problems if the other one struggles; None if f is not defined."""
         steps = itertools.count()
 
         def labours(t: float, y: Array) -> bool:
@@ -216,7 +216,7 @@ class _Search:
                 sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
                 if not sol.success or sol.status == 2:
                     sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
-        except (ArithmeticError, ValueError):  # a perturbed start outside of the domain of f
+        except (ArithmeticError, ValueError):  # a perturbed start outside the domain of f
             return None
         return (sol.t, sol.y) if len(sol.t) > 1 else None
 
@@ -242,7 +242,7 @@ class _Search:
         return np.array(points).reshape(-1, n).T, np.array(slopes).reshape(-1, n).T
 
     def null_polynomials(self, monomials: list[Exponents]) -> list[dict[Exponents, Number]]:
-        """A sparse basis of the polynomials with ∇p · f = 0, empty where the rank is in doubt."""
+        """A sparse basis of the polynomials with ∇p · f = 0, empty if the rank is in doubt."""
         y, slope = self._samples(2 * len(monomials) + 20)
         if y.shape[1] < len(monomials) + 10:
             return []

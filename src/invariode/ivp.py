@@ -54,8 +54,8 @@ def solve_ivp(
         ``fun(t, y, *args)``: the derivative, a sequence or array of shape (n,); y has shape (n,). Machine code is
         accepted too, here as for all other functions: see `compile`.
     t_span : (float, float)
-        (t0, tf). tf < t0 integrates backwards; with an infinite tf only a terminal event or a callback ends the run;
-        without one it goes on until a limit is reached (`max_steps`, `time_limit`, `max_points`).
+        (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
+        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
     y0 : array_like of shape (n,)
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'
@@ -74,19 +74,19 @@ def solve_ivp(
     Raises
     ------
     TypeError, ValueError
-        Arguments that are wrong; an option that is unknown; a function that returns the wrong shape.
+        Wrong arguments; an unknown option; a function that returns the wrong shape.
     InvariantError
-        y0 is off a demanded value, a Jacobian is wrong, or an invariant is not conserved already at the start.
+        At the start, y0 is off a demanded value, a Jacobian is wrong, or an invariant is not conserved.
 
     Warns
     -----
     UserWarning
-        An option that the method cannot use, a tolerance that was raised, invariants that are redundant.
+        An option that the method cannot use, a tolerance that was raised, redundant invariants.
 
     Notes
     -----
-    A numerical failure is a value: ``success`` is False, and ``message`` says why. Exceptions of the user's functions
-    come out unchanged.
+    A numerical failure is a value: ``success`` is False, and ``message`` says why. Exceptions in the user's functions
+    are passed on unchanged.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Ready invariants: unit vectors, unit quaternions and rotation matrices, of one body or of several.
+"""Ready-made invariants: unit vectors, unit quaternions and rotation matrices, for one body or several.
 
 All are quadratic: each equation is a sum of products of two components, so the Jacobian is exact and linear in y.
 """
@@ -97,7 +97,7 @@ class _UnitNorms(_Quadratic):
 
 
 class UnitVector(_UnitNorms):
-    """Components that form vectors of length 1, as directions and points on a sphere.
+    """Components that form vectors of length 1, such as directions and points on a sphere.
 
     Parameters
     ----------
@@ -116,8 +116,8 @@ class UnitVector(_UnitNorms):
 
     Notes
     -----
-    One equation y·y = 1 for each vector, for real states. The functions take complex y too, as complex steps need it:
-    y·y then is not ``|y|²``.
+    One equation y·y = 1 for each vector, for real states. The functions also take complex y, for complex steps: y·y is
+    then not ``|y|²``.
 
     Examples
     --------
@@ -133,13 +133,12 @@ class UnitVector(_UnitNorms):
 
 
 class UnitQuaternion(_UnitNorms):
-    """Components that form unit quaternions: attitudes of one body or of several.
+    """Components that form unit quaternions: attitudes of one body or several.
 
     Parameters
     ----------
     indices : array_like of int, (4,) or (k, 4)
-        Which components of y form the quaternion, or each of k quaternions. The place of the scalar part does not
-        matter.
+        Which components of y form the quaternion, or each of k quaternions. The scalar part may come first or last.
     name : str or sequence of k str, optional
         What the quaternions are called in messages and tables. Default: q, or q1, q2, ...
     iterations, when
@@ -188,8 +187,8 @@ class RotationMatrix(_Quadratic):
 
     Notes
     -----
-    The equations say that the columns are orthonormal, hence the rows too. They cannot tell a rotation from a
-    reflection; a solution that starts as a rotation stays one, since the determinant ±1 cannot jump.
+    The equations make the columns orthonormal, and hence the rows. They cannot tell a rotation from a reflection; a
+    solution that starts as a rotation stays one, since the determinant ±1 cannot jump.
 
     Examples
     --------

@@ -1,31 +1,30 @@
-"""Constrained mechanics: from mass, forces and constraints to a problem whose solution keeps the constraints."""
+"""Constrained mechanics: from mass, forces and constraints to a problem whose solution satisfies the constraints."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, choice, extra_arguments, function, interval, state, warn
 from ._consistent import consistent_state, dependent_rows, nearby_state
+from ._films import HasPoints
 from ._motion import FunctionOfState, Functions, Motion, MotionFunction, Point
 from ._types import Span
 from .compiled import is_native
 from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
 from .problem import Problem
 
-if TYPE_CHECKING:  # an extra, imported when a film is made
-    from .animation import Film
-
 __all__ = ["MechanicalSystem"]
 
-#: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms are one.
+#: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms mean one.
 _INCONSISTENT = 1e-6
-#: ψ is linear in v where a combination of values is the value of the combination to this part of its terms.
+#: ψ is linear in v if a combination of values is the value of the combination to this fraction of its terms.
 _LINEAR = 1e-9
-#: The mass matrix is symmetric to this part of its largest entry.
+#: The mass matrix must be symmetric to this fraction of its largest entry.
 _SYMMETRIC = 1e-12
 
 
@@ -38,12 +37,12 @@ class _Points(Protocol):
     def y(self) -> Any: ...
 
 
-class MechanicalSystem:
+class MechanicalSystem(HasPoints):
     """A mechanical system with constraints: M(t, q) v' = Q(t, q, v) + Φᵀ λ, q' = v, φ(t, q) = 0.
 
-    `problem` makes an ordinary differential equation of it, by solving for the forces of the constraints, together with
-    the invariants that this equation has: φ = 0 and its rate Φ v + φ_t = 0. Any method solves it. All derivatives are
-    taken care of.
+    `problem` turns it into an ordinary differential equation, by solving for the constraint forces, together with the
+    equation's invariants: φ = 0 and its rate Φ v + φ_t = 0. Any method can solve it. All derivatives are formed
+    automatically.
 
     Parameters
     ----------
@@ -51,18 +50,17 @@ class MechanicalSystem:
         M, constant or ``M(t, q, *args)``; a diagonal, a matrix, or a sparse matrix. Symmetric, and positive definite
         on the velocities that the constraints allow.
     force : callable
-        ``Q(t, q, v, *args)``, of shape (n,): all forces but those of the constraints, with the terms that are quadratic
-        in v.
+        ``Q(t, q, v, *args)``, of shape (n,): all forces except the constraint forces, including terms quadratic in v.
     constraints : callable or Invariants, optional
         Holonomic constraints ``φ(t, q, *args)``, a number or shape (m,); or ``Invariants(φ, names=[...])``, which
         names them in messages and tables.
     velocity_constraints : callable or Invariants, optional
-        Non-holonomic constraints ``ψ(t, q, v, *args)``, a number or shape (k,), linear in v; the same.
+        Non-holonomic constraints ``ψ(t, q, v, *args)``, a number or shape (k,), linear in v; named likewise.
     kinematics : callable, optional
-        ``K(t, q, v, *args)``, the derivative of q where that is not v, as with quaternions: q and v may then differ in
+        ``K(t, q, v, *args)``, the derivative of q if that is not v, as with quaternions: q and v may then differ in
         length.
     energy : callable, optional
-        ``E(t, q, v, *args)``, a number, held at its initial value. Default: none is held.
+        ``E(t, q, v, *args)``, a number, held at its initial value. Default: no energy is held.
     invariants : callable, Invariants, or list of these, optional
         Further invariants ``g(t, y, *args)`` with y = (q, v).
     points : callable, optional
@@ -74,28 +72,28 @@ class MechanicalSystem:
     name : str, optional
         For tables and plots.
     jacobian : callable, optional
-        ``Φ(t, q, *args)``, the Jacobian ∂φ/∂q of shape (m, n), dense or sparse. Default: by complex steps, where φ
-        takes complex t and q, else by differences of order 4.
+        ``Φ(t, q, *args)``, the Jacobian ∂φ/∂q of shape (m, n), dense or sparse. Default: by complex steps if φ takes
+        complex t and q, else by differences of order 4.
 
     Notes
     -----
     Write `constraints` so that they take complex q: with NumPy's functions, without abs and max. Then Φ is exact to
-    roundoff, and the second derivative of φ along the motion is good to about twelve digits. By differences they are
-    good to eleven digits and eight.
+    roundoff, and the second derivative of φ along the motion is good to about twelve digits. With differences Φ is good
+    to eleven digits, the second derivative to eight.
 
-    A system is an index-3 differential-algebraic equation. Here it is an ordinary one with invariants, which is as
-    accurate with explicit methods, and needs no multipliers: these are computed afterwards, where they are wanted.
+    Such a system is a differential-algebraic equation of index 3. The ordinary one with invariants is as accurate,
+    suits explicit methods, and needs no multipliers: these are computed afterwards, on request.
 
-    All functions may be native (`invariode.compile`, ctypes, ...), in a mix with Python functions, too: ``f(t, q)`` or
+    All functions may be native (`invariode.compile`, ctypes, ...), alone or with Python functions: ``f(t, q)`` or
     ``f(t, q, v)``, with `args` ``f(t, q, p)`` or ``f(t, q, v, p)``, p being the arguments as an array. In C these are
-    ``void f(double t, const double* x, double* out, const double* p)`` with x = q, or q and v one behind the other; a
-    mass fills (n, n). Native constraints that `compile` has not made need names, to tell how many they are, and have
+    ``void f(double t, const double* x, double* out, const double* p)`` with x = q, or q followed by v; a mass fills
+    (n, n). Native constraints not made by `compile` need names, which give their number, and are differentiated by
     differences. If all functions are native, no Python is called in the run.
 
     A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times, and factorises M, dense, in
-    O(n³) operations. In systems of 24 velocities and more the entries of M and Φ that are always zero are looked for.
-    Where these are most of them, as in chains, one evaluation of φ gives all columns of Φ that have no row in common,
-    and the factors are sparse: a call of f costs O(n).
+    O(n³) operations. With 24 velocities or more, entries of M and Φ that are always zero are looked for. If most are,
+    as in chains, one evaluation of φ gives all columns of Φ that have no row in common, and the factors are sparse: a
+    call of f costs O(n).
 
     Examples
     --------
@@ -151,7 +149,7 @@ class MechanicalSystem:
         self.args = extra_arguments(args)
         self.labels = None if labels is None else list(labels)
         self.name = name
-        self._n_q: int | None = None  # what `problem` was told, where lengths of q and v differ
+        self._n_q: int | None = None  # known from `problem`, if lengths of q and v differ
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})" if self.name else f"{type(self).__name__}()"
@@ -175,9 +173,9 @@ class MechanicalSystem:
         v0 : array_like
             Velocities at t0.
         consistent : {'check', 'project'}, default 'check'
-            A start that is off the constraints by less than the tolerances of the run is moved onto them. If it is
-            farther off: an `InvariantError` of the run, or it is moved there by the least change, in the metric of the
-            mass matrix, with a warning that tells how far.
+            A start that is off the constraints by less than the run's tolerances is moved onto them. One that is
+            farther off is an `InvariantError` in the run, or is moved by the least change in the metric of the mass
+            matrix, with a warning that says how far.
         correction : {'levels', 'joint', 'none'}, default 'levels'
             How the solution is put back onto the constraints after each step: first positions onto φ = 0, then
             velocities onto φ' = 0 and ψ = 0 with the positions held, then all onto energy and further invariants
@@ -191,8 +189,8 @@ class MechanicalSystem:
         Raises
         ------
         ValueError
-            Shapes that do not fit; ψ that is not linear in v; a constraint that does not depend on q; M that is
-            singular on the velocities that the constraints allow.
+            Shapes do not match; ψ is not linear in v; a constraint does not depend on q; M is singular on the
+            velocities that the constraints allow.
         InvariantError
             The constraints contradict each other: there is no consistent state.
 
@@ -230,8 +228,8 @@ class MechanicalSystem:
     def consistent(self, t: float, y: ArrayLike) -> Array:
         """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
 
-        What an action of an event returns where it changes velocities: the links answer an impact with impulses of
-        their own, which are the least change of v in this metric.
+        An event's action that changes velocities should return this: the links answer an impact with impulses of their
+        own, which are the least change of v in this metric.
 
         Parameters
         ----------
@@ -270,13 +268,13 @@ class MechanicalSystem:
         sol : Solution
             Of a problem of this system.
         args : tuple, optional
-            The arguments that the solution belongs to. Default: those of its problem, where the solution knows it, else
-            those of the system. Give them for trajectories of ensembles and for solutions that were loaded.
+            The arguments with which it was solved. Default: those of its problem, if the solution knows it, else those
+            of the system. Give them for trajectories of ensembles and for loaded solutions.
 
         Returns
         -------
         ndarray, (m, n_t)
-            Those of the constraints, then those of the velocity constraints; of least norm where constraints are
+            Those of the constraints, then those of the velocity constraints; of least norm if constraints are
             redundant.
         """
         columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
@@ -303,30 +301,11 @@ class MechanicalSystem:
         ]
         return np.array(columns).T
 
-    def animate(self, sol: Any, **options: Any) -> Film:
-        """Shows the motion of the `points` of the system as a film.
-
-        Parameters
-        ----------
-        sol : Solution
-            Of a problem of this system.
-        **options
-            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
-
-        Returns
-        -------
-        Film
-
-        Raises
-        ------
-        ValueError
-            The system was made without `points`.
-        """
+    def _places(self, sol: Any) -> Callable[[float, Array], Any]:
         if self.points is None:
             raise ValueError("the system has no points: make it with points=, or use sol.animate")
         n, place, args = self._positions_of(sol.y), self.points, self.args
-        film: Film = sol.animate(lambda t, y: place(t, y[:n], *args), **options)
-        return film
+        return lambda t, y: place(t, y[:n], *args)
 
     def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
@@ -342,7 +321,9 @@ class MechanicalSystem:
         if self.kinematics is None:
             return len(y) // 2
         if self._n_q is None:
-            raise ValueError("the solution is of no problem of this system: make one with `problem`, and solve it")
+            raise ValueError(
+                "the solution does not belong to a problem of this system: make one with `problem`, and solve it"
+            )
         return self._n_q
 
     # ------------------------------------------------------------------------------------------------------------------
@@ -351,7 +332,9 @@ class MechanicalSystem:
     def _motion(self, start: Point) -> Motion:
         n_q, n_v = len(start.q), len(start.v)
         if self.kinematics is None and n_q != n_v:
-            raise ValueError(f"q0 and v0 must have one length where q' = v, got {n_q} and {n_v}; else give kinematics")
+            raise ValueError(
+                f"q0 and v0 must have the same length if q' = v, got {n_q} and {n_v}; else give kinematics"
+            )
         self._n_q = n_q
         given = {"constraints": self.constraints, "velocity_constraints": self.velocity_constraints}
         told = {name: one for name, one in given.items() if isinstance(one, Invariants)}
@@ -415,8 +398,8 @@ class MechanicalSystem:
         if redundant.any():
             listed = ", ".join(name for name, left_out in zip(names, redundant, strict=True) if left_out)
             warn(
-                f"redundant constraints are left out: {listed}. The motion is the same; of the multipliers those of "
-                "least norm are reported"
+                f"redundant constraints are left out: {listed}. The motion is the same; the multipliers reported are "
+                "those of least norm"
             )
         motion.kept = ~redundant
 
@@ -480,6 +463,6 @@ def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> 
 
 
 def _at_level(one: Invariants, level: int) -> Invariants:
-    names = None if one.names is None else list(one.names)
-    when: Any = one.when
-    return Invariants(one.fun, one.jac, one.value, names, one.iterations, when, level, one.moves, one.metric)
+    moved = copy.copy(one)
+    moved.level = level
+    return moved

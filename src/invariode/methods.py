@@ -19,7 +19,7 @@ class Method:
     Attributes
     ----------
     name : str
-        As in MATLAB; of dop853, which is not there, as its authors call it.
+        As in MATLAB, or as the authors call methods that MATLAB does not have; 'auto' chooses between two.
     summary : str
         What it is and what it is for, in a few words.
     family : str
@@ -27,14 +27,14 @@ class Method:
     min_order : int
         Lowest order of the formulas.
     order : int
-        Highest order; the lowest too where the order is fixed.
+        Highest order; also the lowest if the order is fixed.
     extension_order : int
         Order of the continuous extension, of the formula of highest order.
     stages : int or None
-        Evaluations of f per step of a Runge-Kutta pair; None where they are not a fixed number. Where 'fsal' is not
-        among `options` the last of them waits for the accepted value: a failed attempt takes one less.
+        Evaluations of f per step of a Runge-Kutta pair; None if their number is not fixed. If 'fsal' is not among
+        `options` the last of them waits for the accepted value: a failed attempt takes one fewer.
     extra : int
-        Evaluations of f that output or events inside a step take, once per step.
+        Further evaluations of f in a step with output or events inside it.
     iterations : int
         Projection iterations per step when invariants are imposed (paper, section 4).
     refine : int
@@ -42,11 +42,11 @@ class Method:
     scipy_name : str or None
         The name of the corresponding method of `scipy.integrate.solve_ivp`, accepted too.
     scipy_options : mapping
-        What that name implies.
+        The options that this name implies.
     mass : str
-        Which mass matrices it takes: 'none', 'regular' (and constant) ones, or 'any'.
+        Which mass matrices it takes: 'none', 'regular' (constant, regular ones), or 'any'.
     options : tuple of str
-        Options that not every method can use, and this one can.
+        Options that this method can use and others cannot.
     source : str
         Where the formulas come from.
     """
@@ -80,11 +80,6 @@ def _from_core(row: _core.Method) -> Method:
 #: The methods by name, as the core lists them.
 METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for row in _core.methods()})
 
-#: What to use instead of the methods of SciPy that have no counterpart here.
-_INSTEAD = {
-    "LSODA": "use method='ode15s' if the problem is stiff, 'ode113' if it is not",
-}
-
 
 def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     """The method of that name, of that name in SciPy, or of that class there or in `invariode.scipy`; and what SciPy's
@@ -97,8 +92,6 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
             return candidate, {}
         if name == candidate.scipy_name:
             return candidate, candidate.scipy_options
-    if name in _INSTEAD:
-        raise ValueError(f"method {name!r} of SciPy is not available: {_INSTEAD[name]}. Methods: {_names()}")
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""

@@ -1,4 +1,4 @@
-"""How problems and results look in a notebook: short tables in HTML, a small picture, formulas."""
+"""Problems and results in a notebook: short HTML tables, a small picture, formulas."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ._arguments import call_name
 
 __all__ = ["html_of_check", "html_of_ensemble", "html_of_problem", "html_of_solution", "latex_of_polynomial"]
 
-#: Of more components, failures and lines of source so many are shown.
+#: The most components, failures and lines of source that are shown.
 _MOST = 12
 
 #: A picture of a run with more outputs would take longer than the eye waits.
@@ -24,7 +24,7 @@ _PICTURED = 200_000
 
 
 def html_of_problem(problem: Any) -> str:
-    """Name, interval, components with their initial values, what is kept, events; f as it was written, folded up."""
+    """Name, interval, components with their initial values, invariants, events; the source of f, folded."""
     labels = problem._labels or [f"y{i}" for i in range(len(problem.y0))]
     start = ", ".join(f"{label} = {value:.6g}" for label, value in zip(labels[:_MOST], problem.y0, strict=False))
     rows = [
@@ -39,7 +39,7 @@ def html_of_problem(problem: Any) -> str:
 
 
 def html_of_solution(sol: Any) -> str:
-    """How the run went, what it kept, and a small picture where matplotlib is installed."""
+    """How the run went, what it kept, and a small picture if matplotlib is installed."""
     stats = sol.stats
     rows = [
         ("status", f"{'✓' if sol.success else '✗'} {sol.message}"),
@@ -62,7 +62,7 @@ def html_of_solution(sol: Any) -> str:
 
 
 def html_of_ensemble(ensemble: Any) -> str:
-    """How many trajectories ended how, and why the first of those that failed did."""
+    """How the trajectories ended, and why the first failed one failed."""
     counted = ((0, "reached the end"), (1, "had a terminal event"), (2, "were stopped by callback"))
     rows = [(what, str(k)) for status, what in counted if (k := int((ensemble.status == status).sum()))]
     rows += [(f"trajectory {i} failed", text) for i, text in list(ensemble.messages.items())[:_MOST]]
@@ -76,10 +76,11 @@ def html_of_ensemble(ensemble: Any) -> str:
 def html_of_check(report: Any) -> str:
     """The table that the report prints, and its findings."""
     head = ("invariant", "value", "residual", "rate", "of its terms", "conserved")
-    columns = (report.names, report.value, report.residual, report.rate, report.angle, report.conserved)
+    verdicts = [report.verdict(i) for i in range(len(report.names))]
+    columns = (report.names, report.value, report.residual, report.rate, report.angle, verdicts)
     rows = [
-        (name, f"{value:.6g}", f"{residual:.1e}", f"{rate:.1e}", f"{angle:.1e}", "yes" if conserved else "NO")
-        for name, value, residual, rate, angle, conserved in zip(*columns, strict=True)
+        (name, f"{value:.6g}", f"{residual:.1e}", f"{rate:.1e}", f"{angle:.1e}", verdict)
+        for name, value, residual, rate, angle, verdict in zip(*columns, strict=True)
     ]
     findings = "".join(f"<li>{html.escape(finding)}</li>" for finding in report.findings)
     return _titled(
@@ -108,7 +109,7 @@ def _number(size: Any) -> str:
 
 
 def _symbol(label: str) -> str:
-    """A name as mathematics sets it: y0 with an index, a word upright."""
+    """A name in mathematical notation: y0 with an index, a word upright."""
     label = label.replace("[", "").replace("]", "")
     stem = label.rstrip("0123456789")
     index = label[len(stem) :]
@@ -121,7 +122,7 @@ def _titled(title: str, body: str) -> str:
 
 
 def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """Rows of text; those without a value are left out."""
+    """Rows of text; rows without a value are left out."""
     top = "".join(f"<th>{html.escape(name)}</th>" for name in head)
     lines = [
         "<tr>" + "".join(f'<td style="text-align:left">{html.escape(cell)}</td>' for cell in row) + "</tr>"
@@ -140,7 +141,7 @@ def _source(fun: Any) -> str:
 
 
 def _picture(sol: Any) -> str:
-    """The components over t; nothing where there is nothing to draw, or nothing to draw with."""
+    """The components over t; empty if there is nothing to draw, or no matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:

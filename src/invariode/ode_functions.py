@@ -19,7 +19,7 @@ from .solution import Solution
 
 
 def _function_of(method: Method) -> Callable[..., Solution]:
-    """`solve_ivp` with the method, and its own number of points per step where the output is not fixed otherwise."""
+    """`solve_ivp` with the method, and its own number of points per step unless other options fix the output."""
 
     def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
         kept = (options.get("keep"), options.get("save"))

@@ -16,7 +16,7 @@ from ._options import Options
 from ._types import Function, MethodName, Numbers
 from .compiled import is_native
 from .invariants import InvariantsLike
-from .methods import find_method
+from .methods import METHODS, find_method
 from .problem import Problem
 from .solution import Solution
 
@@ -25,7 +25,9 @@ __all__ = ["odeint"]
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
 
-#: What `mused` says of a method: 1 for those without Jacobians, 2 for the others.
+_BY_ORDER = " or ".join(f"method={name!r}" for name in ("ode113", "ode15s"))
+
+#: The value of `mused` for a method: 1 for those without Jacobians, 2 for the others.
 _NONSTIFF, _STIFF = 1, 2
 
 
@@ -69,11 +71,12 @@ def odeint(
     args : tuple, optional
         Extra arguments of `func`, ``Dfun`` and `invariants`.
     Dfun : callable, optional
-        The Jacobian of `func`, called as that is. With `ml` or `mu` its bands, ``[i - j + mu, j]`` for entry (i, j).
+        The Jacobian of `func`, called in the same way. With `ml` or `mu` its bands, with entry
+        (i, j) at ``[i - j + mu, j]``.
     col_deriv : bool, default False
-        Whether ``Dfun`` returns the transpose of that.
+        Whether ``Dfun`` returns the transpose.
     full_output : bool, default False
-        Whether a dictionary is returned too.
+        Whether a dictionary is also returned.
     ml, mu : int, optional
         Diagonals of the Jacobian below and above the main one that can differ from zero.
     rtol, atol : float or array_like of shape (n,), default 1.49012e-8
@@ -83,20 +86,20 @@ def odeint(
     h0 : float, default 0
         Size of the first step; 0: chosen from f(y0, t0).
     hmax : float, default 0
-        Largest step; 0: as large as the tolerances allow.
+        Largest step; 0: limited only by the tolerances.
     mxstep : int, default 0
-        Most steps between two times of the output; 0: as many as it takes.
+        Most steps between two times of the output; 0: no limit.
     mxordn, mxords : int, default 12 and 5
-        Highest order of ode113 and of ode15s.
+        Highest order of ode113 and of ode15s, with ``method`` of that name. 'auto' uses all orders, and a warning says
+        so where lower ones are asked for.
     printmessg : bool, default False
         Whether the message is printed.
     hmin, ixpr, mxhnil : optional
-        They have no effect, and a warning says so.
+        No effect; a warning says so.
     tfirst : bool, default False
         Whether t is the first argument of `func` and ``Dfun``.
     method : str, optional
-        A name in `METHODS`. Default: 'ode15s' where ``Dfun``, `ml` or `mu` is given, else 'ode113'. Stiff problems
-        take many steps with ode113: give ``method="ode15s"``.
+        A name in `METHODS`. Default: 'auto', which switches between ode113 and ode15s as the problem requires.
     invariants : callable, Invariants, or list of these, optional
         What the solution keeps, ``g(t, y, *args)``: see `solve_ivp`.
 
@@ -105,16 +108,16 @@ def odeint(
     y : ndarray, (n_t, n)
         The solution, one row per time; NaN at times that were not reached.
     infodict : dict
-        With `full_output`. Arrays of one value for each time but the first: `hu`, the size of the step that reached
-        it; `tcur`, where that step ended; `nqu`, its order; `nst`, the steps up to there; `nfe`, the evaluations of f
-        and `nje` those of its Jacobian (without ``Dfun`` the total, at every time); `mused`, 1 for methods without
-        Jacobians and 2 for the others. And the `message`. ODEPACK's `tolsf`, `tsw`, `lenrw`, `leniw` and `imxer` have
-        no meaning here.
+        With `full_output`. Arrays of one value for each time except the first: `hu`, the size of the step that reached
+        it; `tcur`, where that step ended; `nqu`, its order; `nst`, the steps so far; `nfe`, the evaluations of f and
+        `nje` those of its Jacobian (without ``Dfun`` the total, at every time); `mused`, 1 if that step was made by a
+        method without Jacobians and 2 otherwise. Also the `message`. ODEPACK's `tolsf`, `tsw`, `lenrw`, `leniw` and
+        `imxer` have no meaning here.
 
     Raises
     ------
     TypeError, ValueError
-        As `solve_ivp`, also where `func` or ``Dfun`` returns the wrong shape.
+        As for `solve_ivp`, and if `func` or ``Dfun`` returns the wrong shape.
 
     Warns
     -----
@@ -146,7 +149,7 @@ def odeint(
         uband=max(mu or 0, 0) if banded else None,
         name=call_name(func, "func"),
     )
-    chosen = method or ("ode15s" if banded or Dfun is not None else "ode113")
+    chosen = method or "auto"
     options: Options = {
         "rtol": _TOLERANCE if rtol is None else rtol,
         "atol": _TOLERANCE if atol is None else atol,
@@ -162,20 +165,22 @@ def odeint(
 
 
 def _warn_idle(given: dict[str, float]) -> None:
-    """A warning of each parameter that was given, and steers only ODEPACK's own workings."""
+    """A warning for each given parameter that controls only ODEPACK's internals."""
     for name in (name for name, value in given.items() if value):
-        warn(f"{name} has no effect: it steers ODEPACK's own workings; leave it out")
+        warn(f"{name} has no effect: it controls ODEPACK's internals; leave it out")
 
 
 def _highest_order(method: MethodName, limits: dict[str, int]) -> Options:
     about = find_method(method)[0]
+    if "prefer" in about.options and any(limits[name] < METHODS[name].order for name in limits):
+        warn(f"mxordn and mxords have no effect on {about.name}: for formulas of low order give {_BY_ORDER}")
     if about.name not in limits:
         return {}
     return {"max_order": min(positive_integer("mxordn and mxords", limits[about.name]), about.order)}
 
 
 class _Times(NamedTuple):
-    """What was asked for: the times without repetitions, and which of these each one is."""
+    """The requested times: without repetitions, and the index of each in that list."""
 
     times: Array
     place: Array
@@ -192,7 +197,7 @@ def _times(t: ArrayLike) -> _Times:
 
 @dataclass
 class _Counter:
-    """What is counted while a run goes on, and the step limit between two times of the output."""
+    """Counts during a run, and the step limit between two times of the output."""
 
     times: Array
     most: int  # steps between them; 0: any number
@@ -255,7 +260,7 @@ def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> A
 
 
 def _pieces(times: Array, tcrit: ArrayLike | None) -> list[Array]:
-    """The times of the output, cut where the method is to start again; each piece begins where the last ends."""
+    """The times of the output, cut where the method must start again; each piece begins where the last ends."""
     forward = 1.0 if times[-1] >= times[0] else -1.0
     low, high = sorted((times[0], times[-1]))
     points = np.zeros(0) if tcrit is None else np.atleast_1d(real_numbers("tcrit", tcrit))
@@ -284,7 +289,7 @@ def _run(
 
 
 def _message(last: Solution, counter: _Counter) -> str:
-    """How the run ended; a warning where it was not at the last time."""
+    """How the run ended; a warning if that was not at the last time."""
     from scipy.integrate import ODEintWarning
 
     if last.status == 0:
@@ -297,7 +302,7 @@ def _message(last: Solution, counter: _Counter) -> str:
 
 
 def _rows(parts: list[Solution], asked: _Times) -> Array:
-    """The solution at the times that were asked for, (n_t, n)."""
+    """The solution at the requested times, (n_t, n)."""
     times = np.concatenate([part.t for part in parts])
     states = np.concatenate([part.y.T for part in parts])
     rows = np.full((len(asked.times), states.shape[1]), np.nan, dtype=states.dtype)
@@ -308,7 +313,7 @@ def _rows(parts: list[Solution], asked: _Times) -> Array:
 
 
 def _matched(asked: Array, times: Array) -> tuple[Array, Array]:
-    """Where each time that was asked for stands in the output: a critical point ends one piece and starts the next."""
+    """The index of each requested time in the output: a critical point ends one piece and starts the next."""
     forward = 1.0 if asked[-1] >= asked[0] else -1.0
     at = np.searchsorted(forward * times, forward * asked)
     reached = at < len(times)
@@ -325,7 +330,7 @@ def _information(parts: list[Solution], asked: _Times, counter: _Counter, messag
     times = asked.times[asked.place][1:]
     steps = np.minimum(np.searchsorted(forward * ends, forward * times), max(len(ends) - 1, 0))
     counts = np.array(counter.after, dtype=np.int64).reshape(-1, 2)
-    stiff = any(part.njev for part in parts)
+    used = [_STIFF if "jac" in METHODS[name].options else _NONSTIFF for part in parts for name in part.steps.method]
     if not len(ends):  # nothing to integrate
         steps = steps[:0]
     return {
@@ -335,6 +340,6 @@ def _information(parts: list[Solution], asked: _Times, counter: _Counter, messag
         "nst": (steps + 1).astype(np.int64),
         "nfe": counts[steps, 0],
         "nje": counts[steps, 1] if counter.jacobians else np.full(len(steps), sum(part.njev for part in parts)),
-        "mused": np.full(len(steps), _STIFF if stiff else _NONSTIFF),
+        "mused": np.array(used, dtype=np.int64)[steps],
         "message": message,
     }

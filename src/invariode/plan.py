@@ -1,4 +1,4 @@
-"""The plan of a run: a problem with a method and its options, checked, in the form that the core takes.
+"""The plan of a run: a problem with a method and its options, checked, in the form the core takes.
 
 It is made in four stages: options, functions, linear algebra, invariants.
 """
@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
+from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
-from ._messages import MESSAGES, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
+from ._files import PathLike
+from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
@@ -21,13 +23,13 @@ from .compiled import native_parameters, to_native
 from .description import Description
 from .events import EventSpec, event_spec
 from .inputs import fed
-from .invariants import BoundInvariants, InvariantError, InvariantSpec, bind
+from .invariants import InvariantError
 from .methods import Method, find_method
-from .result import LIMIT_REACHED
+from .result import LIMIT_REACHED, Names
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
-#: Errors of ode15s at rtol 1e-4 are as large as those asked for if its steps are ten times as accurate (measured on the
+#: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
 CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
 
@@ -57,6 +59,8 @@ class Settings(NamedTuple):
     fsal: str
     max_order: int
     bdf: bool
+    prefer_explicit: str  # of the methods that take turns; "": what suits the tolerance
+    prefer_implicit: str
     iterations: int  # of the projection of a step
     negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
     max_steps: int = LARGEST_COUNT
@@ -70,7 +74,7 @@ class Settings(NamedTuple):
         return 1.0 if self.tf >= self.t0 else -1.0
 
     def limit(self, kind: str) -> float:
-        """The limit that the core calls so."""
+        """The limit that has this name in the core."""
         limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
         return limits[kind]
 
@@ -93,7 +97,7 @@ class Functions(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does, and what its messages call things."""
+    """What a run does, and the names in its messages."""
 
     method: Method
     tolerances: Tolerances
@@ -104,35 +108,42 @@ class Plan(NamedTuple):
     bound: BoundInvariants
     names: list[str]  # of the invariants, algebraic equations last
     demanded: list[bool]  # of the invariants, whether their values were
+    senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
+    called: Names  # the names in tables and pictures
     rtol: Numbers  # as given
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
+    checkpoint: PathLike | None
+    checkpoint_every: float  # seconds
+
+    @property
+    def laws(self) -> Laws:
+        """What messages say of the invariants."""
+        return Laws(self.names, self.demanded, self.senses)
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
         functions = self.functions._replace(value=value)
         return self._replace(functions=functions, bound=replace(self.bound, value=value))
 
-    def beyond(self, t: float) -> Plan:
-        """The same without the actions of breakpoints at t, which have been taken."""
-        points = [point._replace(action=None) if point.t == t else point for point in self.functions.breakpoints]
-        return self._replace(functions=self.functions._replace(breakpoints=points))
-
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
+        ended = MESSAGES.get(run.state)
+        if ended is not None and not run.stiff:
+            return ended
         if run.state == "limit_reached":
             return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
-        return status_and_message(run, self.names, self.demanded, self.functions.complex)
+        return status_and_message(run, self.laws, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
-        """The exception with which a single solve ends where the run did."""
+        """The exception that a single solve raises if the run ended like this."""
         state = run.state
         if state in MESSAGES:
             return None
         if state == "invariant_refused":
-            text = refusal(run, self.names, self.demanded, self.tolerances.rtol, self.functions.complex)
+            text = refusal(run, self.laws, self.tolerances.rtol, self.functions.complex)
             return InvariantError(text)
         if state == "start_contradicts":
             return InvariantError(
@@ -195,8 +206,11 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
+        bound.forward = settings.forward
+        _require_free_directions(bound, problem)
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
+    event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
     return Plan(
         method=chosen,
         tolerances=weights,
@@ -207,11 +221,15 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         bound=bound,
         names=_names(bound, linear),
         demanded=bound.demanded,
-        event_names=distinct([event.__name__ for event in problem.events]),
+        senses=bound.senses,
+        event_names=event_names,
+        called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
+        checkpoint=options["checkpoint"],
+        checkpoint_every=options["checkpoint_every"],
     )
 
 
@@ -224,13 +242,14 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     span = abs(tf - t0)
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
-    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is asked for
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
     if keep == "end" and (times is not None or options["dense_output"]):
-        raise ValueError('keep="end" keeps the final state only: t_eval and dense_output need keep="outputs" or "all"')
+        raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
     max_points, max_bytes = _most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0))
+    explicit_one, implicit_one = options["prefer"] or ("", "")
     first, largest = options["first_step"], options["max_step"]
     if first is not None and first > span:
         raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first!r}")
@@ -249,7 +268,9 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         fsal=options["fsal"],
         max_order=_highest_order(method, options["max_order"]),
         bdf=bool(options["bdf"]),
-        iterations=method.iterations,
+        prefer_explicit=explicit_one,
+        prefer_implicit=implicit_one,
+        iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
         max_steps=options["max_steps"] or LARGEST_COUNT,
         time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
         max_points=max_points,
@@ -263,7 +284,7 @@ def _calibrated(weights: Tolerances, order: int) -> Tolerances:
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
 
-#: What is kept without `max_points`. Of a few components so many points are less than a gigabyte.
+#: What is kept without `max_points`. With a few components this many points are less than a gigabyte.
 _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
 
 
@@ -337,14 +358,17 @@ def _functions(
 def _linear_algebra(
     problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
 ) -> tuple[_core.Linear | None, Array]:
-    """What an implicit method knows of its matrices; and y0, moved where the algebraic equations of a singular mass
+    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
     if "jac" not in method.options:
         return None, problem.y0
-    from ._matrices import prepare  # SciPy's sparse matrices take longer to import than all the rest
+    # SciPy's sparse matrices take longer to import than everything else
+    from ._matrices import prepare, too_large_to_be_dense
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
+    if "prefer" in method.options and matrices.mass is None and too_large_to_be_dense(matrices, y0):
+        return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     linear = prepare(matrices, t0, y0, problem.args, parameters)
     if not linear.algebraic:
         return linear, y0
@@ -366,6 +390,16 @@ def _linear_algebra(
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Invariants
+
+
+def _require_free_directions(bound: BoundInvariants, problem: Description) -> None:
+    if not bound.along_steps or (problem.limits is None and problem.matrices.mass is None):
+        return
+    what = "bounds" if problem.limits is not None else "a mass matrix"
+    raise ValueError(
+        f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
+        'use direction="gradient"'
+    )
 
 
 def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:

@@ -1,9 +1,9 @@
 """Pictures of a Solution. Needs the extra `plot`.
 
 The functions here are methods of `invariode.Solution`. They draw on the axes that they are given, or on those of a new
-figure, and return them. Nothing is shown or saved: that is for ``matplotlib.pyplot.show()`` and ``Figure.savefig``.
-Components are called what the problem's `labels` say; its `name`, where it was given one, is the title of new figures.
-Fonts are those of matplotlib's settings, which are left as they are.
+figure, and return them. Nothing is shown or saved: call ``matplotlib.pyplot.show()`` or ``Figure.savefig``. The
+problem's `labels` name the components; its `name`, if it has one, is the title of new figures. Fonts follow
+matplotlib's settings, which are not changed.
 """
 
 from __future__ import annotations
@@ -71,18 +71,18 @@ class Plots(Result):
 
         The curves are continuous: those of ``sol.sol`` with dense output, else cubics through the steps with the slopes
         of f, which is evaluated for them once per point (with implicit methods, monotone cubics). Output at `t_eval`,
-        which tells nothing of what is between, is joined by straight lines, and marked where it is sparse. A long run
-        is drawn by its extremes in each column of the page, and as a range where it fills it. Of complex components
-        the real part is solid and the imaginary part dashed. Where an action of an event made the solution jump the
-        curves are interrupted; occurrences of events are open marks, at the state before the action.
+        which says nothing about the solution in between, is joined by straight lines, and marked if it is sparse. A
+        long run is drawn by its extremes in each column of the page, and as a range if it fills the page. The real part
+        of a complex component is solid, the imaginary part dashed. Curves are interrupted at jumps; occurrences of
+        events are open marks, at the state before the action.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw, all in one. Default: a new figure, with a panel for each group of components whose sizes
-            differ from those of the others by more than 1000.
+            Where to draw everything. Default: a new figure, with a panel for each group of components whose sizes
+            differ from those of the others by a factor of more than 1000.
         components : int, str, or sequence of these, optional
-            Indices or labels. Default: all. More than twelve have colours in a sequence, and every so many a name.
+            Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
         **line
             Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes;
             a `marker` marks the points of the output.
@@ -90,7 +90,7 @@ class Plots(Result):
         Returns
         -------
         matplotlib.axes.Axes
-            Of several panels the first; all are in ``ax.figure.axes``.
+            The first of several panels; all are in ``ax.figure.axes``.
 
         Raises
         ------
@@ -114,23 +114,23 @@ class Plots(Result):
         field: bool = False,
         **line: Any,
     ) -> Axes:
-        """Draws two or three components of the solution over each other, with marks at start (dot) and end (square).
+        """Draws two or three components of the solution against each other, with marks at start (dot) and end (square).
 
-        Both axes have the same scale where their extents are alike, as those of orbits. Curves, jumps and events are as
-        in `plot`.
+        Both axes have the same scale if their extents are similar, as for orbits. Curves, jumps and events are as in
+        `plot`.
 
         Parameters
         ----------
         i, j : int or str
-            Components for the horizontal and the vertical axis, indices or labels. Of a complex solution `i` alone is
-            drawn, in the complex plane.
+            Components for the horizontal and the vertical axis, indices or labels. If the solution is complex, only `i`
+            is drawn, in the complex plane.
         k : int or str, optional
-            A third one: the curve is drawn in space.
+            A third component: the curve is drawn in space.
         ax : matplotlib.axes.Axes, optional
             Where to draw; in space, axes with ``projection="3d"``. Default: a new figure.
         field : bool, default False
-            Whether arrows in the direction of f, at the start of the run, stand behind the curve. For problems of two
-            real components.
+            Whether to draw arrows in the direction of f, at the initial time, behind the curve. Only for problems of
+            two real components.
         **line
             Properties of the line, as for ``Axes.plot``. A `marker` marks the points of the output.
 
@@ -141,8 +141,8 @@ class Plots(Result):
         Raises
         ------
         ValueError
-            There is no such component; two components of a complex solution, one of a real one; a field of other
-            problems than those; the run kept its final state only.
+            There is no such component; two components of a complex solution, or one of a real one; a field for another
+            kind of problem; the run kept only its final state.
         """
         return phase.draw(self, (i, j, k), ax, flag("field", field), line)
 
@@ -165,8 +165,8 @@ class Plots(Result):
         ax : matplotlib.axes.Axes, optional
             Where to draw. Default: a new figure.
         invariants : callable, Invariants, or list of these, optional
-            What to look at instead of the run's own invariants: how a run drifts that did not keep them. They are
-            compared with their values, else with those that they have at the first output and after each jump. They
+            What to draw instead of the run's own invariants, to see how a run that did not impose them drifts. They are
+            compared with their demanded values, else with their values at the first output and after each jump. They
             get the arguments of the run.
         relative : bool, default False
             Whether residuals are drawn in units of the values: ``|g - value| / |value|``.
@@ -180,15 +180,14 @@ class Plots(Result):
         Raises
         ------
         ValueError
-            There were no invariants, and none were given; the output is empty; the value of one is 0, with `relative`.
+            There are no invariants; the output is empty; the value of one is 0, with `relative`.
 
         Notes
         -----
         Zeros have no logarithm. They are drawn at half the smallest residual that is not zero; nothing is drawn below
         ε/2 times the larger of ``|value|`` and the largest residual. Zeros at points that define a value are left out.
-        Of more than twelve invariants the first twelve are drawn, or where they have levels the largest of each level.
-        The lines of level 0 are solid, those of level 1 dashed, of level 2 dash-dotted; a constraint and its rate have
-        one colour.
+        If there are more than twelve invariants, the first twelve are drawn, or the largest of each level. Lines of
+        level 0 are solid, of level 1 dashed, of level 2 dash-dotted; a constraint and its rate share a colour.
         """
         return drift.draw(self, ax, invariants, flag("relative", relative), line)
 
@@ -196,12 +195,12 @@ class Plots(Result):
     def plot_steps(self, *, axes: Any = None, **line: Any) -> Array:
         """Draws the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.
 
-        Where invariants were imposed, the corrections by projection stand beside the errors, in the same unit.
+        If invariants were imposed, the corrections by projection are drawn with the errors, in the same unit.
 
         Parameters
         ----------
         axes : sequence of one to three matplotlib.axes.Axes, optional
-            Where to draw, from the size on. Default: three on a new figure.
+            Where to draw, beginning with the size. Default: three on a new figure.
         **line
             Properties of the lines, as for ``Axes.plot``.
 
@@ -216,7 +215,7 @@ class Plots(Result):
 
         Notes
         -----
-        Failed attempts are not kept. Errors and corrections below 1e-6, as the first steps may have them, are cut off.
+        Failed attempts are not kept. Errors and corrections below 1e-6, as in the first steps, are cut off.
         """
         return steps.draw(self, axes, line)
 
@@ -237,12 +236,12 @@ class Plots(Result):
         ----------
         points : callable or array_like of shape (k, 2) or (k, 3)
             ``points(t, y)`` returns where the points are, an array of shape (k, 2) or (k, 3); y has shape (n,). Fixed
-            points, as the pivot of a pendulum, are points too. Or which components are the coordinates, a row of
+            points, such as the pivot of a pendulum, are points too. Or the components that are coordinates, a row of
             indices or labels for each point.
         links : sequence of sequences of int, optional
             Points to be joined by lines: ``[(0, 1), (1, 2, 3)]``. Default: none.
         trace : sequence of int, optional
-            Points whose path up to the moment is drawn. Default: none.
+            Points whose path so far is drawn. Default: none.
         duration : float, optional
             Seconds that the film takes. Default: as long as the motion, from 4 to 8.
         fps : float, default 25
@@ -256,13 +255,13 @@ class Plots(Result):
         -------
         Film
             A ``matplotlib.animation.FuncAnimation``. ``film.save("motion.gif")`` makes a file: a GIF, a page with
-            controls (``.html``), or where ffmpeg is installed a video (``.mp4``). In a notebook it shows itself.
+            controls (``.html``), or, if ffmpeg is installed, a video (``.mp4``). In a notebook it shows itself.
 
         Raises
         ------
         ValueError
-            `points` returns another shape, or values that are not finite; `links` or `trace` name points that are not
-            there; the axes have another number of dimensions.
+            `points` returns the wrong shape, or values that are not finite; `links` or `trace` name points that do not
+            exist; the axes have the wrong number of dimensions.
 
         Notes
         -----

@@ -1,4 +1,4 @@
-"""Work and precision: what runs of all methods cost, plain and projected, and what projection costs at equal error."""
+"""Work and precision: the cost of runs with all methods, plain and projected, and of projection at equal error."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from ._arguments import EPS, Array
+from ._below_zero import BelowZero, Lowest, below_zero
 from ._matrices import null_basis
 from .invariants import InvariantError
 from .methods import METHODS, Method
@@ -28,25 +29,25 @@ __all__ += ["power", "reference", "unprojected"]
 #: With and without projection.
 WAYS = ("plain", "projected")
 
-#: Two solutions of different formulas make a reference and say how good it is, at the first of these rtol with which
+#: Two solutions by different formulas give a reference and its accuracy, at the first of these rtol with which
 #: both reach the end.
 _EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", {}))
 _IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
 _TIGHT = (1e-12, 1e-11, 1e-10)
 
-#: A run of the reference may take so many times the limit of the others.
+#: A run of the reference may take this many times the limit of the others.
 _PATIENCE = 6
 
-#: Stiff is what takes ode45 so many times the steps of ode15s, and so many more, at rtol 1e-3.
+#: A problem is stiff if ode45 takes this many times the steps of ode15s, and this many more, at rtol 1e-3.
 _STIFF, _FEW = 20, 1000
 
-#: Runs are repeated for their times up to so often, or until so many seconds are spent; the smallest time counts.
+#: To be timed, runs are repeated up to this often, or until this many seconds are spent; the smallest time counts.
 _REPEATS, _BUDGET = 10, 0.2
 
-#: Errors below so many times the disagreement of the references tell nothing.
+#: Errors below this many times the disagreement of the references say nothing.
 _FLOOR = 3
 
-#: Ratios of costs closer to 1 than this are no reason for either.
+#: Ratios of costs closer to 1 than this favour neither.
 _MARGIN = 0.1
 
 
@@ -68,6 +69,8 @@ class Reference:
         0 for the end of the interval, 1 for a terminal event.
     agreement : float
         The error of the second solution if the first is right.
+    lowest : ndarray, (n,), or None
+        The least value of each component along the solution, where it is real and known.
     """
 
     y: Array
@@ -75,11 +78,16 @@ class Reference:
     by: str
     status: int
     agreement: float
+    lowest: Array | None = None
 
     @property
     def floor(self) -> float:
         """Below it, errors are unknown."""
         return _FLOOR * max(self.agreement, EPS)
+
+    def below_zero(self, y0: Array, lowest: Lowest, atol: float) -> BelowZero | None:
+        """What becomes negative, and does not along the solution."""
+        return None if self.lowest is None else below_zero(y0, lowest.values, self.lowest, atol)
 
     def error(self, y: Array) -> float:
         """The largest error of a component, relative to its largest size along the solution."""
@@ -91,7 +99,8 @@ class Reference:
 class Run:
     """One method at one tolerance: error, evaluations of f (the tests of invariants too), of g, and of its Jacobian.
 
-    `problem`: why there is no error, else None. `derivatives`: how the Jacobian was computed.
+    `problem`: why there is no error, else None. `derivatives`: how the Jacobian was computed. `below_zero`: what the
+    reference does not do.
     """
 
     error: float
@@ -102,6 +111,7 @@ class Run:
     problem: str | None = None
     message: str = ""
     derivatives: str | None = None
+    below_zero: BelowZero | None = None
 
 
 @dataclass(frozen=True)
@@ -118,13 +128,15 @@ class Row:
 
 
 class _Limit:
-    """A callback that stops after some seconds or steps."""
+    """A callback that stops after some seconds or steps, and tells `lowest` on the way."""
 
-    def __init__(self, seconds: float, steps: float = math.inf) -> None:
-        self._end, self._left = perf_counter() + seconds, steps
+    def __init__(self, seconds: float, steps: float = math.inf, lowest: Lowest | None = None) -> None:
+        self._end, self._left, self._lowest = perf_counter() + seconds, steps, lowest
 
     def __call__(self, t: float, y: Array) -> bool:
         self._left -= 1
+        if self._lowest:
+            self._lowest(t, y)
         return self._left < 0 or perf_counter() > self._end
 
 
@@ -188,7 +200,8 @@ def _agreed(first: Solution, second: Solution, by: str) -> Reference:
     size = np.abs(first.y).max(axis=1)
     size[size == 0] = size.max(initial=0) or 1.0
     found = Reference(first.y[:, -1], size, by, first.status, 0.0)
-    return Reference(found.y, size, by, first.status, found.error(second.y[:, -1]))
+    lowest = None if np.iscomplexobj(first.y) else np.fmin(first.y.min(axis=1), second.y.min(axis=1))
+    return Reference(found.y, size, by, first.status, found.error(second.y[:, -1]), lowest)
 
 
 def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
@@ -202,9 +215,9 @@ def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
 def compare_runs(
     problem: Problem, methods: Sequence[Method], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
 ) -> Iterator[Row]:
-    """All runs, method after method from the crudest tolerance on. A method that takes too long is given up.
+    """All runs, method by method from the crudest tolerance on. A method that takes too long is given up.
 
-    Raises InvariantError where a run finds that f does not conserve an invariant.
+    Raises InvariantError if a run finds that f does not conserve an invariant.
     """
     plain = unprojected(problem)
     for method in methods:
@@ -221,13 +234,16 @@ def compare_runs(
 def _measured(
     problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
 ) -> tuple[Run, Run | None]:
-    """Plain and projected in turn, so that what disturbs the machine disturbs both."""
+    """Plain and projected in turn, so that disturbances of the machine affect both."""
     ways = [plain, problem] if problem.invariants else [plain]
     runs: list[tuple[Problem, Solution, float]] = []
+    below: list[BelowZero | None] = []
     for way in ways:
-        limit = _Limit(seconds)
+        lowest = Lowest(way.y0)
+        limit = _Limit(seconds, lowest=lowest)
         sol, spent = _timed(lambda way=way, limit=limit: way.solve(callback=limit, **options))  # type: ignore[misc]  # mypy and defaults of lambdas
         runs.append((way, sol, spent))
+        below.append(None if sol.status == 2 else truth.below_zero(way.y0, lowest, options["atol"]))
         if sol.status == 2:
             break
     times = [spent for _, _, spent in runs]
@@ -237,7 +253,7 @@ def _measured(
     for _ in range(repeats):
         for i, (way, _, _) in enumerate(runs):
             times[i] = min(times[i], _timed(lambda way=way: way.solve(**options))[1])  # type: ignore[misc]  # the same
-    measured = [_run(sol, time, truth) for (_, sol, _), time in zip(runs, times, strict=True)]
+    measured = [_run(sol, time, truth, low) for (_, sol, _), time, low in zip(runs, times, below, strict=True)]
     if len(measured) < len(ways):  # plain took too long
         measured.append(measured[0])
     return measured[0], measured[1] if problem.invariants else None
@@ -250,7 +266,7 @@ def _timed(solve: Callable[[], Solution]) -> tuple[Solution, float]:
     return sol, perf_counter() - start
 
 
-def _run(sol: Solution, seconds: float, truth: Reference) -> Run:
+def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | None) -> Run:
     problem, message = None, ""
     if sol.status == 2:
         problem = "too long"
@@ -263,7 +279,7 @@ def _run(sol: Solution, seconds: float, truth: Reference) -> Run:
     error = math.inf if problem else truth.error(sol.y[:, -1])
     stats = sol.stats
     f = sol.nfev + stats.nfev_check
-    return Run(error, f, stats.ng, stats.ngjac, seconds, problem, message, stats.derivatives)
+    return Run(error, f, stats.ng, stats.ngjac, seconds, problem, message, stats.derivatives, below)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -285,7 +301,7 @@ class _Curve:
         self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
 
     def __call__(self, error: float) -> float:
-        """The cost of at most this error; infinite where no run has it."""
+        """The cost of at most this error; infinite if no run has it."""
         if error < self.least * (1 - 1e-12):
             return math.inf
         return float(np.exp(np.interp(math.log(error), self._errors, self._costs)))
@@ -367,7 +383,7 @@ def best(rows: Sequence[Row], floor: float) -> Judgement:
 
 
 def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
-    """The least cost of the error and the method that has it; infinite where it may be another one's."""
+    """The least cost of the error and the method that has it; infinite if it may be another one's."""
     cost, method = min((c[way](error), method) for method, c in curves.items())
     open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
     return (math.inf if open_ended else cost), method

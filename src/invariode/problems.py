@@ -1,13 +1,13 @@
-"""Classic problems, with what they keep: to try methods on, and to compare them.
+"""Classic problems with their invariants, for trying and comparing methods.
 
 >>> from invariode import problems
 >>> sol = problems.kepler(0.6).solve("ode113", rtol=1e-8)
 >>> sol.success
 True
 
-Each function returns an `invariode.Problem` with its invariants, names of the components and, where it is stiff, its
-Jacobian; with ``imposed=False`` it has no invariants. The equations are written for one state y of shape (n,), and all
-but those of chemical kinetics in words that numba knows; the invariants also take columns of states, (n, n_t).
+Each function returns an `invariode.Problem` with its invariants, names of the components and, if it is stiff, its
+Jacobian; with ``imposed=False`` it has no invariants. The equations take one state y of shape (n,), and numba can
+compile all except the chemical ones; the invariants also take columns of states, (n, n_t).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def _orbit_jacobian(t: float, state: Array) -> tuple[tuple[Any, ...], ...]:
 def lotka_volterra(*, imposed: bool = True) -> Problem:
     """Predator and prey, x' = a x (1 - y), y' = -c y (1 - x), a = 2, c = 1, from (1, 3), 0 <= t <= 50.
 
-    The paper, pp. 70-71. Kept is x^(-c) e^(cx) y^(-a) e^(ay), initially e^7 / 9 = 121.8.
+    The paper, pp. 70-71. The invariant is x^(-c) e^(cx) y^(-a) e^(ay), initially e^7 / 9 = 121.8.
 
     Parameters
     ----------
@@ -100,7 +100,8 @@ def pendulum(*, imposed: bool = True) -> Problem:
     """The pendulum in Cartesian coordinates, from rest at (1, 0), 0 <= t <= 50.
 
     x'' = -λ x, y'' = -λ y - 1 with the tension λ = (x'^2 + y'^2 - y) / (x^2 + y^2) that keeps x^2 + y^2 = 1. The paper,
-    p. 70, after its [14]. Kept are the length of the rod and that the bob moves across it: values 0 are demanded.
+    p. 70, after its [14]. The invariants are the length of the rod and the velocity along it; both values are demanded
+    to be 0.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def three_body(*, imposed: bool = True) -> Problem:
 
     x'' = 2 y' + x - μ* (x + μ)/r1^3 - μ (x - μ*)/r2^3, y'' = -2 x' + y - μ* y/r1^3 - μ y/r2^3, in rotating coordinates,
     with the distances r1 and r2 to the bodies of masses μ* = 1 - μ at (-μ, 0) and μ = 1/82.45 at (μ*, 0). The paper,
-    pp. 69-70, Fig. 1. Kept is the Jacobi integral, which plays the role of the energy.
+    pp. 69-70, Fig. 1. The invariant is the Jacobi integral, which plays the role of the energy.
 
     Parameters
     ----------
@@ -193,7 +194,7 @@ def _energy_and_momentum_jacobian(t: float, state: Array) -> tuple[tuple[Any, ..
 def kepler(e: float = 0.6, *, imposed: bool = True) -> Problem:
     """Kepler's problem, x'' = -x/r^3, y'' = -y/r^3, from the perihelion, for ten periods of 2π.
 
-    Kept are the energy, -1/2, and the angular momentum, sqrt(1 - e^2). For a circle, e = 0, one of them is redundant.
+    The invariants are the energy, -1/2, and the angular momentum, sqrt(1 - e^2). For a circle, e = 0, one is redundant.
 
     Parameters
     ----------
@@ -237,8 +238,8 @@ def _star_energy_jacobian(t: float, state: Array) -> tuple[tuple[Any, ...], ...]
 def henon_heiles(energy: float = 1 / 12, y: float = 0.1, *, imposed: bool = True) -> Problem:
     """A star in the field of a galaxy, x'' = -x - 2 x y, y'' = -y - x^2 + y^2, 0 <= t <= 100.
 
-    M. Hénon, C. Heiles, Astron. J. 69 (1964) 73-79. It starts at x = 0, y' = 0. Kept is the energy; up to 1/6 the star
-    cannot escape, and with energies towards that most orbits are chaotic.
+    M. Hénon, C. Heiles, Astron. J. 69 (1964) 73-79. It starts at x = 0, y' = 0. The invariant is the energy; up to 1/6
+    the star cannot escape, and near that value most orbits are chaotic.
 
     Parameters
     ----------
@@ -257,7 +258,7 @@ def henon_heiles(energy: float = 1 / 12, y: float = 0.1, *, imposed: bool = True
     Raises
     ------
     ValueError
-        There is more potential energy at y than `energy`.
+        The potential energy at y is larger than `energy`.
     """
     square = 2 * energy - y * y + 2 * y**3 / 3
     if square < 0:
@@ -289,7 +290,7 @@ def _quadrics_jacobian(t: float, state: Array) -> tuple[tuple[Any, ...], ...]:
 def rigid_body(*, imposed: bool = True) -> Problem:
     """Euler's equations of a free rigid body, y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2, from (0, 1, 1), t <= 30.
 
-    As in MATLAB's rigidode. Kept are y1^2 + y2^2 and 0.51 y1^2 + y3^2.
+    As in MATLAB's rigidode. The invariants are y1^2 + y2^2 and 0.51 y1^2 + y3^2.
 
     Parameters
     ----------
@@ -337,8 +338,8 @@ def _mass_jacobian(t: float, y: Array) -> list[list[float]]:
 def robertson(*, imposed: bool = True) -> Problem:
     """Robertson's reaction of three species, rates from 0.04 to 3e7, from (1, 0, 0), 0 <= t <= 4e11; very stiff.
 
-    y1' = -0.04 y1 + 1e4 y2 y3, y2' = 0.04 y1 - 1e4 y2 y3 - 3e7 y2^2, y3' = 3e7 y2^2. y2 stays below 4e-5: give it a
-    tolerance of its own. Kept is the mass y1 + y2 + y3, by all methods of the suite without projection too.
+    y1' = -0.04 y1 + 1e4 y2 y3, y2' = 0.04 y1 - 1e4 y2 y3 - 3e7 y2^2, y3' = 3e7 y2^2. y2 stays below 4e-5: give it its
+    own tolerance. The invariant is the mass y1 + y2 + y3, which all methods keep even without projection.
 
     Parameters
     ----------
@@ -397,7 +398,7 @@ def _bound_jacobian(t: float, y: Array) -> list[list[float]]:
 def hires(*, imposed: bool = True) -> Problem:
     """HIRES, eight species in the high irradiance response of plants (E. Schäfer, 1975), 0 <= t <= 321.8122; stiff.
 
-    Kept is y7 + y8 = 0.0057, by all methods of the suite without projection too.
+    The invariant is y7 + y8 = 0.0057, which all methods keep even without projection.
 
     Parameters
     ----------

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, real_numbers
+from ._bound_invariants import BoundInvariants, as_columns
 from ._core import Dense
-from .invariants import BoundInvariants, as_columns
 from .notebook import html_of_solution
 
 __all__ = [
@@ -28,12 +28,12 @@ __all__ = [
     "StiffnessWarning",
 ]
 
-#: The status of a run that a limit has ended: its results are right, and it can be extended.
+#: The status of a run ended by a limit: its results are right, and it can be extended.
 LIMIT_REACHED = -3
 
 
 class Record(Mapping[str, Any]):
-    """Fields of a dataclass as items too, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
+    """A dataclass whose fields are also items, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
 
     def __getitem__(self, key: str) -> Any:
         if key in self.keys():
@@ -66,7 +66,7 @@ class Stats(Record):
     nfev : int
         Evaluations of f by the method.
     nfev_check : int
-        Evaluations of f by the tests that an invariant is one; not in `nfev`.
+        Evaluations of f by the tests of invariants; not in `nfev`.
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
@@ -78,13 +78,15 @@ class Stats(Record):
     skipped : int
         Attempts whose projection was not needed.
     clipped : int
-        Steps that ended outside of `bounds` by less than the tolerance, and were moved onto them.
+        Steps that ended outside `bounds` by less than the tolerance, and were moved onto them.
     ng : int
-        Evaluations of the invariants, output between steps included.
+        Evaluations of the invariants, including those for output between steps.
     ngjac : int
         Evaluations of their Jacobians, likewise.
     ngdiff : int
-        Of `ng`, those that Jacobians cost: complex steps and differences, and the choice between them at the start.
+        Those of `ng` that served Jacobians: complex steps and differences, and the choice between them at the start.
+    switches : int
+        How often ``method="auto"`` continued with its other method.
     derivatives : str or None
         How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
         differences', several of these, or None.
@@ -92,14 +94,14 @@ class Stats(Record):
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
     clipped_amount : float
-        What moving steps onto `bounds` has added to the sum of the components; with invariants, before these were
+        The amount that moving steps onto `bounds` has added to the sum of the components, before any invariants were
         imposed again.
     mechanics : dict or None
-        Of a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were had
-        ('complex step', 'differences', 'given'), and how often each function was called and matrices of accelerations
-        were factorised, 'sparse' and 'dense', in the whole run.
+        For a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were formed
+        ('complex step', 'differences', 'given'), and how often in the whole run each function was called and the matrix
+        of the accelerations was factorised, 'sparse' and 'dense'.
     stiff_since : float or None
-        From this t on, stability limited most of the steps of an explicit method, not accuracy; None: it did not.
+        From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
     """
 
     steps: int
@@ -115,6 +117,7 @@ class Stats(Record):
     ng: int
     ngjac: int
     ngdiff: int
+    switches: int
     derivatives: str | None
     projected_start: bool
     clipped_amount: float = 0.0
@@ -123,7 +126,7 @@ class Stats(Record):
 
 
 class StiffnessWarning(UserWarning):
-    """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff for it."""
+    """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff."""
 
 
 class Steps(Record):
@@ -141,10 +144,13 @@ class Steps(Record):
         The estimated error e, ``max_i |e_i| / w_i``, in units of rtol.
     correction : ndarray of float
         The size of the correction by projection, in the same norm and unit.
+    method : ndarray of str
+        The method that made the step: with ``method="auto"`` one of two. '' in files of former versions.
     """
 
-    def __init__(self, rows: Array) -> None:
-        self._rows = rows  # (n_steps, 5)
+    def __init__(self, rows: Array, methods: Sequence[str]) -> None:
+        self._rows = rows  # (n_steps, 6)
+        self._methods = methods  # of which the last column has the numbers
 
     @cached_property
     def t(self) -> Array:
@@ -166,8 +172,12 @@ class Steps(Record):
     def correction(self) -> Array:
         return self._rows[:, 4].copy()
 
+    @cached_property
+    def method(self) -> Array:
+        return np.array(self._methods)[self._rows[:, 5].astype(np.int32)]
+
     def __iter__(self) -> Iterator[str]:
-        return iter(("t", "h", "order", "error", "correction"))
+        return iter(("t", "h", "order", "error", "correction", "method"))
 
     def __repr__(self) -> str:
         return f"Steps({len(self._rows)} steps)"
@@ -175,14 +185,14 @@ class Steps(Record):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Drift(Record):
-    """How the invariants fared; prints as a table. Arrays of one value per invariant.
+    """The drift of the invariants; prints as a table. Arrays have one value per invariant.
 
     Attributes
     ----------
     names : list of str
         The names of the invariants.
     value : ndarray
-        What was held (at first, if events with actions changed it).
+        The value that was held (the first one, if events with actions changed it).
     residual_before : ndarray
         Largest ``|g - value|`` of the accepted candidates before projection.
     distance_before : ndarray
@@ -234,7 +244,7 @@ class Drift(Record):
 
 
 class BeforeProjection(NamedTuple):
-    """How far from the manifold the accepted candidates of a run were, at most."""
+    """The largest distances of a run's accepted candidates from the manifold."""
 
     residual: Array  # of each invariant
     distance: Array
@@ -245,17 +255,17 @@ class DenseSolution:
     """The solution as a continuous function of t.
 
     ``sol(t)`` has shape (n,) for a number and (n, n_t) for an array t. At the ends of the steps it returns the stored
-    values; between them it does what the option `interpolation` says. Outside [t_min, t_max] it extrapolates the
-    outermost step, as SciPy does.
+    values; between them the option `interpolation` decides. Outside [t_min, t_max] it extrapolates the outermost step,
+    as SciPy does.
 
     Attributes
     ----------
     ts : ndarray
         The ends of the steps, the start first.
     t_min : float
-        Where the interval begins.
+        Start of the interval.
     t_max : float
-        Where it ends.
+        End of the interval.
     """
 
     def __init__(
@@ -282,7 +292,8 @@ class DenseSolution:
         g = self._invariants
         y = as_columns(g.evaluate(self._dense, np.atleast_1d(times)), self._dtype)
         if self._imposed is not None and y.shape[1]:
-            y = g.impose(np.atleast_1d(times), y, **self._imposed, pieces=g.pieces_at(np.atleast_1d(times), "right")).y
+            pieces = g.pieces_at(np.atleast_1d(times), "right")
+            y = g.equalities().impose(np.atleast_1d(times), y, **self._imposed, pieces=pieces).y
         return y[:, 0] if times.ndim == 0 else y
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
@@ -292,7 +303,7 @@ class DenseSolution:
 
 @dataclasses.dataclass
 class Names:
-    """What tables and pictures call things."""
+    """The names in tables and pictures."""
 
     problem: str
     title: str | None  # the problem's name, where one was given
@@ -306,11 +317,11 @@ class Names:
 
 
 def default_labels(size: int) -> list[str]:
-    """Made when they are asked for: of a large problem they take more memory than the solution."""
+    """Made on demand: for a large problem they take more memory than the solution."""
     return [f"y{i}" for i in range(size)]
 
 
-#: Of a field that was not given, where None would be a value.
+#: Marks a field that was not given, since None is a value.
 _ABSENT: Any = object()
 
 
@@ -318,8 +329,8 @@ _ABSENT: Any = object()
 class Result(dict[str, Any]):
     """The data of a `Solution`, and what is computed from them.
 
-    As in SciPy, it is a dict whose items are attributes too: the fields, and whatever the user adds. What starts with
-    an underscore is no item.
+    As in SciPy, it is a dict whose items are also attributes: the fields, and whatever the user adds. Names that start
+    with an underscore are not items.
     """
 
     t: Array
@@ -369,7 +380,7 @@ class Result(dict[str, Any]):
         _origin: Any = None,
         **more: Any,
     ) -> None:
-        # One by one, and past __setattr__: a short solve takes 30 µs, of which this is to be no part.
+        # One by one, and past __setattr__: a short solve takes 30 µs, to which this must not add.
         self["t"], self["y"], self["sol"] = t, y, sol
         self["t_events"], self["y_events"] = t_events, y_events
         self["nfev"], self["njev"], self["nlu"] = nfev, njev, nlu
@@ -382,16 +393,18 @@ class Result(dict[str, Any]):
         own["_drift"], own["_names"], own["_origin"] = _drift, _names, _origin
 
     def changed(self, **changes: Any) -> Self:
-        """The same with other values of some fields, and with what the user has added."""
+        """A copy with other values of some fields, and with what the user has added."""
         own = {name: value for name, value in self.__dict__.items() if name.startswith("_")}
         return type(self)(**{**self, **own, **changes})
 
-    def __getattr__(self, name: str) -> Any:
-        """Called for what is no attribute of the class or the object: an item."""
-        value = self.get(name, _ABSENT)
-        if value is _ABSENT:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-        return value
+    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for names that are not attributes of the class or the object: items."""
+            value = self.get(name, _ABSENT)
+            if value is _ABSENT:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return value
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_") or hasattr(type(self), name):
@@ -413,13 +426,17 @@ class Result(dict[str, Any]):
 
     @cached_property
     def residual(self) -> Array:
-        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed when first asked for."""
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed on first use.
+
+        For an `invariode.Dissipated` function, how far it has risen above its lowest earlier output, or fallen
+        below its highest.
+        """
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
     def drift(self) -> Drift:
-        """What projection kept: for each invariant its value, and its largest residuals before and after projection.
+        """A table with the value of each invariant, and its largest residuals before and after projection.
 
-        Those before are of the candidates of the accepted steps; those after are of the output, for which g and its
+        Those before are at the candidates of the accepted steps; those after are at the outputs, where g and its
         Jacobian are evaluated when this is called.
         """
         g = self._invariants
@@ -440,7 +457,7 @@ class Result(dict[str, Any]):
     def correction(self) -> Array:
         """The corrections by projection of the accepted steps, (n_steps,), in units of rtol."""
         if self.steps is None:
-            raise ValueError('the corrections of the steps are kept with keep="all"')
+            raise ValueError('the run did not keep the corrections of its steps: solve with keep="all"')
         return self.steps.correction
 
     def _repr_html_(self) -> str:

@@ -3,57 +3,78 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import Any, NamedTuple, cast
+from functools import partial
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from . import _core
 from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
+from ._bound_invariants import Jump, as_columns
 from ._calls import explain
 from ._interruption import stopped_by_interrupt
 from ._messages import MESSAGES, harmful_projection, limited_by_stability
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
+from ._run_identity import identity
 from ._types import MethodName
+from .checkpoint import Checkpoint
 from .compiled import CoreFunction, values_of
 from .description import Description
-from .events import terminal_count
-from .invariants import AccuracyWarning, Jump, as_columns
+from .invariants import AccuracyWarning
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Names, Stats, Steps, StiffnessWarning
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Stats, Steps, StiffnessWarning
 from .solution import Solution
 
-__all__ = ["RunOrigin", "solve"]
+__all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
 
 
 class Resumed(NamedTuple):
-    """Of each event of a run that goes on from another: its occurrences so far, and whether it is at one now."""
+    """Where a run continues from."""
 
-    seen: list[int]
-    asleep: list[bool]
+    memory: bytes  # of the run that was interrupted
+    anew: bool  # the method is to start again
 
 
-class Source(NamedTuple):
-    """What a run is made from."""
+class Source(Protocol):
+    """The problem, method and options of a run."""
 
-    problem: Description  # with the whole interval, where the run goes on from another
+    @property
+    def problem(self) -> Description:
+        """The problem, with the whole interval if the run continues another."""
+
+    @property
+    def method(self) -> MethodName:
+        """The method, by the name given."""
+
+    @property
+    def options(self) -> Options:
+        """The options as given."""
+
+
+class Solved(NamedTuple):
+    """A problem solved by a method with options."""
+
+    problem: Description
     method: MethodName
-    options: Options  # as given
+    options: Options
 
 
-@dataclasses.dataclass(eq=False)
+@dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
-    """What a solution was made from, and where it ended: what it takes to go on."""
+    """What a solution was made from, and where it ended: what is needed to continue it."""
 
     source: Source
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
-    passed: bool  # whether breakpoints at t are behind the run
+    memory: bytes
     imposed: bool = False
+    checkpoint: Checkpoint | None = None
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         return type(None), ()  # functions do not travel with a pickled solution
@@ -63,6 +84,15 @@ class RunOrigin:
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         return _extended(self, sol, t_end, options)
+
+    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        about, arrays = identity(self.source.problem, self.source.method, self.source.options)
+        memory = np.frombuffer(self.memory, dtype=np.uint8)
+        of_identity = {f"identity.{name}": one for name, one in arrays.items()}
+        return (
+            {"identity": about, "next_h": self.next_h, "imposed": self.imposed, "memory_version": _core.MEMORY_VERSION},
+            {"memory": memory, "y": self.y, **of_identity},
+        )
 
     def slopes(self, t: Array, y: Array) -> Array | None:
         problem, options = self.source.problem, self.source.options
@@ -118,70 +148,110 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
     for name in ("t_eval", "rtol", "atol", "breakpoints"):
         if name in given:
             given[name] = kept(given[name])
-    source = Source(problem, method, given)
+    source = Solved(problem, method, given)
     if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
-        sol = with_start(_carried_out(without_start(plan, found), source), plan, found)
+        rest = without_start(plan, found)
+        sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, source, found)), plan, found)
         if ended_at_start(plan, found) and sol.success:
             status, message = MESSAGES["terminal_event"]
             sol = sol.changed(status=status, message=message)
         return sol
-    return _carried_out(plan, source)
+    return _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source))
+
+
+def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
+    """The files of a new run. `at_start`: the events that have occurred where it starts."""
+    if plan.checkpoint is None:
+        return None
+    who = identity(source.problem, source.method, source.options)
+    return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
 # One run
 
 
-def _carried_out(plan: Plan, source: Source, resumed: Resumed | None = None) -> Solution:
-    """The solution of a plan."""
+def _carried_out(
+    plan: Plan, source: Source, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
+) -> Solution:
+    """The solution of a plan, or of what is left of it."""
     core = solver(plan)
-    if resumed is not None:
-        core.resume(*resumed)
-    run = _integrated(core, plan, source.problem.name)
+    keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
+    run = _integrated(core, plan, source.problem.name, resumed, keep)
+    sol = presented(run, plan, source, core.members, checkpoint)
+    sol.stats.mechanics = _work(core, source.problem.fun)
+    return sol
+
+
+def presented(
+    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None = None
+) -> Solution:
+    """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
+    took turns."""
     if exception := plan.exception(run):
         raise exception
-    dropped, first, harmed, harm = run.dropped, run.dropped_at, run.harmed, run.harm
-    sol = _solution(run, plan, source)
-    fun = source.problem.fun
-    if isinstance(fun, CoreFunction):
-        work: Any = core.motion_work
-        if work is not None:
-            sol.stats.mechanics = {"derivatives": dict(fun.derivatives)} | work
-    if dropped:
-        _warn_dropped(dropped, first, plan.names, sol._drift)
-    if harmed >= 0 and sol.success:
-        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
-        warn(harmful_projection(component, f"{harm:.2g} times its estimated errors"), AccuracyWarning)
+    sol = _solution(run, plan, source, members, checkpoint)
+    if plan.names:
+        _warn_of_projection(run, plan, sol)
     if run.stiff:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
     return sol
 
 
-def _integrated(core: _core.Solver, plan: Plan, name: str) -> _core.Run:
-    """The run, with its bar, and with Ctrl-C as a request, where they are asked for."""
-    y0 = plan.y0.view(float)
-    if not plan.progress and plan.on_interrupt != "return":
-        return core.integrate(y0, None, None)
+def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
+    """What a mechanical system has cost."""
+    work: Any = core.motion_work if isinstance(fun, CoreFunction) else None
+    return None if work is None else {"derivatives": dict(fun.derivatives)} | work
+
+
+def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source, part: _core.Run) -> None:
+    """Writes what has come since the last time."""
+    if plan.exception(part) is not None:
+        return
+    memory, running = np.frombuffer(part.memory, dtype=np.uint8), part.state == "running"
+    sol = _solution(part, plan, source, core.members, checkpoint)
+    sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
+    origin = cast("RunOrigin", sol._origin)
+    about = {"next_h": origin.next_h, "memory_version": _core.MEMORY_VERSION}
+    checkpoint.keep(sol, running, {"memory": memory, "y_end": origin.y, "value": sol._invariants.value}, about)
+
+
+def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
+    if dropped := run.dropped:
+        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
+    harmed = run.harmed
+    if harmed >= 0 and sol.success:
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{run.harm:.2g} times its estimated errors"), AccuracyWarning)
+
+
+def _integrated(
+    core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
+) -> _core.Run:
+    """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
+    every = plan.checkpoint_every
     with ExitStack() as around:
         told = request = None
         if plan.progress:
             told = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
         if plan.on_interrupt == "return":
             request = around.enter_context(stopped_by_interrupt())
-        return core.integrate(y0, told, request)
+        if resumed is not None:
+            return core.resume(*resumed, told, request, keep, every)
+        return core.integrate(plan.y0.view(float), told, request, keep, every)
 
 
-def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
-    problem, dtype = source.problem, plan.y0.dtype
+def _solution(
+    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None
+) -> Solution:
+    dtype = plan.y0.dtype
     status, message = plan.verdict(run)
     bound = plan.bound
     if jumps := run.take_jumps():
         bound = bound.jumped(jumps, forward=plan.settings.forward)
     dense = run.take_dense()
-    t, rows, t_end, y_end = run.take_points()
-    y = as_columns(rows, dtype)
-    y_end = y[:, -1].copy() if y_end is None else y_end.view(dtype)
-    happened = run.take_events() if problem.events else None
+    t, y, t_end, y_end = run.take_points()
+    happened = run.take_events() if plan.event_names else None
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -197,21 +267,15 @@ def _solution(run: _core.Run, plan: Plan, source: Source) -> Solution:
         message=message,
         success=status >= 0,
         stats=stats,
-        steps=Steps(run.take_steps()) if plan.settings.record else None,
+        steps=Steps(run.take_steps(), members) if plan.settings.record else None,
         t_end=t_end,
         _invariants=bound,
         _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
         _rtol=plan.rtol,
         _atol=plan.atol,
-        _names=Names(problem.name, problem._title, problem._labels, len(problem.y0), plan.event_names),
-        _origin=RunOrigin(source, t_end, y_end, next_h, _passed(plan, run.breakpoints_passed, t_end)),
+        _names=plan.called,
+        _origin=RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
     )
-
-
-def _passed(plan: Plan, count: int, t_end: float) -> bool:
-    """Whether the breakpoints at the end have been passed, if there are any: a terminal event comes before them."""
-    behind = plan.functions.breakpoints[:count]
-    return bool(behind) and behind[-1].t == t_end
 
 
 #: Of a run without invariants.
@@ -219,8 +283,10 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
+    if not plan.names:  # in the order of COUNTS, of which the last three are warnings
+        return Stats(*run.counts[:-3], None, plan.moved, run.clipped, None, run.stiff_since if run.stiff else None)
     stats = Stats(
-        *run.counts[:-2],  # in the order of COUNTS, of which the last two are warnings
+        *run.counts[:-3],
         derivatives=" and ".join(sorted(set(run.derivatives))) or None,
         projected_start=run.projected_start or plan.moved,
         clipped_amount=run.clipped,
@@ -231,19 +297,26 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
     return stats
 
 
-def _warn_dropped(dropped: list[int], first: float, names: list[str], drift: BeforeProjection) -> None:
+def _warn_dropped(
+    dropped: list[int], first: float, names: list[str], drift: BeforeProjection, *, along_steps: bool
+) -> None:
     listed = ", ".join(names[i] for i in dropped)
     several = len(dropped) > 1
     off = max(drift.distance[i] for i in dropped)
     if off <= 1:
-        then = (
-            f"That does no harm: {'they' if several else 'it'} never left the tolerance (by {off:.2g} of it at most)."
-        )
+        then = f"That does no harm: {'they were' if several else 'it was'} off by at most {off:.2g} of the tolerance."
     else:
         then = (
-            f"{'They came' if several else 'It came'} as far as {off:.2g} tolerances off before a projection: impose "
+            f"{'They were' if several else 'It was'} off by up to {off:.2g} tolerances before a projection: impose "
             "fewer invariants, or try a smaller rtol."
         )
+    if along_steps:
+        warn(
+            f"the stages of steps do not lead to the values of {listed}, first at t = {first:.6g}: "
+            f"{'they depend' if several else 'it depends'} on other invariants, or stages are nearly orthogonal to "
+            f"{'their gradients' if several else 'its gradient'}. {then} direction='gradient' reaches more."
+        )
+        return
     warn(
         f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
         f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
@@ -262,59 +335,48 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     forward = origin.forward or float(np.sign(tf - origin.t))
     if not forward * (tf - origin.t) > 0:
         raise ValueError(f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {t_end!r}")
-    problem, method, options_of_run = origin.source
+    problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
-    rest = problem.replace(t_span=(origin.t, tf), y0=origin.y)
     given = cast("Options", {**options_of_run, "first_step": None, **options})
     now = given.copy()
     if options_of_run.get("t_eval") is not None or options.get("t_eval") is not None:
-        now["t_eval"], given["t_eval"] = _times(origin, options.get("t_eval"), forward, tf)
-    if now.get("max_step") is None:
-        now["max_step"] = abs(whole.t_span[1] - whole.t_span[0]) / 10
-    if now["first_step"] is None and origin.next_h is not None:
+        now["t_eval"], given["t_eval"] = _times(origin, old, options.get("t_eval"), forward, tf)
+    anew = now["first_step"] is not None
+    if not anew and origin.next_h is not None:  # for a method that has to start again: the run ended inside a step
         now["first_step"] = min(origin.next_h, abs(tf - origin.t))
     given.pop("progress", None)
 
-    plan = make_plan(rest, method, now).holding(old._invariants.last_value)
-    if origin.passed:
-        plan = plan.beyond(origin.t)
-    new = _carried_out(plan, Source(whole, method, given), _resumed(old, origin, rest))
+    plan = make_plan(whole, method, now).holding(old._invariants.last_value)
+    if origin.checkpoint is not None:
+        origin.checkpoint.go_on(old.stats.mechanics)
+    new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
     return _joined(old, new.impose() if origin.imposed else new, points, forward)
 
 
-def _resumed(old: Solution, origin: RunOrigin, rest: Description) -> Resumed:
-    happened = old.t_events or []
-    return Resumed(
-        seen=[_uncounted(len(t), terminal_count(event)) for t, event in zip(happened, rest.events, strict=True)],
-        asleep=[bool(len(t) and t[-1] == origin.t) for t in happened],
-    )
-
-
-def _times(origin: RunOrigin, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
-    """The times of output that are left, or those given; and the same with those beyond tf, for a further extension."""
+def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
+    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension."""
     if origin.source.options.get("t_eval") is None:
-        raise ValueError("the run has output at its steps, and so will its extension: leave out t_eval")
+        raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
     times = np.asarray(origin.source.options["t_eval"], dtype=float)
     beyond = times[forward * (times - tf) > 0]
     if t_eval is not None:
         now = output_times(t_eval, origin.t, tf)
+        if len(old.t) and len(now) and now[0] == old.t[-1]:
+            now = now[1:]  # it is there already
     else:
         now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
         if now.size == 0:
-            raise ValueError(f"the run has output at t_eval, which has no times left up to t_end = {tf}: give t_eval")
+            raise ValueError(
+                f"the run has output at t_eval, which has no times left up to t_end = {tf}: give new ones as t_eval"
+            )
     return now, np.concatenate([now, beyond])
 
 
-def _uncounted(seen: int, terminal: int) -> int:
-    """Occurrences that count towards the one that ends the run; one that did ends a count."""
-    return seen % terminal if terminal else 0
-
-
 def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:
-    """One solution of two parts, of which the second starts where the first ended. `points`: outputs of the first."""
-    known = int(points > 0 and len(new.t) > 0 and new.t[0] == old.t[-1])  # the start of the second is there already
-    jumps = tuple(Jump(row + points - known, t, value) for row, t, value in new._invariants.jumps)
+    """One solution of two parts, of which the second goes on where the first ended, and has the counts of both.
+    `points`: outputs of the first."""
+    jumps = tuple(Jump(row + points, t, value) for row, t, value in new._invariants.jumps)
     bound = dataclasses.replace(old._invariants, jumps=old._invariants.jumps + jumps, forward=forward, evaluations=0)
     sol = None
     if old.sol is not None and new.sol is not None:
@@ -325,41 +387,21 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         y_events = [np.concatenate(parts) for parts in zip(old.y_events, new.y_events, strict=True)]
     steps = None
     if old.steps is not None and new.steps is not None:
-        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]))
-    first, then = old._drift, new._drift
+        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)
     return new.changed(
-        t=np.concatenate([old.t[:points], new.t[known:]]),
-        y=np.concatenate([old.y[:, :points], new.y[:, known:]], axis=1),
+        t=np.concatenate([old.t[:points], new.t]),
+        y=np.concatenate([old.y[:, :points], new.y], axis=1),
         sol=sol,
         t_events=t_events,
         y_events=y_events,
-        nfev=old.nfev + new.nfev,
-        njev=old.njev + new.njev,
-        nlu=old.nlu + new.nlu,
-        stats=_summed(old.stats, new.stats),
+        stats=dataclasses.replace(new.stats, mechanics=_summed(old.stats.mechanics, new.stats.mechanics)),
         steps=steps,
         _invariants=bound,
-        _drift=BeforeProjection(
-            np.maximum(first.residual, then.residual),
-            np.maximum(first.distance, then.distance),
-            max(first.correction, then.correction),
-        ),
     )
 
 
-def _summed(a: Stats, b: Stats) -> Stats:
-    ways = {way for one in (a, b) if one.derivatives for way in one.derivatives.split(" and ")}
-    apart = ("derivatives", "projected_start", "mechanics", "stiff_since")
-    counts = {name: a[name] + b[name] for name in a if name not in apart}
-    mechanics = (
-        a.mechanics
-        and b.mechanics
-        and {name: of if name == "derivatives" else of + b.mechanics[name] for name, of in a.mechanics.items()}
-    )
-    return Stats(
-        **counts,
-        derivatives=" and ".join(sorted(ways)) or None,
-        projected_start=a.projected_start,
-        mechanics=mechanics,
-        stiff_since=b.stiff_since if a.stiff_since is None else a.stiff_since,
-    )
+def _summed(first: dict[str, Any] | None, then: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What a mechanical system has cost: it counts for itself, in each part."""
+    if first is None or then is None:
+        return then
+    return {name: of if name == "derivatives" else of + then[name] for name, of in first.items()}

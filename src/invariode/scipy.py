@@ -1,4 +1,4 @@
-"""The methods as classes of SciPy's, made from the registry: for `scipy.integrate.solve_ivp`, and for stepping by hand.
+"""The methods as SciPy's classes, made from the registry: for `scipy.integrate.solve_ivp`, and for stepping by hand.
 
 The stub beside this file, for type checkers, is made from it too: ``make stubs``.
 
@@ -33,5 +33,7 @@ def _class_of(method: Method) -> type[Stepper]:
 
 
 _CLASSES = {name.upper(): _class_of(method) for name, method in METHODS.items()}
+#: SciPy's own name, as in ``method=LSODA``.
+_CLASSES["LSODA"] = _CLASSES["AUTO"]
 __all__ = [*_CLASSES]
 globals().update(_CLASSES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol, Unpack
+from typing import Any, Protocol, Unpack
 
 from ._arguments import Array, unknown_option, warn
 from ._options import TABLE, ExtensionOptions
@@ -15,15 +15,18 @@ __all__ = ["DenseSolution", "Drift", "Origin", "Solution", "Stats", "Steps", "St
 
 
 class Origin(Protocol):
-    """What a solution was made from: what it takes to go on."""
+    """What a solution was made from: what is needed to continue it."""
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
     def slopes(self, t: Array, y: Array) -> Array | None:
-        """Slopes of the solution at the outputs, (n, n_t), where these are the steps of a differential equation."""
+        """Slopes of the solution at the outputs, (n, n_t), if these are the steps of a differential equation."""
 
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
+
+    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """The same for a file: in JSON's types, and arrays by name."""
 
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""
@@ -33,7 +36,7 @@ class Origin(Protocol):
 class Solution(Plots, Exports):
     """Result of a solve, a dict. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
 
-    Fields are attributes and items, as in SciPy: ``sol.t`` is ``sol["t"]``, and whatever is added is both too.
+    Fields are attributes and items, as in SciPy: ``sol.t`` is ``sol["t"]``. So is whatever the user adds.
 
     Attributes
     ----------
@@ -44,9 +47,9 @@ class Solution(Plots, Exports):
     sol : DenseSolution or None
         The solution as a function of t, with ``dense_output=True``.
     t_events : list of ndarray, or None
-        For each event its times, (k,). None without events.
+        The times of each event, (k,). None without events.
     y_events : list of ndarray, or None
-        For each event its states, (k, n).
+        The states at each event, (k, n).
     nfev : int
         Evaluations of f.
     njev : int
@@ -66,12 +69,13 @@ class Solution(Plots, Exports):
         The accepted steps, with ``keep="all"``: the default without `t_eval`.
     t_end : float
         Where the run ended: the end of the interval, or where an event, the callback or a failure ended it. The output
-        may end before.
+        may end earlier.
 
     Notes
     -----
-    A solution can be copied and pickled. The functions of its invariants go with it, and pickle takes those of a module
-    only, no lambdas; `save` needs none. Its other functions stay behind: the copy from a pickle cannot be extended.
+    A solution can be copied and pickled. The functions of its invariants go with it: pickle takes only functions
+    defined in a module, no lambdas; `save` needs none. Other functions are left out: a copy from a pickle cannot be
+    extended.
     """
 
     _origin: Origin | None = None  # None: there are no functions
@@ -82,11 +86,16 @@ class Solution(Plots, Exports):
         Returns
         -------
         Solution
-            Points that did not converge stay as they are, with a warning.
+            Points that did not converge are unchanged, with a warning. Dissipated functions are not imposed.
         """
-        g = self._invariants
+        g = self._invariants.equalities()
         if len(g) == 0:
             raise ValueError("the run had no invariants; use invariode.impose(invariants, solution)")
+        if g.along_steps:
+            raise ValueError(
+                'the invariants of the run have direction="stages", and outputs have no stages; use '
+                "invariode.impose(invariants, solution) with others"
+            )
 
         def project(t: Array, y: Array, pieces: Array) -> Array:
             if y.shape[1] == 0:
@@ -109,37 +118,37 @@ class Solution(Plots, Exports):
         """Continues the run to `t_end`: the solution on the old interval and the new one.
 
         The method starts again from the final state, with the problem and the options of the run. Methods of one order
-        go on with the step they had in mind; ode113 and ode15s, whose memory a solution does not hold, build their
-        order up again, from a first step of their own choice. Invariants keep the values at which they are held. An
-        event that ended the run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the
-        extension at its next occurrence, and occurrences that an integer `terminal` counts are counted on. The action
-        of an event that ended the run was not taken, and is not taken now.
+        continue with the step they had planned; ode113 and ode15s, whose memory a solution does not hold, build their
+        order up again from a new first step. Invariants keep the values at which they are held. An event that ended the
+        run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the extension at its next
+        occurrence, and an integer `terminal` continues its count. The action of an event that ended the run was not
+        taken, and is not taken now.
 
         Parameters
         ----------
         t_end : float
-            The new end, beyond the old one in the direction of integration; the old one is where the run ended, also if
-            an event, the callback or a limit ended it. May be infinite.
+            The new end, in the direction of integration beyond the point where the run ended, whether the end of its
+            interval, an event, the callback or a limit ended it. May be infinite.
         t_eval : array_like, optional
-            Times of the output in the new interval, where the run had `t_eval`. Default: those it has not reached.
-            Those beyond `t_end` are left for a further extension.
+            Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached. Those
+            beyond `t_end` are left for a further extension.
         max_step : float, optional
-            Default: that of the run, or a tenth of the whole interval.
+            Default: the run's, or a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
         max_steps, time_limit, max_points : optional
-            Likewise, for the extension alone. Default: those of the run.
+            Likewise, for the extension alone. Default: the run's.
 
         Returns
         -------
         Solution
             A new one, with the outputs, steps, events and ``sol(t)`` of both parts, and the sums of their counts;
-            `status` and `message` are those of the second. This one does not change.
+            `status` and `message` come from the second part. This solution does not change.
 
         Raises
         ------
         TypeError
-            An option that the extension cannot have of its own.
+            An option that an extension cannot change.
         ValueError
             `t_end` is not beyond the end; the run failed; or the solution comes from a file or a pickle, without the
             functions.

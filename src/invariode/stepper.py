@@ -11,7 +11,7 @@ from scipy.integrate import DenseOutput, OdeSolver
 from . import _core
 from ._arguments import Array, flag, unknown_option, warn
 from ._docstrings import documented
-from ._messages import harmful_projection
+from ._messages import harmful_projection, limited_by_stability
 from ._options import TABLE, DescribingOptions, Options, StepperOptions, parted, table_of, unused
 from ._types import Numbers
 from .compiled import is_native
@@ -19,12 +19,12 @@ from .description import Description
 from .invariants import AccuracyWarning
 from .ivp import one_column
 from .plan import make_plan, solver
-from .result import DenseSolution, default_labels
+from .result import DenseSolution, StiffnessWarning, default_labels
 
 __all__ = ["Stepper"]
 
 _OPTIONS = table_of(StepperOptions)
-#: Before so many steps nothing can be said of harm: one step in eight is looked at.
+#: Before this many steps nothing can be said about harm: one step in eight is examined.
 FEW_STEPS = 64
 
 
@@ -64,20 +64,20 @@ class Stepper(OdeSolver):
     t, y, t_old, step_size, status, direction, n, t_bound, nfev, njev, nlu
         As in `scipy.integrate.OdeSolver`. `nfev` counts all evaluations by the method.
     order : int
-        Of the last step.
+        Order of the last step.
     h : float
         Size of the next step to be tried.
 
     Raises
     ------
     TypeError, ValueError
-        Arguments that are wrong; an option that is unknown.
+        Wrong arguments; an unknown option.
     InvariantError
-        y0 is off a demanded value, a Jacobian is wrong, or an invariant is not conserved already at the start.
+        At the start, y0 is off a demanded value, a Jacobian is wrong, or an invariant is not conserved.
 
     Notes
     -----
-    Invariants are called ``g(t, y)``: the `args` of SciPy's solve_ivp reach its `fun`, `jac` and events only.
+    Invariants are called as ``g(t, y)``: SciPy's solve_ivp passes `args` only to `fun`, `jac` and events.
     """
 
     _method: ClassVar[str]
@@ -112,7 +112,7 @@ class Stepper(OdeSolver):
         if self._stepper.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
             raise self._plan.exception(self._stepper.result()) or AssertionError
         self.y = self._state()
-        self._steps, self._warned = 0, False
+        self._steps, self._warned, self._warned_stiff = 0, False, False
         self._count()
 
     @classmethod
@@ -125,21 +125,30 @@ class Stepper(OdeSolver):
         if self._stepper.state == "running":
             self._stepper.step()
             self._count()
-            self._watch_accuracy()
+            self._watch_run()
         elif self._stepper.state == "interrupted":
-            raise RuntimeError("a function raised in an earlier step: start a new solver from the last t and y")
+            raise RuntimeError(
+                "a function raised an exception in an earlier step: start a new solver from the last t and y"
+            )
         if self._stepper.state not in ("running", "reached_end"):
             return False, self._plan.verdict(self._stepper.result())[1]
         self.t, self.y = self._stepper.t, self._state()
         return True, None
 
-    def _watch_accuracy(self) -> None:
-        """One warning, if projection does harm. Nobody tells a solver that the run ends before t_bound: looked at in
-        steps 64, 128, 256, … too."""
+    def _watch_run(self) -> None:
+        """One warning each, if projection does harm, and if stability limits the steps. A solver does not learn that a
+        run ends before t_bound, so this is checked in steps 64, 128, 256, … too."""
         self._steps += 1
-        ended = self._stepper.state != "running"
-        if self._warned or not (ended or (self._steps >= FEW_STEPS and self._steps.bit_count() == 1)):
+        if self._stepper.state == "running" and not (self._steps >= FEW_STEPS and self._steps.bit_count() == 1):
             return
+        if not self._warned:
+            self._watch_accuracy()
+        since = self._stepper.stiff_since
+        if since is not None and not self._warned_stiff:
+            self._warned_stiff = True
+            warn(f"{self._plan.method.name}: {limited_by_stability(since)}", StiffnessWarning)
+
+    def _watch_accuracy(self) -> None:
         harmed = self._stepper.harmed
         if harmed < 0 or self._stepper.state not in ("running", "reached_end"):
             return
@@ -150,7 +159,7 @@ class Stepper(OdeSolver):
 
     def _dense_output_impl(self) -> _Interpolant:
         if self.status == "failed":
-            raise RuntimeError("there is no dense output of a step that failed")
+            raise RuntimeError("a failed step has no dense output: use that of the last accepted step")
         dense = self._stepper.interpolant()
         self._count()  # the extension may take evaluations of its own
         return _Interpolant(self.t_old, self.t, DenseSolution(dense, self._plan.y0.dtype, self._plan.bound))

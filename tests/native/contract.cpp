@@ -97,7 +97,8 @@ TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
       if (one_step)
         CHECK(same_bits(y, bench.problem.y0.data(), 4));
       else  // Adams: as far as the formula goes; NDF: to roundoff
-        CHECK_CLOSE(distance(y, bench.problem.y0.data(), 4), 0, is(method, "ode113") ? 1e-1 : 20 * eps);
+        CHECK_CLOSE(distance(y, bench.problem.y0.data(), 4), 0,
+                    is(method, "ode113") || method.switches() ? 1e-1 : 20 * eps);
       bench.step->interpolate()(data.data(), data.size(), 4, 1, y);
       if (one_step)
         y1[0] -= 1e-4;  // the raw extension of a Runge-Kutta pair ends at y*, that of a multistep method at y1

@@ -138,7 +138,7 @@ TEST(without_invariants_projected_and_corrected_are_the_raw_extension) {
     CHECK(same_bits(results[0], results[1]));
     CHECK(results[0].size() == results[2].size());
     // e₁ is roundoff of P(1); the Adams extension misses its start by some rtol
-    const double expected = is(method, "ode113") ? 1e-2 : 1e-13;
+    const double expected = is(method, "ode113") || method.switches() ? 1e-2 : 1e-13;
     CHECK_CLOSE(distance(results[0].data(), results[2].data(), results[0].size()), 0, expected);
   }
 }

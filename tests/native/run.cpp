@@ -41,7 +41,8 @@ TEST(a_run_of_each_method_keeps_its_invariant_and_reaches_the_end) {
     CHECK(result.nfev + result.nfev_check == oscillator.calls);
     CHECK(result.derivatives.size() == 1 && result.derivatives[0] == Derivative::given);
     CHECK(result.counted()[0] == result.counts.steps);
-    CHECK((result.linear.jacobians > 0) == method.implicit());
+    CHECK((result.linear.jacobians > 0) == (method.implicit() && !method.switches()));
+    CHECK(result.switches == 0);
   }
 }
 
@@ -135,12 +136,24 @@ TEST(a_run_goes_on_from_where_another_ended) {
     Solver solver = oscillator.solver(method);
     const RunResult whole = solve(solver, oscillator.y0.data());
     CHECK(whole.state == State::terminal_event && whole.occurrences[0].t.size() == 3);
-    const std::int64_t seen[] = {1};
-    solver.resume(seen, {false});
-    const RunResult rest = solve(solver, oscillator.y0.data());
-    CHECK(rest.state == State::terminal_event && rest.occurrences[0].t.size() == 2);
-    CHECK(rest.t_end == whole.occurrences[0].t[1]);
-    CHECK(refused([&] { solver.resume(seen, {}); }));
+    Run first(solver);
+    first.integration().start(oscillator.y0.data());
+    for (int step = 0; step < 7; ++step) CHECK(first.integration().advance() == State::running);
+    const Memory memory = first.memory(1000), light = first.memory(0);
+    const std::size_t seen = first.integration().occurrences[0].t.size();
+    const std::span<const std::byte> bytes(memory.data(), memory.size());
+    Run then(solver);
+    CHECK(then.resume(bytes, false) == State::running && then.integration().run() == State::terminal_event);
+    const RunResult rest = then.take_result();
+    CHECK(rest.t_end == whole.t_end && rest.counted() == whole.counted());
+    CHECK(rest.occurrences[0].t.size() + seen == whole.occurrences[0].t.size());
+    // Without the Jacobian, if there is one: the method starts anew.
+    Run anew(solver);
+    CHECK(anew.resume({light.data(), light.size()}, false) == State::running);
+    CHECK(anew.integration().run() == State::terminal_event);
+    CHECK_CLOSE(anew.integration().t(), whole.t_end, 1e-3);
+    for (const std::size_t size : {bytes.size() - 1, bytes.size() / 2, std::size_t{3}})
+      CHECK(refused([&] { Run(solver).resume(bytes.first(size), false); }));
   }
 }
 

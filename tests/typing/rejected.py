@@ -50,8 +50,8 @@ iv.solve_ivp(f, (0, 1), [1]).extend(2, rtol=1e-6)  # type: ignore[call-arg]
 iv.solve_ivp(f, (0, 1), [1]).plot(3)  # type: ignore[arg-type,call-arg]
 ODE45(f, 0, [1], 1, t_eval=[0])  # type: ignore[call-arg]
 ODE45(f, 0, [1], 1, check="no")  # type: ignore[arg-type]
-iv.solve_ensemble(f, (0, 1), [[1]], dense_output=True)  # type: ignore[call-arg]
-iv.solve_ensemble(f, (0, 1), [[1]], workers="all")  # type: ignore[arg-type]
+iv.solve_ensemble(f, (0, 1), [[1]], dense_output=True)  # type: ignore[call-overload]
+iv.solve_ensemble(f, (0, 1), [[1]], workers="all")  # type: ignore[call-overload]
 
 # Invariants, events, projection
 iv.Invariants(g, jac="4-point")  # type: ignore[arg-type]

@@ -22,6 +22,10 @@ namespace invariode::lanes::INVARIODE_LANES {
 inline constexpr double hmin_ulps = 16;  // as in integrate.cpp
 inline constexpr double stretch = 1.1;
 inline constexpr double infinity = std::numeric_limits<double>::infinity();
+// Of `StiffnessDetector`: |h λ| near the limit, what a limited step changes, with room for roundoff; how many there are
+// before anything is said.
+inline constexpr double at_least = 0.499, at_most = 0.101, limited_looks = 10;
+inline constexpr double to_integer = 4503599627370496;  // 2⁵²: what is added to it is rounded to an integer
 
 /// MaxNorm of packs: NaN gets through.
 template <int W>
@@ -90,6 +94,7 @@ class Block {
     h_.lanes()[0] = from.h;
     retries_ = to_mask<W>(from.retries ? 1 : 0);
     steps_.lanes()[0] = from.steps;
+    limited_.lanes()[0] = from.limited;
     failed_.lanes()[0] = from.failed;
     for (std::size_t i = 0; i < job_.n; ++i) {
       y_[i].lanes()[0] = from.y[i * from.stride];
@@ -195,7 +200,7 @@ class Block {
     t_.lanes()[lane] = job_.t0;
     h_.lanes()[lane] = ready_h_.lanes()[from];
     retries_.lanes()[lane] = 0;
-    steps_.lanes()[lane] = failed_.lanes()[lane] = 0;
+    steps_.lanes()[lane] = failed_.lanes()[lane] = limited_.lanes()[lane] = 0;
     for (std::size_t i = 0; i < job_.n; ++i) {
       y_[i].lanes()[lane] = ready_y_[i].lanes()[from];
       k_[0][i].lanes()[lane] = ready_k_[i].lanes()[from];
@@ -236,6 +241,7 @@ class Block {
             .retries = retries_.lanes()[lane] != 0,
             .steps = steps_.lanes()[lane],
             .failed = failed_.lanes()[lane],
+            .limited = limited_.lanes()[lane],
             .y = y_[0].lanes() + lane,
             .k = k_[0][0].lanes() + lane,
             .p = job_.parameters > 0 ? p_[0].lanes() + lane : nullptr,
@@ -269,8 +275,9 @@ class Block {
       accepted = accepted & ~undefined;
     }
     control(accepted, error, length, hmin);
+    note_stability(accepted);
     commit(accepted, t1);
-    odd_ = bits(odd | (~accepted & (length <= hmin)));
+    odd_ = bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
     reached_ = bits(accepted & landing);
   }
 
@@ -287,6 +294,25 @@ class Block {
     steps_ += choose(accepted, P(1), P(0));
     failed_ += choose(accepted, P(0), P(1));
     retries_ = ~accepted;
+  }
+
+  /// Looks at one step in 64 of each lane, as the `StiffnessDetector` of a single run does, with thresholds that find no
+  /// fewer limited steps. So many of them may be a stiff problem: single runs find that out.
+  void note_stability(const M& accepted) {
+    const P looks = (1.0 / 64) * steps_, whole = (looks + P(to_integer)) - P(to_integer);
+    const M now = accepted & (looks <= whole) & (whole <= looks);
+    if (bits(now) == 0) return;
+    LaneNorm<W> slopes, arguments, changes;
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      const P w = weight(i, larger(absolute(y_[i]), absolute(candidate_[i])));
+      const auto [slope, argument] = Kernel::probed(k_, i);
+      slopes.add(slope / w);
+      arguments.add(argument / w);
+      changes.add((candidate_[i] - y_[i]) / w);
+    }
+    const M at_limit = P(at_least * job_.real_limit) * arguments.value() <= slopes.value();
+    const M limited = now & at_limit & (changes.value() <= P(at_most));
+    limited_ += choose(limited, P(1), P(0));
   }
 
   void commit(const M& accepted, const P& t1) {
@@ -336,6 +362,7 @@ class Block {
   }
 
   P t_{0}, h_{0}, steps_{0}, failed_{0};
+  P limited_{0};  // looks at steps that stability limits
   M retries_ = to_mask<W>(0);
   P ready_h_{0};  // of those that are ready to take the place of such as end
   const Job& job_;

@@ -24,6 +24,7 @@ struct Job {
   double hmax;         ///< finite
   double first_step;   ///< 0: chosen by the method
   double rtol;
+  double real_limit;        ///< of the pair's stability on the negative real axis
   const double* threshold;  ///< (n,)
   const double* scale;      ///< (n,), or null: all 1
 };
@@ -42,7 +43,7 @@ struct Suspended {
   std::uint32_t trajectory;
   double t, h;
   bool retries;
-  double steps, failed;
+  double steps, failed, limited;
   const double *y, *k, *p;
   std::size_t stride;
 };

@@ -3,6 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string_view>
+
+#include "methods/runge_kutta.hpp"
+#include "methods/stability.hpp"
 
 namespace invariode {
 namespace {
@@ -19,6 +23,14 @@ const lanes::Pair& pair_of(const lanes::Instructions& instructions, const Solver
   return *instructions.pair(solver.method().name);
 }
 
+/// How far the method is stable on the negative real axis.
+template <const auto&... T>
+double real_limit(std::string_view method, runge_kutta::Tableaux<T...> /*pairs*/) {
+  double limit = 0;
+  ((T.name == method ? void(limit = runge_kutta::real_limit<T>()) : void()), ...);
+  return limit;
+}
+
 lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, lanes::Function* f, void* context) {
   const Settings& settings = solver.settings();
   const Weights& weights = solver.weights();
@@ -33,6 +45,7 @@ lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, lanes::Funct
           .hmax = std::min(settings.hmax, huge),
           .first_step = settings.first_step,
           .rtol = weights.rtol(),
+          .real_limit = real_limit(solver.method().name, runge_kutta::Pairs()),
           .threshold = weights.threshold().data(),
           .scale = weights.scale().empty() ? nullptr : weights.scale().data()};
 }

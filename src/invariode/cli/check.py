@@ -1,4 +1,4 @@
-"""`invariode check`: are these invariants invariants? At the start, and along a solution."""
+"""`invariode check`: are these functions invariants? At the start, and along a solution."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from .._below_zero import Lowest, below_zero
 from ..invariant_check import CheckReport, check_invariants
 from ..precision import unprojected
 from ..problem import Problem
@@ -19,7 +20,7 @@ __all__ = ["EXAMPLES", "check"]
 
 EXAMPLES = examples("check pendulum.py", "check orbits.py:kepler --along 20 --method dop853")
 
-#: Tolerances of the solution along which is checked, relative to those that its points have to meet.
+#: Tolerances of the solution used by --along, relative to those that its points must meet.
 TIGHTER = 1e-3
 
 
@@ -28,22 +29,26 @@ def check(
     along: Annotated[
         int,
         typer.Option(
-            "--along", metavar="N", min=0, help="Check at N points along a solution, too.", show_default=False
+            "--along", metavar="N", min=0, help="Also check at N points along a solution.", show_default=False
         ),
     ] = 0,
     method: Annotated[
         str,
-        typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="For that solution."),
+        typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="Its method."),
     ] = "ode45",
-    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Unit of distances.")] = RTOL,
-    atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Where components count as small.")] = ATOL,
+    rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="The unit of distances.")] = RTOL,
+    atol: Annotated[
+        float, typer.Option("--atol", metavar="NUMBER", help="Size below which a component counts as small.")
+    ] = ATOL,
 ) -> None:
-    """Report whether the invariants of a problem are invariants of its equations.
+    """Report whether a problem's equations conserve its invariants.
 
-    At the initial point: the value held, how far the point is off, the rate d/dt of the invariant along the equations,
-    absolute and in units of its terms (roundoff for invariants). What is conserved there is tested at points near it
-    too, and along a short run. With [bold]--along[/], at points along a solution that is computed without projection,
-    with tolerances a thousand times smaller.
+    At the initial point: the value held, how far the point is off, and the rate d/dt of the invariant along the
+    equations, absolute and in units of its terms (roundoff for invariants). A dissipated function must have a rate of
+    the right sign; the table then says "falls" or "rises". What is conserved there is also tested at
+    points nearby and along a short run. [bold]--along[/] adds points along a solution computed without projection, with
+    tolerances a thousand times smaller, and names a component that falls below 0 by more than 100 atol at the given
+    tolerances only.
 
     Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -60,15 +65,36 @@ def check(
             if not np.isfinite(tf):
                 raise typer.BadParameter(f"the interval of {problem.name} has no end", param_hint="--along")
             times = np.linspace(t0, tf, along + 1)
-            sol = unprojected(problem).solve(method, t_eval=times, rtol=TIGHTER * rtol, atol=TIGHTER * atol)
+            lowest = Lowest(problem.y0)
+            tight: dict[str, Any] = {"rtol": TIGHTER * rtol, "atol": TIGHTER * atol}
+            sol = unprojected(problem).solve(method, t_eval=times, callback=lowest, **tight)
             reports = [_report(problem, t, y, rtol, atol) for t, y in zip(sol.t[1:], sol.y.T[1:], strict=True)]
             if reports:
                 console.print()
                 findings += _print_along(console, sol.t[1:], reports)
             if not sol.success:
                 raise stop(sol.message, code=1)
+            _print_below_zero(console, problem, method, lowest, rtol, atol)
     if findings:
         raise typer.Exit(1)
+
+
+def _print_below_zero(
+    console: Console, problem: Problem, method: str, accurate: Lowest, rtol: float, atol: float
+) -> None:
+    """What becomes negative at the tolerances given, and not in the solution that was checked."""
+    lowest = Lowest(problem.y0)
+    unprojected(problem).solve(method, rtol=rtol, atol=atol, callback=lowest, keep="end")
+    found = below_zero(problem.y0, lowest.values, accurate.values, atol)
+    if found is None:
+        return
+    told = found.told(problem.labels[found.component])
+    console.print(
+        Text(
+            f"With rtol {rtol:g} and atol {atol:g} {told}: if it cannot be negative, give the problem nonnegative=.",
+            style="yellow",
+        )
+    )
 
 
 def _checkable(problem: Problem) -> None:
@@ -92,7 +118,7 @@ def _print_report(console: Console, problem: Problem, report: CheckReport) -> No
     table = numbers("invariant", ("value", "residual", "rate", "of its terms", "conserved"))
     for i, name in enumerate(report.names):
         sizes = (f"{report.value[i]:.6g}", f"{report.residual[i]:.2e}", f"{report.rate[i]:.2e}")
-        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(bool(report.conserved[i])))
+        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(report.verdict(i)))
     console.print(table)
     for finding in report.findings:
         console.print(Text(finding, style="red" if not report.ok else "yellow"))
@@ -118,9 +144,9 @@ def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]
     for finding in findings:
         console.print(Text(finding, style="red"))
     if not findings:
-        console.print(Text("All is well there, too.", style="green"))
+        console.print(Text("All is well there too.", style="green"))
     return findings
 
 
-def _verdict(conserved: bool) -> Text:
-    return Text("yes", style="green") if conserved else Text("NO", style="bold red")
+def _verdict(told: str) -> Text:
+    return Text(told, style="bold red" if told == "NO" else "green")

@@ -45,7 +45,7 @@ EXAMPLES = examples(
     "compare kinetics.py --limit 20 --atol-ratio 1e-6",
 )
 
-#: Columns of the table of ratios: as many as fit beside the rest in 80 characters.
+#: Columns of the table of ratios: the number that fits beside the rest in 80 characters.
 _RATIOS = 4
 
 
@@ -67,7 +67,7 @@ def compare(
     ] = "3-9",
     atol_ratio: Annotated[float, typer.Option("--atol-ratio", metavar="NUMBER", help="atol / rtol.")] = 1e-3,
     limit: Annotated[
-        float, typer.Option("--limit", metavar="SECONDS", help="A method with a run that takes longer is given up.")
+        float, typer.Option("--limit", metavar="SECONDS", help="Give up a method if a run takes longer.")
     ] = 5.0,
     plot: Annotated[
         Path | None,
@@ -77,15 +77,16 @@ def compare(
     progress: Annotated[
         bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the answer and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the answer.")] = False,
 ) -> None:
     """Is projection worth it here, or is tightening the tolerance cheaper?
 
-    Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one
-    that two methods agree on. An error is the largest of a component, relative to the largest size of the component
-    along the solution. Evaluations of f include those that test the invariants; times are the smallest of several.
+    Solves the problem by each method at each tolerance, plain and projected, and compares the final states with one on
+    which two methods agree. The error is the largest over the components, each relative to its largest size along the
+    solution. A component that falls below 0 by more than 100 atol in a run, but not in the reference, is named.
+    Evaluations of f include those that test the invariants; times are the smallest of several.
 
-    Exit codes: 0 compared, 1 a solve failed on which all depends, 2 the arguments or the file are wrong, 130 Ctrl-C.
+    Exit codes: 0 compared, 1 an essential solve failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
     rtols = _rtols(decades)
     if not (math.isfinite(atol_ratio) and atol_ratio >= 0):
@@ -121,6 +122,7 @@ def _print_all(
             console.print()
         _print_runs(console, problem, rows, truth)
         _print_notes(console, rows, limit)
+        _print_below_zero(console, problem, rows)
         if problem.invariants and reached:
             _print_ratios(console, judgements(rows, truth.floor))
     if not reached:
@@ -156,7 +158,7 @@ def _own_name(name: str) -> Method:
     """The method; SciPy's BDF means options too, which are not compared."""
     found = method_of(name)
     if name == found.scipy_name and found.scipy_options:
-        raise typer.BadParameter(f"{name} is {found.name} with options; say {found.name}", param_hint="--method")
+        raise typer.BadParameter(f"{name} is {found.name} with options; give {found.name}", param_hint="--method")
     return found
 
 
@@ -260,6 +262,21 @@ def _print_notes(console: Console, rows: Sequence[Row], limit: float) -> None:
     console.print()
 
 
+def _print_below_zero(console: Console, problem: Problem, rows: Sequence[Row]) -> None:
+    """What becomes negative in runs, and not in the reference."""
+    found = [(row, way, low) for row in rows for way in WAYS if (run := row.run(way)) and (low := run.below_zero)]
+    if not found:
+        return
+    row, way, low = min(found, key=lambda one: one[2].value)
+    methods = list(dict.fromkeys(row.method for row, _, _ in found))
+    labels = problem.labels
+    label = labels[low.component]
+    told = low.told(label)
+    console.print(Text(f"{', '.join(methods)}: {told} ({row.method}, {way}, rtol {power(row.rtol)}).", style="yellow"))
+    console.print(Text("If it cannot be negative, give the problem nonnegative=.", style="yellow"))
+    console.print()
+
+
 def _print_ratios(console: Console, found: Sequence[Judgement]) -> None:
     """Cost at equal error, projected / plain, in time and in f."""
     reached = sorted({e for one in found for e in one.errors}, reverse=True)
@@ -333,14 +350,14 @@ def _by(one: Judgement) -> str:
 
 
 def _counted(one: Judgement) -> str:
-    """What evaluations of f say, where they say something else than the time."""
+    """What evaluations of f say, if it differs from what the time says."""
     by_f = judge(one.errors, one.f)[0]
     if by_f == one.kind[0]:
         return ""
     costly = {
-        "worth it": ", so it is worth it where f is costly",
-        "not": ", so it is not where f is costly",
-        "even": ", so where f is costly it makes no difference",
+        "worth it": ", so it is worth it if f is costly",
+        "not": ", so it is not if f is costly",
+        "even": ", so if f is costly it makes no difference",
     }
     return f"; it takes {_range(one.f)} × the evaluations of f{costly.get(by_f, '')}"
 

@@ -15,7 +15,7 @@ from .session import print_traceback, stop
 
 __all__ = ["File", "load"]
 
-#: The name that is taken if none is given.
+#: The name used if none is given.
 DEFAULT = "problem"
 
 #: The argument of the commands that need a problem.
@@ -24,16 +24,16 @@ File = Annotated[
     typer.Argument(
         metavar="FILE.py[:NAME]",
         show_default=False,
-        help=f"A file that defines an invariode.Problem, by the name '{DEFAULT}' if it defines several.",
+        help=f"A file that defines an invariode.Problem, called '{DEFAULT}' if it defines several.",
     ),
 ]
 
 
 def load(file: str) -> Problem:
-    """The problem of that name in the file; by default `problem`, or the only one that there is."""
+    """The problem of that name in the file; by default `problem`, or the only one."""
     path, name = _parts(file)
     if path.is_dir():
-        raise _wrong(f"{path} is a directory; the file in it that defines the problem is needed.")
+        raise _wrong(f"{path} is a directory; give the file in it that defines the problem.")
     if not path.is_file():
         near = difflib.get_close_matches(path.name, [other.name for other in path.parent.glob("*.py")], n=1)
         raise _wrong(f"no such file: {path}" + (f"; did you mean {path.with_name(near[0])}?" if near else ""))

@@ -24,8 +24,8 @@ def methods() -> None:
     """List the methods, their orders and costs, and where their formulas come from.
 
     Columns: SciPy's name of the method; the order of its formulas and of its continuous extension; evaluations of f
-    per step, where they are a fixed number; projection iterations per step with invariants; points per step by default.
-    Options: those that not every method can use, and what SciPy's name implies.
+    per step, if their number is fixed; projection iterations per step with invariants; points per step by default.
+    Options: those that only some methods can use, and what SciPy's name implies.
     """
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method", style="bold", no_wrap=True)

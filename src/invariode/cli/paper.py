@@ -26,7 +26,7 @@ ROOM_FOR_COUNTS = 112
 def paper(
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="Where the report goes."),
+        typer.Option("--output", "-o", metavar="FILE", dir_okay=False, writable=True, help="The file for the report."),
     ] = Path("paper-report.html"),
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Only print the table; the extra plot is not needed.")
@@ -34,7 +34,7 @@ def paper(
 ) -> None:
     """Run the experiments of Shampine's paper and compare each published number.
 
-    Prints the table 'paper | here' and writes a report with the figures, one HTML file.
+    Prints the table 'paper | here' and writes a report with the figures as one HTML file.
     The exit code is 1 if any number differs.
 
     Example: [bold]invariode paper --output paper-report.html[/bold]
@@ -61,7 +61,7 @@ def paper(
 
 
 def _print_table(console: Console, rows: Iterable[Row], published: str) -> None:
-    """One table for each experiment, under its name and with the columns of the others; counts where there is room."""
+    """One table for each experiment, under its name and with the same columns; counts if there is room."""
     counts = COUNTS if console.width >= ROOM_FOR_COUNTS else ()
     console.print(_table(published, counts, heading=True))
     for experiment, group in groupby(rows, key=lambda row: row.experiment):

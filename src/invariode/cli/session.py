@@ -1,4 +1,4 @@
-"""What the commands share: consoles, tables, files to write, and how errors, warnings and Ctrl-C come out."""
+"""What the commands share: consoles, tables, output files, and the handling of errors, warnings and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ __all__ = [
     "writable",
 ]
 
-#: The tolerances where none are given.
+#: The default tolerances.
 RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 
 #: Exit code of a command ended by Ctrl-C: 128 + SIGINT.
@@ -84,7 +84,7 @@ def print_traceback(error: BaseException) -> None:
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Around all that calls functions of the user: what goes wrong ends the command, warnings are lines on stderr.
+    """Guards everything that calls the user's functions: errors end the command, warnings are lines on stderr.
 
     A function of the user raised: its traceback, exit code 1. An invariant is refused: 1. Other misuse, such as a
     method that cannot solve the problem: 2. Ctrl-C: 130.
@@ -109,7 +109,7 @@ def guarded() -> Iterator[None]:
 
 @contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Warnings in a line each, without where they come from; which of them are errors or ignored is left as it is."""
+    """Warnings in a line each, without their origin; filters that ignore them or make them errors stay in force."""
     with warnings.catch_warnings():
         warnings.showwarning = _Lines()
         yield
@@ -120,7 +120,7 @@ def _ours(filename: str) -> bool:
 
 
 class _Lines:
-    """Prints warnings in a line each, those that differ in numbers only once."""
+    """Prints warnings in a line each; those that differ only in numbers, once."""
 
     def __init__(self) -> None:
         self._seen: set[str] = set()
@@ -155,7 +155,7 @@ def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, ex
     """Stops before the work is done if `path` could not be written after it."""
     if path.suffix not in endings:
         ending = f"ending {path.suffix!r}" if path.suffix else "no ending"
-        raise typer.BadParameter(f"{path} has {ending}; known are {', '.join(endings)}", param_hint=option)
+        raise typer.BadParameter(f"{path} has {ending}; choose from {', '.join(endings)}", param_hint=option)
     if not path.parent.is_dir():
         raise typer.BadParameter(f"no such directory: {path.parent}", param_hint=option)
     if path.is_dir():
@@ -166,7 +166,7 @@ def writable(path: Path, endings: Mapping[str, tuple[str, ...]], option: str, ex
 
 
 def write_to(path: Path, write: Callable[[], object]) -> None:
-    """Writes a file; where that fails, the command ends with a line about it, exit code 1."""
+    """Writes a file; if that fails, the command ends with a line about it, exit code 1."""
     try:
         with plain_warnings():
             write()

@@ -14,9 +14,11 @@ from rich.table import Table
 from rich.text import Text
 
 from .._arguments import Array, tolerances
+from .._bound_invariants import bind
+from .._options import ExtensionOptions
 from .._progress import in_passing
 from ..compiled import is_native
-from ..invariants import bind
+from ..loading import load as load_solution
 from ..pictures.canvas import component, listed
 from ..precision import unprojected
 from ..problem import Problem
@@ -43,6 +45,7 @@ __all__ = ["EXAMPLES", "solve"]
 EXAMPLES = examples(
     "solve pendulum.py",
     "solve orbits.py:kepler --method ode113 --rtol 1e-8 -o kepler.csv",
+    "solve orbits.py:kepler --checkpoint kepler.checkpoint --resume",
     "solve pendulum.py --no-project --t-eval 501 -o plain.nc --plot plain.svg",
 )
 
@@ -58,11 +61,19 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
 DENSE = 10
 
 MaxSteps = Annotated[
-    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after so many steps, exit code 1.")
+    int | None, typer.Option("--max-steps", metavar="N", min=1, help="Stop after this many steps, exit code 1.")
 ]
 TimeLimit = Annotated[
-    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long, exit code 1.")
+    float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after this time, exit code 1.")
 ]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option("--checkpoint", metavar="FILE", help="Write the state of the run there while it goes on."),
+]
+CheckpointEvery = Annotated[
+    float, typer.Option("--checkpoint-every", metavar="SECONDS", help="Least time between two checkpoints.")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --checkpoint, if there is one.")]
 Progress = Annotated[
     bool | None, typer.Option("--progress/--no-progress", help="A progress bar.", show_default="in a terminal")
 ]
@@ -74,7 +85,7 @@ MethodOption = Annotated[
     typer.Option("--method", "-m", metavar="NAME", autocompletion=complete_method, help="See invariode methods."),
 ]
 ProjectOption = Annotated[
-    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only watch them.")
+    bool, typer.Option("--project/--no-project", help="Impose the problem's invariants, or only report their drift.")
 ]
 TimesOption = Annotated[
     int | None,
@@ -83,7 +94,7 @@ TimesOption = Annotated[
 DenseOption = Annotated[bool, typer.Option("--dense", help=f"Output between the steps too, {DENSE} points per step.")]
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="Where the solution goes: .csv, .parquet, .nc or .npz."),
+    typer.Option("--output", "-o", metavar="FILE", help="The file for the solution: .csv, .parquet, .nc or .npz."),
 ]
 PlotOption = Annotated[
     Path | None,
@@ -95,9 +106,15 @@ PlotOption = Annotated[
         help="Draw the solution and the drift of its invariants: .png, .svg or .pdf.",
     ),
 ]
+NonnegativeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--nonnegative", metavar="LIST", help="What is not to be negative: labels or indices, as in x,y,3, or all."
+    ),
+]
 ComponentsOption = Annotated[
     str | None,
-    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, as in x,y,3."),
+    typer.Option("--components", metavar="LIST", help="What to draw: labels or indices, such as x,y,3."),
 ]
 
 
@@ -107,22 +124,26 @@ def solve(
     rtol: Annotated[float, typer.Option("--rtol", metavar="NUMBER", help="Relative tolerance.")] = RTOL,
     atol: Annotated[float, typer.Option("--atol", metavar="NUMBER", help="Absolute tolerance.")] = ATOL,
     project: ProjectOption = True,
+    nonnegative: NonnegativeOption = None,
     t_eval: TimesOption = None,
     dense: DenseOption = False,
     output: OutputOption = None,
     plot: PlotOption = None,
     components: ComponentsOption = None,
-    log: Annotated[bool, typer.Option("--log", help="Draw over a logarithmic axis of time.")] = False,
+    log: Annotated[bool, typer.Option("--log", help="Draw with a logarithmic time axis.")] = False,
     force: Annotated[bool, typer.Option("--force", "-f", help="Overwrite files.")] = False,
     progress: Progress = None,
     max_steps: MaxSteps = None,
     time_limit: TimeLimit = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors and warnings.")] = False,
+    checkpoint: Checkpoint = None,
+    checkpoint_every: CheckpointEvery = 60,
+    resume: Resume = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and warnings.")] = False,
 ) -> None:
     """Solve the problem that a file defines.
 
     The file is Python and says [bold]problem = invariode.Problem(fun, t_span, y0, invariants=...)[/].
-    Prints how the run went and what became of the invariants.
+    Reports on the run and on the drift of its invariants.
 
     Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
@@ -135,18 +156,24 @@ def solve(
         writable(plot, PICTURES, "--plot", "plot", force)
     elif components is not None or log:
         raise typer.BadParameter("is for the picture: give --plot FILE too", param_hint="--components, --log")
+    if resume and checkpoint is None:
+        raise typer.BadParameter("needs the file to go on from: give --checkpoint FILE too", param_hint="--resume")
     with guarded():
         problem = load(file)
-        drawn = _drawn(problem, components)
+        problem = _nonnegative(problem, nonnegative)
+        drawn = _components(problem, components, "--components")
         options = _options(problem, rtol, atol, t_eval, dense)
         shown = Console(stderr=True).is_terminal and not quiet if progress is None else progress
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
-            limits = {"max_steps": max_steps, "time_limit": time_limit}
-            sol = _solved(run, method, {"progress": shown, **limits, **options})
+            limits: ExtensionOptions = {"progress": shown, "max_steps": max_steps, "time_limit": time_limit}
+            if checkpoint is not None:
+                options |= {"checkpoint": checkpoint, "checkpoint_every": checkpoint_every}
+            from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
+            sol = _solved(run, method, options, limits, from_file)
             seconds = perf_counter() - start
-    _write(sol, output, plot, (problem.name, drawn, log))  # first of all: what is printed may get lost
+    _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
         with guarded():
             named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
@@ -167,8 +194,10 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
         write_to(plot, lambda: _draw(sol, *look, plot))
 
 
-def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
-    """The solution; Ctrl-C ends the command with a line about where the run was."""
+def _solved(
+    problem: Problem, method: str, options: dict[str, Any], limits: ExtensionOptions, from_file: Path | None
+) -> Solution:
+    """The solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run got."""
     reached = [problem.t_span[0], 0.0]
 
     def note(t: float, y: Array) -> None:
@@ -178,14 +207,25 @@ def _solved(problem: Problem, method: str, options: dict[str, Any]) -> Solution:
     if not is_native(problem.fun):  # native code need not wait for Python at each step
         options = {"callback": note, **options}
     try:
-        return problem.solve(method, **options)
+        if from_file is None:
+            return problem.solve(method, **{**limits, **options})
+        begun = load_solution(from_file, problem, **options)
+        return begun if begun.t_end == problem.t_span[1] else begun.extend(problem.t_span[1], **limits)
     except KeyboardInterrupt:
         where = "" if is_native(problem.fun) else f" at t = {reached[0]:.6g}, after {reached[1]:.0f} steps"
-        raise stop(f"Interrupted{where}; nothing was saved.", INTERRUPTED) from None
+        saved = f"--resume goes on from {options['checkpoint']}" if "checkpoint" in options else "nothing was saved"
+        raise stop(f"Interrupted{where}; {saved}.", INTERRUPTED) from None
 
 
-def _drawn(problem: Problem, given: str | None) -> list[int] | None:
-    """Indices of the components to draw, refused before the work is done."""
+def _nonnegative(problem: Problem, given: str | None) -> Problem:
+    if given is None:
+        return problem
+    chosen = True if given == "all" else _components(problem, given, "--nonnegative")
+    return problem.replace(nonnegative=chosen)
+
+
+def _components(problem: Problem, given: str | None, option: str) -> list[int] | None:
+    """Indices of the components that an option names, refused before the work is done."""
     if given is None:
         return None
     names = [name.strip() for name in given.split(",")]
@@ -193,11 +233,11 @@ def _drawn(problem: Problem, given: str | None) -> list[int] | None:
         return [component(problem.labels, name if name in problem.labels else int(name)) for name in names]
     except ValueError:
         known = listed(problem.labels)
-        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint="--components") from None
+        raise typer.BadParameter(f"{given!r}: choose from {known}, or by index", param_hint=option) from None
 
 
 def _options(problem: Problem, rtol: float, atol: float, points: int | None, dense: bool) -> dict[str, Any]:
-    """Those of the solve: output at so many points, or between the steps."""
+    """The options of the solve: output at this many points, or between the steps."""
     return {
         "rtol": rtol,
         "atol": atol,
@@ -210,7 +250,7 @@ def _options(problem: Problem, rtol: float, atol: float, points: int | None, den
 def _times(problem: Problem, size: int) -> Array:
     if not np.isfinite(problem.t_span).all():
         raise typer.BadParameter(
-            f"equally spaced times need a finite interval, and that of {problem.name} is {problem.t_span}",
+            f"equally spaced times need a finite interval, but that of {problem.name} is {problem.t_span}",
             param_hint="--t-eval",
         )
     return np.linspace(*problem.t_span, size)
@@ -261,7 +301,7 @@ def _print_drift(console: Console, problem: Problem, sol: Solution, projected: b
         )
         console.print(table)
     elif any(event.action for event in problem.events):
-        note = "Nothing is imposed. Which values the invariants should have after the actions of events is not known."
+        note = "Nothing is imposed. The values that the invariants should have after event actions are not known."
     else:
         threshold = tolerances(rtol, atol, problem.y0)[1]
         g = bind(problem.invariants, problem.t_span[0], problem.y0, problem.args, threshold)

@@ -1,1 +1,1 @@
-"""Pictures, a room for each kind of them; the methods of results call them. Needs the extra `plot`."""
+"""Pictures, one module for each kind; the methods of results call them. Needs the extra `plot`."""

@@ -32,10 +32,10 @@ __all__ = [
 ]
 __all__ += ["occurrences", "once", "positive", "properties", "require_matplotlib", "require_points", "unused"]
 
-#: Curves that can be told apart: as many as there are colours, solid and dash-dotted.
+#: The number of distinguishable curves: each colour, solid and dash-dotted.
 MOST = len(COLOURS) * len(DASHES)
 
-#: So few points are marked where the line between them is not the solution; events are marked larger.
+#: Up to this many points are marked if the line between them is not the solution; events are marked larger.
 FEW = 60
 
 #: Powers of ten from which on numbers at an axis have a common factor: written out they would run together.
@@ -56,7 +56,7 @@ def new(sol: Result, **options: Any) -> Axes:
 
 
 def new_panels(sol: Result, heights: Sequence[float], **options: Any) -> Array:
-    """Panels of a new figure below each other, as high as said, with a common axis of t."""
+    """Panels of a new figure below each other, of the given heights, with a common t axis."""
     import matplotlib
     import matplotlib.pyplot as plt  # here, since it chooses a backend, which axes that are given have
 
@@ -76,7 +76,7 @@ def new_panels(sol: Result, heights: Sequence[float], **options: Any) -> Array:
 
 
 def drawable(name: str) -> str:
-    """A name as text of a picture: dollar signs that enclose no formula that matplotlib reads stand for themselves."""
+    """A name as text in a picture: dollar signs that do not enclose a formula for matplotlib are drawn as they are."""
     if "$" not in name:
         return name
     from matplotlib.mathtext import MathTextParser
@@ -89,7 +89,7 @@ def drawable(name: str) -> str:
 
 
 def legend(ax: Axes, title: str | None = None) -> None:
-    """Beside the axes, where it covers nothing; inside where the caller's figure does not make room for it."""
+    """A legend beside the axes, where it covers nothing; inside if the caller's figure makes no room for it."""
     from matplotlib.lines import Line2D
 
     handles, labels = ax.get_legend_handles_labels()
@@ -181,9 +181,9 @@ def components(sol: Result, chosen: Any) -> list[int]:
 
 
 def require_points(sol: Result) -> None:
-    """Refuses to draw a run that took steps and kept the last point only."""
+    """Refuses to draw a run that took steps but kept only the last point."""
     if sol.sol is None and len(sol.t) == 1 and sol.stats.steps > 0 and sol.t[0] == sol.t_end:
         raise ValueError(
-            'the run kept its final state only: for a picture solve with keep="all", the default, or with times in '
+            'the run kept only its final state: for a picture solve with keep="all", the default, or with times in '
             "t_eval"
         )

@@ -1,4 +1,4 @@
-"""Solutions as curves: smooth between the steps, interrupted where they jump, few points for the paper."""
+"""Solutions as curves: smooth between the steps, interrupted at jumps, with few enough points to draw."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Curve", "curve", "draw_over_t", "interrupted", "line_and_marks", "parts"]
 
-#: Points of a smooth curve, and at the most in one step: the eye sees no corners.
+#: Points of a smooth curve, and the most in one step: enough that the eye sees no corners.
 _POINTS, _POINTS_PER_STEP = 4000, 32
 
-#: Up to so many outputs a curve is made smooth by their slopes; of more, the steps are too short to be seen.
+#: Up to this many outputs a curve is smoothed by their slopes; with more, the steps are too short to be seen.
 _SLOPES = 20_000
 
-#: Curves over t of more points than this are drawn by columns, of which a page has no more.
+#: Curves over t of more points than this are drawn by columns; a page has about this many.
 _LONG, _COLUMNS = 16_000, 2000
 
-#: With so many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
-#: its extremes, in columns of so many changes.
+#: With this many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
+#: its extremes, in columns of this many changes.
 _BUSY, _TURNS = 300, 4
 
 
@@ -63,7 +63,7 @@ def _by_interpolant(sol: Result) -> Curve:
 
 
 def _by_slopes(sol: Result, slopes: Array) -> Curve:
-    """Cubic Hermite interpolation: between the steps of a run it is of order 4, as good as the eye can tell."""
+    """Cubic Hermite interpolation: between the steps of a run it is of order 4, enough for the eye."""
     x = _inside(len(sol.t))[:, None]
     t, y, f = sol.t, sol.y, slopes
     h = np.diff(t)
@@ -91,7 +91,7 @@ def _by_slopes(sol: Result, slopes: Array) -> Curve:
 
 
 def _inside(knots: int) -> Array:
-    """Where a step is drawn, from its start on, in units of its size."""
+    """The points at which a step is drawn, from its start, in units of its size."""
     count = min(max(_POINTS // max(knots, 1), 1), _POINTS_PER_STEP)
     return np.arange(count) / count
 
@@ -103,14 +103,14 @@ def interrupted(sol: Result, values: Array) -> Array:
 
 
 def parts(values: Array) -> tuple[list[str], list[Array]]:
-    """What stands before the label, and real values: one of each, for complex values two."""
+    """A prefix of the label, and real values: one of each, two for complex values."""
     return (["Re ", "Im "], [values.real, values.imag]) if np.iscomplexobj(values) else ([""], [values])
 
 
 def line_and_marks(
     sol: Result, smooth: bool, properties: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Properties of the line; and of the marks at the outputs, which a smooth curve has on request."""
+    """Properties of the line, and of the marks at the outputs, which a smooth curve has only on request."""
     look = {"linewidth": 1.4, "markersize": 5, **properties}
     few = len(sol.t) <= FEW
     if not smooth:

@@ -1,4 +1,4 @@
-"""How far invariants are from their values, on a logarithmic axis."""
+"""The drift of invariants from their values, on a logarithmic axis."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._arguments import EPS, Array, tolerances
+from .._bound_invariants import BoundInvariants, Jump, bind
 from .._style import LEVELS
-from ..invariants import BoundInvariants, Invariants, InvariantsLike, Jump, bind, to_invariants
+from ..invariants import Invariants, InvariantsLike, to_invariants
 from ..result import Result
 from .canvas import FEW, MOST, drawable, joined, legend, new, once, properties, unused
 from .curves import interrupted
@@ -24,9 +25,9 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     """See `Solution.plot_drift`."""
     given_ones = to_invariants(invariants)
     if not given_ones and not len(sol._invariants):
-        raise ValueError("the run had no invariants: tell which to look at, plot_drift(invariants=g)")
+        raise ValueError("the run had no invariants: give those to draw, plot_drift(invariants=g)")
     if not len(sol.t):
-        raise ValueError("the output has no points to look at: t_eval was empty")
+        raise ValueError("the output has no points: t_eval was empty; solve with times in t_eval")
     g = _bound(sol, given_ones) if given_ones else sol._invariants
     pieces = g.pieces_of_output(len(sol.t))
     residual = np.abs(g.residual(sol.t, sol.y, pieces))
@@ -80,7 +81,7 @@ def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
     jumps = []
     for row, t, _ in own.jumps:
         here = slice(row, row + 1)
-        there = g.value + g.residual(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
+        there = g.value + g.departure(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
         jumps.append(Jump(row, t, np.where(g.demanded, g.value, there)))
     return replace(g, jumps=tuple(jumps), forward=own.forward)
 

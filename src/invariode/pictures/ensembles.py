@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 __all__ = ["draw"]
 
-#: Of more components so many are drawn: ranges of more cover each other.
+#: The most components that are drawn: the ranges of more would cover each other.
 _MOST = len(COLOURS)
 
-#: Of more trajectories so many are drawn one by one.
+#: The most trajectories that are drawn one by one.
 _THREADS = 500
 
 #: Parts of the trajectories that are below a line.
@@ -30,7 +30,7 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
     """See `EnsembleSolution.plot`."""
     require_matplotlib()
     if len(ensemble.t) < 2:
-        raise ValueError("the ensemble has final states only: for a picture solve it with times in t_eval")
+        raise ValueError("the ensemble has only final states: for a picture solve it with times in t_eval")
     names = default_labels(ensemble.y.shape[1])
     those = range(min(len(names), _MOST)) if chosen is None else np.atleast_1d(chosen)
     rows = [component(names, int(one)) for one in those]

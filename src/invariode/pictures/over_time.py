@@ -31,10 +31,10 @@ __all__ = ["draw", "draw_groups", "groups_of_scale"]
 #: Components whose sizes differ by more than this cannot be seen on one axis.
 _APART = 1e3
 
-#: More panels would be too low to be read: the smallest components then share one.
+#: More panels would be too small to read: the smallest components then share one.
 _PANELS = 4
 
-#: Of more components than `MOST` so many have a name in the legend.
+#: If there are more components than `MOST`, the number of names in the legend.
 _NAMED = 10
 
 
@@ -95,7 +95,7 @@ def _draw_group(ax: Axes, sol: Result, whole: Curve, group: list[int], look: dic
 
 
 def _paint(ax: Axes, place: int, count: int) -> tuple[Any, tuple[str, str]]:
-    """Colour and dashes: of few components the next that is free, of many the place in a sequence of colours."""
+    """Colour and dashes: the next free ones for few components, the place in a sequence of colours for many."""
     if count <= MOST:
         return unused(ax)
     import matplotlib

@@ -1,4 +1,4 @@
-"""Components over each other: in the plane, with a field of directions, and in space."""
+"""Components against each other: in the plane, with a direction field, and in space."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["draw"]
 #: Axes whose extents differ by less than this get the same scale, so that circles are round.
 _ALIKE = 3
 
-#: Arrows of a field of directions along each axis.
+#: Arrows of a direction field along each axis.
 _ARROWS = 21
 
 
@@ -41,12 +41,12 @@ def draw(sol: Result, chosen: tuple[Any, Any, Any], ax: Axes | None, field: bool
     require_points(sol)
     space = len(labels) == 3
     if field and (len(names) != 2 or space or np.iscomplexobj(sol.y)):
-        raise ValueError(f"field=True needs a problem of two real components, and this has {len(names)}")
+        raise ValueError(f"field=True needs a problem of two real components, but this one has {len(names)}")
     if ax is None:
         ax = _new(sol, space)
     elif (ax.name == "3d") != space:
         wanted = 'axes with projection="3d"' if space else "axes of the plane"
-        raise ValueError(f"{len(labels)} components are drawn on {wanted}: give such, or none")
+        raise ValueError(f"{len(labels)} components are drawn on {wanted}: give these, or none")
 
     def place(states: Array) -> tuple[Array, ...]:
         return (
@@ -86,7 +86,7 @@ def _coordinates(sol: Result, chosen: tuple[Any, Any, Any]) -> tuple[list[int], 
         return [first], [f"Re {drawable(names[first])}", f"Im {drawable(names[first])}"]
     if j is None:
         if len(names) == 1:
-            raise ValueError(f"plot_phase needs two components, and this problem has one, {names[0]}: use plot()")
+            raise ValueError(f"plot_phase needs two components, but this problem has one, {names[0]}: use plot()")
         raise ValueError(f"plot_phase needs two components of {listed(names)}, got only {i!r}")
     rows = [first, component(names, j), *([] if k is None else [component(names, k)])]
     return rows, [drawable(names[row]) for row in rows]
@@ -119,7 +119,7 @@ def _draw_field(ax: Axes, sol: Result, rows: list[int]) -> None:
     if slopes is None:
         raise ValueError(
             "field=True needs the function of the problem, without a mass matrix; a solution from a file or a pickle "
-            "has none: draw that of a new solve"
+            "has none: solve again"
         )
     box = ax.get_window_extent()
     u, v = slopes[rows[0]] * box.width / (right - left), slopes[rows[1]] * box.height / (high - low)

@@ -28,7 +28,7 @@ __all__ = ["draw", "plot_work_precision"]
 COLOURS = (*PALETTE, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
-#: So many keys of the legend fit beside each other.
+#: The number of legend keys that fit side by side.
 IN_A_LINE = 7
 
 
@@ -53,18 +53,18 @@ def plot_work_precision(
     Parameters
     ----------
     problem : Problem
-        What is solved.
+        The problem to solve.
     methods : sequence of str, optional
         Names in `METHODS`. Default: all that can solve the problem.
     reference : Solution or array_like of shape (n,), optional
-        The exact final state, or a solution that ends in it; errors are then relative to the largest size of each
-        component along that solution. Default: two methods at stringent tolerances, which must agree.
+        The exact final state, or a solution that ends there, in which case errors are relative to the largest size of
+        each component along that solution. Default: two methods at stringent tolerances, which must agree.
     rtols : sequence of float, optional
         The tolerances. Default: 1e-3 to 1e-9, by powers of ten.
     atol_ratio : float, default 1e-3
         atol / rtol.
     limit : float, default 5
-        A method with a run that takes longer, in seconds, is given up.
+        Seconds; a method is given up if a run takes longer.
     axes : pair of matplotlib.axes.Axes, optional
         Where to draw, over evaluations of f and over time. Default: a new figure.
 
@@ -75,8 +75,8 @@ def plot_work_precision(
     Raises
     ------
     ValueError
-        No two methods agree on the final state, or no run reached the end; a method that is unknown, or cannot solve
-        the problem.
+        No two methods agree on the final state, or no run reached the end; a method is unknown, or cannot solve the
+        problem.
     InvariantError
         f does not conserve an invariant.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +27,7 @@ _HEIGHTS = (3, 1.3, 2)
 def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
     """See `Solution.plot_steps`."""
     if sol.steps is None:
-        raise ValueError('the steps are kept with keep="all"')
+        raise ValueError('the run did not keep its steps: solve with keep="all"')
     own = axes is None
     panels = new_panels(sol, _HEIGHTS) if own else np.ravel(np.asarray(axes, dtype=object))
     if not 1 <= len(panels) <= 3:
@@ -40,6 +41,7 @@ def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
         draw_orders(panels[1], sol.steps, paint)
     if len(panels) > 2:
         draw_errors(panels[2], sol.steps, paint["color"], given)
+    shade_turns(panels, sol.steps)
     for panel in panels:
         place = panel.get_subplotspec()
         if place is None or place.is_last_row():
@@ -52,6 +54,24 @@ def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
 def over_steps(steps: Steps, values: Array) -> tuple[Array, Array]:
     """t and values of a curve that is constant over each step."""
     return np.concatenate([steps.t[:1] - steps.h[:1], steps.t]), np.concatenate([values[:1], values])
+
+
+def shade_turns(panels: Array, steps: Steps) -> None:
+    """Where methods take turns: the steps of the second one on a grey ground, with its name."""
+    methods = steps.method
+    if not len(methods) or (methods == methods[0]).all():
+        return
+    first = methods[0]
+    second = next(one for one in methods if one != first)
+    ends = np.flatnonzero(methods[1:] != methods[:-1]) + 1
+    bounds = np.concatenate([[0], ends, [len(methods)]])
+    starts = np.concatenate([steps.t[:1] - steps.h[:1], steps.t])
+    turns = [(a, b) for a, b in pairwise(bounds.tolist()) if methods[a] == second]
+    for panel in panels:
+        for k, (a, b) in enumerate(turns):
+            label = {"label": str(second)} if k == 0 and panel is panels[0] else {}
+            panel.axvspan(starts[a], starts[b], color="0.9", zorder=0, **label)
+    legend(panels[0])
 
 
 def draw_sizes(ax: Axes, steps: Steps, paint: dict[str, Any]) -> None:

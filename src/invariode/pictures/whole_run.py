@@ -1,4 +1,4 @@
-"""A run on one page: components by their scales, and below them how far the invariants are from their values."""
+"""A run on one page: components by their scales, and below them the drift of the invariants."""
 
 from __future__ import annotations
 

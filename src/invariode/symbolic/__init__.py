@@ -1,7 +1,6 @@
-"""Problems from formulas: symbols in; f, invariants and all their exact Jacobians out. Needs the extra `symbolic`.
+"""Problems from formulas: f, invariants and their exact Jacobians from SymPy expressions. Needs the extra `symbolic`.
 
-The functions take SymPy's symbols and expressions, and return a `SymbolicSystem`, which makes an `invariode.Problem` of
-them.
+The functions take SymPy symbols and expressions, and return a `SymbolicSystem`, which makes an `invariode.Problem`.
 """
 
 from importlib.util import find_spec

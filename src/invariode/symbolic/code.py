@@ -18,13 +18,13 @@ from ..compiled import CompiledFunction, compile
 
 __all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "functions"]
 
-#: What expressions become: a Python function, or one for numba.
+#: The result of expressions: a Python function, or one for numba.
 Function = CompiledFunction | Callable[..., Any]
 
-#: Accelerations, where a linear system determines them.
+#: Accelerations, if a linear system determines them.
 _ACCELERATION = "a"
 
-#: Jacobians of at least so many rows are sparse where at most this part of their entries can differ from zero.
+#: Jacobians with at least this many rows are sparse if at most this fraction of their entries can differ from zero.
 _SPARSE_ROWS, _SPARSE_PART = 20, 0.25
 
 
@@ -142,7 +142,7 @@ def functions(system: System, pieces: Iterable[Piece], compiled: bool, parameter
     """The functions f, its exact jac, and `pieces`.
 
     One pass finds the common subexpressions of all. But where accelerations are solved for, the Jacobian is derived,
-    with a pass of its own, when a method asks for it: explicit methods do not.
+    with its own pass, when a method needs it: explicit methods do not.
     """
     pieces = list(pieces)
     n = len(system.y)

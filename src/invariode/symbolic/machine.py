@@ -19,16 +19,16 @@ __all__ = ["translated"]
 
 _DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
 
-#: Functions of `math` that are those of C, by the same names.
+#: Functions of `math` that C has under the same names.
 _ELEMENTARY = {
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("exp", "expm1", "log", "log10", "log1p", "pow", "erf", "erfc"),
 }
-#: Those of Python and `math` that are instructions.
+#: Functions of Python and `math` that are instructions.
 _BUILT_IN = {"abs", "fabs", "float", "max", "min", "sqrt"}
 _CONSTANTS = {name: getattr(math, name) for name in ("pi", "e", "inf", "nan", "tau")}
 
-#: Powers up to this one are products.
+#: Powers up to this one become products.
 _MOST_FACTORS = 16
 
 #: LLVM takes more than linear time for long blocks, and for long code with optimisation: measured on chains
@@ -41,8 +41,8 @@ _SIGNS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", 
 def translated(name: str, lines: Callable[[], list[str]]) -> Callable[..., Any]:
     """A function ``name(t, y, a, out, p)`` for numba's compiled functions to call, of `lines`, which assign numbers.
 
-    The lines are asked for when the function is compiled or called first. Where they have what is not translated, numba
-    compiles them in its own way.
+    The lines are requested when the function is first compiled or called. If they contain anything that is not
+    translated, numba compiles them in its own way.
     """
     executed: list[Callable[..., Any]] = []
 

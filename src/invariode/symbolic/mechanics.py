@@ -1,4 +1,4 @@
-"""Mechanics in symbols: from a Hamiltonian or a Lagrangian, with constraints, to a system with its laws."""
+"""Mechanics in symbols: from a Hamiltonian, or a Lagrangian with constraints, to a system with its laws."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sympy.core.function import AppliedUndef
 from .._types import Span
 from ..problem import Problem
 from .code import System
-from .mechanism import Consistent, Correction, Mechanism
+from .mechanism import Consistent, Correction
 from .noether import symmetries, vanishes
-from .systems import POSITIONS, VELOCITIES, Law, Phase, label
+from .systems import Law, Phase, constrained, label
 from .vocabulary import Vocabulary
 
 __all__ = ["hamiltonian", "lagrangian"]
 
-#: Where the rank of a mass matrix is looked at: a point without special symmetry.
+#: Where the rank of a mass matrix is tested: a point without special symmetry.
 _SEED = 7
 
 
@@ -47,10 +47,10 @@ class Hamiltonian(Phase):
         q0, p0 : dict or array_like
             Initial coordinates and momenta, by symbol or in the order of q and of p.
         laws : bool, default True
-            Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
+            Whether the problem has the laws that were found as invariants: those that `check_invariants` confirms at
             the start, and that do not follow from others there.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes some seconds. Default: where it is installed.
+            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
         name : str, optional
             For tables and plots.
 
@@ -89,10 +89,10 @@ class Lagrangian(Phase):
         v0 : dict or array_like
             Initial velocities, by coordinate or by its derivative, or in the order of q.
         laws : bool, default True
-            Whether the laws that were found are invariants of the problem: those that `check_invariants` confirms at
-            the start, and that do not follow from others there. Constraints are held in any case.
+            Whether the problem has the laws that were found as invariants: those that `check_invariants` confirms at
+            the start, and that do not follow from others there. Constraints are imposed in either case.
         consistent : {'check', 'project'}, default 'check'
-            What is done with a start that is off the constraints by more than the tolerances of the run: an
+            What is done with a start that is off the constraints by more than the run's tolerances: an
             `invariode.InvariantError`, or it is moved onto them, with a warning, as
             `invariode.MechanicalSystem.problem` does.
         correction : {'levels', 'joint', 'none'}, default 'levels'
@@ -100,7 +100,7 @@ class Lagrangian(Phase):
             both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
             laws either. Without constraints the laws are imposed together.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes some seconds. Default: where it is installed.
+            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
         name : str, optional
             For tables and plots.
 
@@ -111,7 +111,7 @@ class Lagrangian(Phase):
         Raises
         ------
         ValueError, InvariantError
-            As `invariode.MechanicalSystem.problem`, where there are constraints. Redundant ones are left out, with one
+            As for `invariode.MechanicalSystem.problem`, if there are constraints. Redundant ones are left out, with one
             warning that names them.
         """
         start = self._start(q0, v0)
@@ -134,7 +134,7 @@ def hamiltonian(
     ----------
     H : sympy.Expr
         The Hamiltonian H(q, p, t).
-    q, p : sequence of symbols, or of functions of the time
+    q, p : sequence of symbols, or of functions of time
         Coordinates and their momenta.
     parameters : dict, optional
         Other symbols and their values, which become `args` of the problem.
@@ -149,12 +149,12 @@ def hamiltonian(
     Raises
     ------
     TypeError, ValueError
-        q and p differ in number; H has a symbol without meaning; a symbol has two.
+        q and p differ in number; H has an unknown symbol; a symbol has two meanings.
 
     Notes
     -----
-    Laws are found where they hold for all values of the parameters: H itself if it does not contain the time, and a
-    momentum for each affine motion of the coordinates that leaves H unchanged, as translations and rotations do.
+    Laws are found if they hold for all values of the parameters: H itself if it does not contain the time, and a
+    momentum for each affine motion of the coordinates that leaves H unchanged, such as a translation or rotation.
 
     Examples
     --------
@@ -199,13 +199,13 @@ def lagrangian(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Lagrangian:
-    """A Lagrangian system, with constraints and with forces that have no potential.
+    """A Lagrangian system, with constraints and nonconservative forces.
 
     Parameters
     ----------
     L : sympy.Expr
         The Lagrangian L(q, q', t), kinetic minus potential energy.
-    q : sequence of functions of the time
+    q : sequence of functions of time
         The coordinates, as ``sympy.physics.mechanics.dynamicsymbols`` makes them; their derivatives are the velocities.
     constraints : sequence of sympy.Expr or sympy.Eq, optional
         Holonomic constraints φ(q, t), which are 0, or equations.
@@ -226,15 +226,15 @@ def lagrangian(
     Raises
     ------
     TypeError, ValueError
-        q are no functions of the time; a formula has a symbol without meaning; the mass matrix is singular, and there
-        are no constraints; a velocity constraint is not linear in the velocities.
+        q are not functions of time; a formula has an unknown symbol; the mass matrix is singular without constraints; a
+        velocity constraint is not linear in the velocities.
 
     Notes
     -----
     Each evaluation of f solves M(q) v' = Q + Φᵀ λ together with the second derivatives of the constraints, all exact.
-    The constraints and their rates are invariants of value 0. Laws are found where they hold for all values of the
+    The constraints and their rates are invariants of value 0. Laws are found if they hold for all values of the
     parameters: the energy, and a momentum for each affine motion of the coordinates that leaves the Lagrangian and the
-    constraints unchanged, as translations and rotations do.
+    constraints unchanged, such as a translation or rotation.
 
     Examples
     --------
@@ -251,7 +251,7 @@ def lagrangian(
     q = _sequence("q", q)
     for one in q:
         if not isinstance(one, AppliedUndef) or len(one.args) != 1:
-            raise TypeError(f"q must be functions of the time, got {one!r}: make them by dynamicsymbols")
+            raise TypeError(f"q must be functions of time, got {one!r}: make them with dynamicsymbols")
     words = Vocabulary([*q, *(one.diff(one.args[0]) for one in q)], parameters)
     n = len(q)
     form = _Form(words, n, words.coded("L", L), _forces(words, q, forces))
@@ -260,19 +260,10 @@ def lagrangian(
     _require_constraints(form, held, rolled)
     rates = [form.rate(one) for one in held]
     system = form.system([*rates, *rolled])
-    mechanism = None
-    names = [f"constraint {i + 1}" for i in range(len(held))]
-    names += [f"velocity constraint {i + 1}" for i in range(len(rolled))]
-    if names:
-        mechanism = Mechanism(words, names, held, rolled, system.mass[:n, :n], system.force[:n])
-    else:
+    laws, mechanism = constrained(words, held, rates, rolled, system.mass[:n, :n], system.force[:n])
+    if mechanism is None:
         _require_regular(words, system)
-    laws = [
-        *(Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=False)),
-        *(Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=False)),
-        *(Law(name, one, 0.0, False, VELOCITIES) for name, one in zip(names[len(held) :], rolled, strict=True)),
-        *form.laws(held, rates, rolled),
-    ]
+    laws += form.laws(held, rates, rolled)
     shown = [(sympy.Symbol("L"), words.shown(form.lagrangian))]
     shown += [(sympy.Integer(0), words.shown(one)) for one in [*held, *rolled]]
     return Lagrangian(words, system, laws, shown, points, mechanism)

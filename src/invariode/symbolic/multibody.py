@@ -1,4 +1,4 @@
-"""Equations of motion that SymPy's own mechanics has derived."""
+"""Equations of motion derived by SymPy's own mechanics."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from sympy.physics.mechanics import KanesMethod, LagrangesMethod
 
 from .._arguments import choice, interval, warn
 from .._types import Span
-from ..invariants import InvariantError, impose
+from ..imposing import impose
+from ..invariants import InvariantError
 from ..problem import Problem
 from .code import System
 from .mechanism import Consistent, Correction, Mechanism
 from .noether import vanishes
-from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, given_laws, label
+from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, constrained, given_laws, label
 from .vocabulary import Vocabulary
 
 __all__ = ["from_mechanics"]
@@ -49,15 +50,15 @@ class Multibody(SymbolicSystem):
             Initial coordinates and speeds, by symbol or in the order of `states`. Default: the initial conditions of
             PyDy's system.
         consistent : {'check', 'project'}, default 'check'
-            What is done with a start that is off the constraints by more than the tolerances of the run: an
-            `invariode.InvariantError`, or it is moved onto them, with a warning: by the least change in the metric of
-            the mass matrix, of Kane's method in the Euclidean one.
+            What is done with a start that is off the constraints by more than the run's tolerances: an
+            `invariode.InvariantError`, or it is moved onto them, with a warning, by the least change in the metric of
+            the mass matrix (for Kane's method in the Euclidean one).
         correction : {'levels', 'joint', 'none'}, default 'levels'
             How the solution is put back onto the constraints after each step: first positions, then velocities, then
             both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
             laws either.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes some seconds. Default: where it is installed.
+            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
         name : str, optional
             For tables and plots.
 
@@ -68,8 +69,8 @@ class Multibody(SymbolicSystem):
         Raises
         ------
         ValueError, InvariantError
-            As `invariode.MechanicalSystem.problem`. Redundant constraints of Lagrange's method are left out, with one
-            warning that names them.
+            As for `invariode.MechanicalSystem.problem`. Redundant constraints of Lagrange's method are left out, with
+            one warning that names them.
         """
         choice("consistent", consistent, ("check", "project"))
         if y0 is None and self._initial is None:
@@ -104,16 +105,16 @@ def from_mechanics(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Multibody:
-    """A system whose equations of motion SymPy has formed, by Kane's method or by Lagrange's.
+    """A system whose equations of motion SymPy has formed by Kane's or Lagrange's method.
 
     Parameters
     ----------
     method : sympy.physics.mechanics.KanesMethod or LagrangesMethod, or PyDy's System
-        After ``kanes_equations`` or ``form_lagranges_equations``. Of an object with `eom_method`, `constants` and
-        `initial_conditions`, as ``pydy.system.System`` is, these are taken.
+        After ``kanes_equations`` or ``form_lagranges_equations``. An object such as ``pydy.system.System`` contributes
+        its `eom_method`, `constants` and `initial_conditions`.
     invariants : sequence of sympy.Expr or sympy.Eq, or dict of names and these, optional
         What the solution keeps, as for `equations`: the energy, or configuration constraints ``Eq(a, b)`` that the
-        method was not told.
+        method does not know.
     parameters : dict, optional
         Other symbols and their values, which become `args` of the problem; for PyDy's system, in place of its
         constants.
@@ -129,12 +130,12 @@ def from_mechanics(
     Raises
     ------
     TypeError, ValueError
-        `method` is of another class, or has not formed its equations; a formula has a symbol without meaning.
+        `method` is of another class, or has not formed its equations; a formula has an unknown symbol.
 
     Notes
     -----
     Each evaluation of f solves the linear system of mass matrix and forces: no formula is solved for accelerations. The
-    constraints that the method was given, of configurations and of velocities, are held without being asked for.
+    method's own constraints, on configurations and velocities, are imposed by default.
 
     Examples
     --------
@@ -185,7 +186,7 @@ def _formed(method: Any, *names: str) -> list[Any]:
     try:
         return [getattr(method, name) for name in names]
     except ValueError as error:
-        raise ValueError(f"{error}: call its kanes_equations or form_lagranges_equations before") from None
+        raise ValueError(f"{error}: call its kanes_equations or form_lagranges_equations first") from None
 
 
 def _by_kane(method: Any, words: Vocabulary, n: int) -> _Made:
@@ -210,13 +211,8 @@ def _by_lagrange(method: Any, words: Vocabulary, n: int) -> _Made:
     system = System(words.y, words.y[n:], matrix, right)
     held = [words.coded("a constraint", one) for one in method._hol_coneqs or []]
     rates = [words.coded("a constraint", one) for one in method.coneqs or []]
-    names = [f"constraint {i + 1}" for i in range(len(held))]
-    names += [f"velocity constraint {i + 1}" for i in range(len(rates) - len(held))]
-    laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=False)]
-    for i, (name, one) in enumerate(zip(names, rates, strict=True)):
-        own = (f"rate of {name}", name) if i < len(held) else (name, "")
-        laws.append(Law(own[0], one, 0.0, False, VELOCITIES, own[1]))
-    mechanism = Mechanism(words, names, held, rates[len(held) :], matrix[:n, :n], right[:n]) if names else None
+    m = len(held)
+    laws, mechanism = constrained(words, held, rates[:m], rates[m:], matrix[:n, :n], right[:n])
     return _Made(system, laws, mechanism)
 
 

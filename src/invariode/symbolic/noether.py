@@ -25,7 +25,7 @@ _NULL = 1e-9  # singular values below, in units of the largest, are zero
 _INTEGER = 1e-6  # distance from an integer
 _DIGITS, _ZERO = 40, 1e-25  # of the verification: digits carried, and what is zero of a sum of terms
 _POINTS = 3  # of the verification
-#: Above so many unknowns (n² + n for n coordinates) only translations are looked for.
+#: Above this many unknowns (n² + n for n coordinates) only translations are sought.
 _MOST = 700
 
 
@@ -61,7 +61,7 @@ def _basis(q: Sequence[Any]) -> Iterator[list[Any]]:
 
 
 def _sampled(evaluate: Callable[..., Any], symbols: int, unknowns: int) -> Array | None:
-    """The conditions at random points, a row for each; None where they are not defined at enough of them."""
+    """The conditions at random points, a row for each; None if they are not defined at enough of them."""
     rng = np.random.default_rng(_SEED)
     rows: list[Array] = []
     count = 0

@@ -1,15 +1,16 @@
-"""Systems of symbols, and the problems that they make."""
+"""Symbolic systems, and the problems made from them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy
 
-from .._arguments import choice, distinct, interval
+from .._arguments import Array, choice, distinct, interval
+from .._films import HasPoints
 from .._types import Span
 from ..invariant_check import check_invariants
 from ..invariants import Invariants
@@ -17,9 +18,6 @@ from ..problem import Problem
 from .code import Code, Piece, System, functions
 from .mechanism import Consistent, Correction, Mechanism
 from .vocabulary import Vocabulary, parsed
-
-if TYPE_CHECKING:  # an extra, imported when a film is made
-    from ..animation import Film
 
 __all__ = [
     "LAWS",
@@ -29,13 +27,14 @@ __all__ = [
     "Law",
     "Phase",
     "SymbolicSystem",
+    "constrained",
     "equations",
     "given_laws",
     "label",
 ]
 
-#: Levels of correction: constraints move positions only, their rates and constraints of velocities move velocities
-#: only, and other laws what is left.
+#: Levels of correction: constraints move only positions, their rates and velocity constraints move only
+#: velocities, and other laws move what is left.
 POSITIONS, VELOCITIES, LAWS = 0, 1, 2
 
 #: Longer formulas are not names.
@@ -53,7 +52,7 @@ class Law(NamedTuple):
     of: str = ""  # the constraint whose rate it is
 
 
-class SymbolicSystem:
+class SymbolicSystem(HasPoints):
     """A system of differential equations in symbols, and its laws. Made by `equations`, `lagrangian` and others.
 
     Attributes
@@ -61,9 +60,9 @@ class SymbolicSystem:
     states : list of sympy.Expr
         The components of y.
     parameters : dict
-        Symbols and their values, which become `args` of the problem, in this order.
+        Symbols and their values, which become `args` of the problem in this order.
     laws : dict of str to sympy.Expr
-        What the system keeps: invariants that were given, constraints, and laws that were found.
+        What the system keeps: given invariants, constraints, and laws that were found.
     """
 
     def __init__(
@@ -96,33 +95,14 @@ class SymbolicSystem:
         rows = r" \\ ".join(f"{sympy.latex(left)} &= {sympy.latex(right)}" for left, right in self._shown)
         return rf"$\displaystyle\begin{{aligned}} {rows} \end{{aligned}}$"
 
-    def animate(self, sol: Any, **options: Any) -> Film:
-        """Shows the motion of the `points` of the system as a film.
-
-        Parameters
-        ----------
-        sol : Solution
-            Of a problem of this system.
-        **options
-            Those of `invariode.Solution.animate`: links, trace, duration, fps, ax, and properties of the links.
-
-        Returns
-        -------
-        Film
-
-        Raises
-        ------
-        ValueError
-            The system was made without `points`.
-        """
+    def _places(self, sol: Any) -> Callable[[float, Array], Any]:
         if self._points is None:
             raise ValueError("the system has no points: make it with points=[(x, y), ...], or use sol.animate")
         words, shape = self._words, (len(self._points), -1)
         flat = [e for row in self._points for e in row]
         code = sympy.lambdify([words.t, words.y, words.p], flat, modules="numpy", cse=True)
         args = sol._invariants.args or words.args  # those of the run, which may have been replaced
-        film: Film = sol.animate(lambda t, y: np.reshape(code(t, y, args), shape), **options)
-        return film
+        return lambda t, y: np.reshape(code(t, y, args), shape)
 
     def _problem(
         self,
@@ -222,8 +202,8 @@ class Equations(SymbolicSystem):
         y0 : dict or array_like
             Initial values, by symbol or in the order of the equations.
         compiled : bool, optional
-            Whether numba compiles the functions. Default: where it is installed. It takes seconds, for chains of twenty
-            bodies minutes: give False where the runs are short.
+            Whether numba compiles the functions. Default: if it is installed. It takes seconds, and minutes for chains
+            of twenty bodies: give False if the runs are short.
         name : str, optional
             For tables and plots.
 
@@ -235,7 +215,7 @@ class Equations(SymbolicSystem):
 
 
 class Phase(SymbolicSystem):
-    """A mechanical system: its state are coordinates q, and momenta p or velocities v."""
+    """A mechanical system: its state consists of coordinates q, and momenta p or velocities v."""
 
     _second: str
 
@@ -261,12 +241,12 @@ def equations(
     parameters: Mapping[Any, Any] | None = None,
     points: Sequence[Any] | None = None,
 ) -> Equations:
-    """Differential equations by formulas.
+    """Differential equations given by formulas.
 
     Parameters
     ----------
     rates : dict
-        States, symbols or functions of the time, and their derivatives: ``{x: -y, y: x}``.
+        States, symbols or functions of time, and their derivatives: ``{x: -y, y: x}``.
     invariants : sequence of sympy.Expr or sympy.Eq, or dict of names and these, optional
         What the solution keeps: expressions keep their initial values, equations ``Eq(a, b)`` hold.
     parameters : dict, optional
@@ -282,12 +262,12 @@ def equations(
     Raises
     ------
     TypeError, ValueError
-        A formula is no expression of SymPy's, or has a symbol without meaning; a symbol has two.
+        A formula is not a SymPy expression, or has an unknown symbol; a symbol has two meanings.
 
     Notes
     -----
-    The time is what the states are functions of, else the symbol t. Jacobians are exact, sparse where there are many
-    equations and few entries.
+    Time is the argument of the states if they are functions, else the symbol t. Jacobians are exact, and sparse if
+    there are many equations and few entries.
 
     Examples
     --------
@@ -325,3 +305,17 @@ def given_laws(words: Vocabulary, invariants: Iterable[Any] | Mapping[str, Any])
             raise ValueError(f"invariant {name or text} does not depend on the state: leave it out")
         laws.append(Law(name or text, coded, value, proposed=False))
     return laws
+
+
+def constrained(
+    words: Vocabulary, held: Sequence[Any], rates: Sequence[Any], rolled: Sequence[Any], mass: Any, force: Sequence[Any]
+) -> tuple[list[Law], Mechanism | None]:
+    """The laws that constraints of positions, with their rates, and of velocities are, and the mechanism if any."""
+    names = [f"constraint {i + 1}" for i in range(len(held))]
+    laws = [Law(name, one, 0.0, False, POSITIONS) for name, one in zip(names, held, strict=True)]
+    laws += [Law(f"rate of {name}", one, 0.0, False, VELOCITIES, name) for name, one in zip(names, rates, strict=True)]
+    rolling = [f"velocity constraint {i + 1}" for i in range(len(rolled))]
+    laws += [Law(name, one, 0.0, False, VELOCITIES) for name, one in zip(rolling, rolled, strict=True)]
+    if not laws:
+        return [], None
+    return laws, Mechanism(words, [*names, *rolling], held, rolled, mass, force)

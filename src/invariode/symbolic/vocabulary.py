@@ -1,4 +1,4 @@
-"""The symbols of a system: what is state, parameter and time, and whether that is all."""
+"""The symbols of a system: which are states, parameters and time, and whether any are unknown."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def parsed(what: str, value: Any) -> Any:
     except sympy.SympifyError:
         expression = None
     if not isinstance(expression, sympy.Expr):
-        raise TypeError(f"{what} must be an expression of SymPy's, got {value!r}")
+        raise TypeError(f"{what} must be a SymPy expression, got {value!r}")
     return expression.doit()
 
 
 class Vocabulary:
     """What the symbols of a system mean, and their names in the code: t, y[0], y[1], ..., p[0], p[1], ....
 
-    States are symbols or functions of the time; the rates of functions can be states, too.
+    States are symbols or functions of time; the rates of functions can be states, too.
     """
 
     def __init__(self, states: Sequence[Any], parameters: Mapping[Any, Any] | None) -> None:
@@ -39,11 +39,11 @@ class Vocabulary:
                 raise TypeError(f"parameters must be symbols with their values, got {one!r}")
         for one in self.states:
             if not isinstance(one, (sympy.Symbol, AppliedUndef, sympy.Derivative)):
-                raise TypeError(f"states must be symbols or functions of the time, got {one!r}")
+                raise TypeError(f"states must be symbols or functions of time, got {one!r}")
         listed = [*self.states, *self.parameters]
         for one in listed:
             if listed.count(one) > 1:
-                raise ValueError(f"{one} is there twice: each symbol is one state or one parameter")
+                raise ValueError(f"{one} occurs twice: each symbol is one state or one parameter")
         self.time = self._time()
         self.t = sympy.Symbol("t", real=True)
         self.y = [sympy.Symbol(f"y[{i}]", real=True) for i in range(len(self.states))]
@@ -104,7 +104,7 @@ class Vocabulary:
             for one in states:
                 if one not in value:
                     raise ValueError(
-                        f"{name} has no value of {one}: give one for each of {', '.join(map(str, states))}"
+                        f"{name} has no value for {one}: give one for each of {', '.join(map(str, states))}"
                     )
             return [number(f"{name}[{one}]", value[one]) for one in states]
         values = np.atleast_1d(np.asarray(value, dtype=float))

@@ -1,0 +1,24 @@
+#pragma once
+// The points of a run as arrays, made past nanobind's general way, which takes longer than a short run.
+
+#include <nanobind/nanobind.h>
+
+#include <cstddef>
+
+#include "buffer.hpp"
+
+namespace nb = nanobind;
+
+namespace invariode::binding {
+
+/// The times of points, (size,).
+nb::object times_array(Buffer<double>&& t);
+/// So many states of n doubles each, which are reals or pairs of them: (n or n / 2, count).
+nb::object states_array(Buffer<double>&& y, std::size_t n, std::size_t count, bool complex);
+/// A copy of one state, (n or n / 2,).
+nb::object state_array(const double* y, std::size_t n, bool complex);
+
+/// Before the first of them.
+void define_outputs();
+
+}  // namespace invariode::binding

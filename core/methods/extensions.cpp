@@ -1,0 +1,58 @@
+#include "methods/extensions.hpp"
+
+#include <algorithm>
+#include <iterator>
+
+#include "methods/adams.hpp"
+#include "methods/ndf.hpp"
+#include "methods/runge_kutta.hpp"
+#include "methods/trbdf2.hpp"
+
+namespace invariode {
+namespace {
+
+bool rows_of_n(const double*, std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
+bool rows_and_steps(const double*, std::size_t size, std::size_t n) {
+  return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
+}
+bool numbered(const double* data, std::size_t size, std::size_t n);
+
+constexpr Extension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n},
+                              {"Adams", integrate_polynomial, rows_and_steps},
+                              {"NDF", newton_backward, rows_of_n},
+                              {"TR-BDF2", two_hermite_cubics, rows_of_n},
+                              {"numbered", numbered_extension, numbered}};
+
+/// The one of that number; null where there is none, or it is numbered itself.
+const Extension* of_number(double number) {
+  for (std::size_t i = 0; i < std::size(list); ++i)
+    if (number == static_cast<double>(i) && list[i].evaluate != numbered_extension) return &list[i];
+  return nullptr;
+}
+
+bool numbered(const double* data, std::size_t size, std::size_t n) {
+  if (size < 1) return false;
+  const Extension* one = of_number(data[0]);
+  return one != nullptr && one->fits(data + 1, size - 1, n);
+}
+
+}  // namespace
+
+std::span<const Extension> extensions() { return list; }
+
+const Extension* find_extension(std::string_view name) {
+  const auto* found = std::ranges::find(list, name, &Extension::name);
+  return found == std::end(list) ? nullptr : found;
+}
+
+const Extension& find_extension(Interpolate evaluate) {
+  return *std::ranges::find(list, evaluate, &Extension::evaluate);
+}
+
+double number_of_extension(Interpolate evaluate) { return static_cast<double>(&find_extension(evaluate) - list); }
+
+void numbered_extension(const double* data, std::size_t size, std::size_t n, double theta, double* out) {
+  of_number(data[0])->evaluate(data + 1, size - 1, n, theta, out);
+}
+
+}  // namespace invariode

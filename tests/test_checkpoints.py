@@ -1,0 +1,235 @@
+"""A run that was interrupted goes on to the last bit, in this process or another, also one that was killed."""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from interrupted import differences, go_on, in_another_process, interrupt, killed, random_case
+
+SEED = 18
+
+
+def decay(t, y, rate=1.0):
+    return [-rate * y[0]]
+
+
+def problem(**changes):
+    return iv.Problem(**{"fun": decay, "t_span": (0, 3), "y0": [1.0], "args": (2.0,), **changes})
+
+
+@pytest.mark.parametrize("seed", range(SEED, SEED + 3))
+def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
+    case = random_case(seed, method)
+    whole, part = case.solve(), case.solve(max_steps=case.after)
+    assert not differences(whole, part.extend(whole.t_end, max_steps=None))
+    part.save(tmp_path / "run.npz")
+    assert not differences(whole, go_on(case, tmp_path / "run.npz"))
+
+
+def test_in_another_process(tmp_path):
+    methods = {SEED + 100 + k: name for k, name in enumerate(iv.METHODS)}
+    cases = {seed: random_case(seed, name) for seed, name in methods.items()}
+    for seed, case in cases.items():
+        interrupt(case, tmp_path / f"{seed}.npz")
+    in_another_process(list(cases), tmp_path, methods)
+    for seed, case in cases.items():
+        other = iv.load(tmp_path / f"{seed}-on.npz", case.problem(), **case.functions)
+        assert not differences(case.solve(), other), case.method
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_a_killed_run_is_not_lost(tmp_path):
+    rng = random.Random(SEED)
+    for seed in (3, 8):
+        assert killed(seed, tmp_path / f"{seed}.checkpoint", rng) in ("whole", "not begun")
+
+
+def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
+    case = random_case(SEED + 7, method)
+    whole = case.solve()
+    path = tmp_path / "run.checkpoint"
+    assert not differences(whole, case.solve(checkpoint=path, checkpoint_every=5e-3))
+    assert not differences(whole, iv.load(path, case.problem(), **case.functions))
+
+
+def test_between_two_attempts_of_a_step(method):
+    """The limit of time is looked at after each attempt, also one that failed."""
+
+    def corner(t, y):
+        return [y[1], -abs(y[0]) - 0.1 * y[1] + (3.0 if t > 1.3 else 0.0)]
+
+    def solve(**more):
+        return iv.solve_ivp(corner, (0, 4), [1.0, 0.0], method, rtol=1e-6, atol=1e-8, **more)
+
+    whole, sol = solve(), solve(time_limit=1e-12)
+    assert whole.stats.failed > 0
+    parts = 1
+    while sol.status == -3:
+        sol = sol.extend(4)
+        parts += 1
+    assert parts >= whole.stats.steps + whole.stats.failed  # the last step ends the run
+    assert not differences(whole, sol)
+
+
+def test_the_checkpoint_does_not_grow_with_the_run(method, tmp_path):
+    sizes = []
+    for end in (1, 30):
+        path = tmp_path / f"{end}.checkpoint"
+        about = iv.Problem(lambda t, y: [y[1], -y[0]], (0, end), [1.0, 0.0])
+        sol = about.solve(method, rtol=1e-8, atol=1e-10, checkpoint=path)
+        sizes.append((sol.stats.steps, path.stat().st_size))
+    assert sizes[1][0] > 2 * sizes[0][0]
+    assert sizes[1][1] < sizes[0][1] + 200  # digits of the counts
+
+
+def test_an_extension_goes_on_writing(method, tmp_path):
+    path = tmp_path / "run.checkpoint"
+    first = problem().solve(method, checkpoint=path, dense_output=True)
+    longer = first.extend(5)
+    assert not differences(longer, iv.load(path, problem()))
+    again = iv.load(path, problem())
+    assert not differences(longer.extend(7), again.extend(7))
+    problem().solve(method, checkpoint=path)  # that run has ended: another may take its place
+    with pytest.raises(ValueError, match="holds another run by now"):
+        longer.extend(8)
+
+
+def test_a_run_that_has_not_ended_is_not_overwritten(tmp_path):
+    path = tmp_path / "run.checkpoint"
+
+    def fails(t, y):
+        if t > 1:
+            raise RuntimeError("the power fails")
+        return [-y[0]]
+
+    with pytest.raises(RuntimeError, match="power"):
+        iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=path, checkpoint_every=1e-9)
+    with pytest.raises(ValueError, match=r"holds a run that has come to t = 0\.\d+ and has not ended: go on with load"):
+        iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=path)
+    sol = iv.load(path, iv.Problem(lambda t, y: [-y[0]], (0, 3), [1.0]))
+    assert (sol.status, sol.success) == (-3, False)
+    assert not differences(iv.solve_ivp(lambda t, y: [-y[0]], (0, 3), [1.0]), sol.extend(3))
+    (tmp_path / "mine.txt").write_text("not yours")
+    with pytest.raises(ValueError, match="was not written"):
+        iv.solve_ivp(decay, (0, 3), [1.0], checkpoint=tmp_path / "mine.txt")
+
+
+def test_events_at_the_start_are_in_it(tmp_path):
+    event = iv.Event(lambda t, y, rate: y[0] - 1, at_start=True)
+    whole = problem(events=event).solve(checkpoint=tmp_path / "c")
+    assert len(whole.t_events[0]) == 1
+    assert not differences(whole, iv.load(tmp_path / "c", problem(events=event)))
+
+
+OTHER = {
+    "args": (dict(args=(3.0,)), r"args: \[3\.0\] here, \[2\.0\] in the file"),
+    "f": (dict(fun=lambda t, y, rate: [rate * y[0]]), r"fun at the start: \[2\.0\] here, \[-2\.0\] in the file"),
+    "y0": (dict(y0=[1.5]), r"y0: \[1\.5\] here"),
+    "t0": (dict(t_span=(1, 3)), "t0: 1.0 here, 0.0 in the file"),
+    "size": (dict(fun=lambda t, y, rate: [1, 2], y0=[1.0, 2.0]), "components: 2 here, 1 in the file"),
+    "event": (dict(events=lambda t, y, rate: y[0]), "events"),
+    "bounds": (dict(nonnegative=True), "bounds"),
+    "invariant": (dict(invariants=lambda t, y, rate: y[0] * np.exp(rate * t)), "invariants"),
+}
+
+
+@pytest.mark.parametrize("what", OTHER)
+@pytest.mark.parametrize("kind", ["saved", "checkpoint"])
+def test_the_file_of_another_problem_is_refused_by_what_differs(kind, what, tmp_path):
+    sol = problem().solve(checkpoint=tmp_path / "checkpoint")
+    sol.save(tmp_path / "saved")
+    changes, message = OTHER[what]
+    with pytest.raises(ValueError, match=rf"{kind} cannot go on here: the file is of another problem: {message}"):
+        iv.load(tmp_path / kind, problem(**changes))
+
+
+def test_other_options_are_refused(tmp_path):
+    def jump(t, y, rate):
+        return [2.0]
+
+    problem().solve(rtol=1e-5).save(tmp_path / "a")
+    assert iv.load(tmp_path / "a", problem(), rtol=1e-5).extend(4).success
+    with pytest.raises(ValueError, match=r"rtol is 0\.001 here, and 1e-05 in the file"):
+        iv.load(tmp_path / "a", problem(), rtol=1e-3)
+    with pytest.raises(ValueError, match=r"rtol is an option of the run, .* give problem too"):
+        iv.load(tmp_path / "a", rtol=1e-3)
+    problem().solve(breakpoints=[(1, jump)], callback=lambda t, y: False).save(tmp_path / "b")
+    with pytest.raises(ValueError, match=r"the run has breakpoints with functions, .* give breakpoints=\.\.\. too"):
+        iv.load(tmp_path / "b", problem(), callback=lambda t, y: False)
+    with pytest.raises(ValueError, match=r"breakpoints are at \[2\.0\] here, and at \[1\.0\] in the file"):
+        iv.load(tmp_path / "b", problem(), callback=lambda t, y: False, breakpoints=[(2, jump)])
+    assert iv.load(tmp_path / "b", problem(), callback=lambda t, y: False, breakpoints=[(1, jump)]).extend(4).success
+
+
+def changed(path, **about):
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    now = json.loads(str(arrays["about"]))
+    for name, value in about.items():
+        now[name] = value
+    with open(path, "wb") as file:
+        np.savez(file, **arrays | {"about": np.array(json.dumps(now))})
+
+
+def test_other_versions_are_refused_by_their_number(tmp_path):
+    path = tmp_path / "run.checkpoint"
+    problem().solve(checkpoint=path)
+    changed(path, memory_version=99)
+    with pytest.raises(ValueError, match="has version 99 of the memory of a run"):
+        iv.load(path, problem())
+    changed(path, version=99, invariode="9.9")
+    with pytest.raises(ValueError, match=r"has version 99 of the format, written by invariode 9\.9"):
+        iv.load(path, problem())
+
+
+def test_damaged_files_are_refused(tmp_path):
+    path, output = tmp_path / "run.checkpoint", tmp_path / "run.checkpoint.output"
+    problem().solve(checkpoint=path, checkpoint_every=1e-9, dense_output=True)
+    with pytest.raises(ValueError, match="is a checkpoint, which needs its problem"):
+        iv.load(path)
+    whole = {one: one.read_bytes() for one in (path, output)}
+    rng = random.Random(SEED)
+    for one, contents in whole.items():
+        for _ in range(12):
+            at = rng.randrange(len(contents))
+            one.write_bytes(contents[:at] + bytes([contents[at] ^ 0x55]) + contents[at + 1 :])
+            try:
+                again = iv.load(path, problem())
+            except ValueError as refused:
+                assert "run.checkpoint" in str(refused)
+            else:  # a byte that nobody reads, such as a date in the archive
+                assert again.t_end == 3
+        one.write_bytes(contents[: len(contents) // 2])
+        with pytest.raises(ValueError, match=r"is damaged|is incomplete|is shorter"):
+            iv.load(path, problem())
+        one.write_bytes(contents)
+    output.write_bytes(whole[output] + b"what a killed process has left")
+    assert iv.load(path, problem()).success
+    output.unlink()
+    with pytest.raises(ValueError, match=r"is half of a checkpoint: .*\.output with the output of the run is missing"):
+        iv.load(path, problem())
+
+
+@pytest.mark.parametrize(("options", "error", "message"), [
+    ({"checkpoint": 3}, TypeError, "checkpoint must be a str or path-like, got 3"),
+    ({"checkpoint_every": 0}, ValueError, "checkpoint_every must be positive"),
+])  # fmt: skip
+def test_wrong_options(options, error, message):
+    with pytest.raises(error, match=message):
+        problem().solve(**options)
+
+
+def test_wrong_arguments_of_load(tmp_path):
+    problem().solve().save(tmp_path / "a")
+    with pytest.raises(TypeError, match=r"problem must be a Problem, got .*; invariants are given by name"):
+        iv.load(tmp_path / "a", lambda t, y: y)
+    with pytest.raises(ValueError, match="invariants and args are those of the problem"):
+        iv.load(tmp_path / "a", problem(), invariants=lambda t, y: y)
+    with pytest.raises(ValueError, match=r"comes from a file, .* load\(path, problem\)"):
+        iv.load(tmp_path / "a").extend(4)

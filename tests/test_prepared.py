@@ -1,0 +1,251 @@
+"""A prepared solver gives what a solve of the changed problem gives: the same bits, counts, errors and extensions."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import invariode as iv
+
+numba = pytest.importorskip("numba")
+
+SPAN = (0.0, 3.0)
+
+
+def orbit(t, y, mu):
+    r3 = (y[0] * y[0] + y[1] * y[1]) ** 1.5
+    return y[2], y[3], -mu * y[0] / r3, -mu * y[1] / r3
+
+
+def momentum(t, y, mu):
+    return y[0] * y[3] - y[1] * y[2]
+
+
+def apsis(t, y, mu):
+    return y[0] * y[2] + y[1] * y[3]
+
+
+# Native functions get their parameters as an array p.
+orbit_code = iv.compile(lambda t, y, p: orbit_jit(t, y, p[0]))
+momentum_code = iv.compile(lambda t, y, p: y[0] * y[3] - y[1] * y[2])
+apsis_code = iv.compile(lambda t, y, p: y[0] * y[2] + y[1] * y[3])
+orbit_jit = numba.njit(orbit, error_model="numpy")
+
+FORMS = {"native": (orbit_code, momentum_code, apsis_code), "python": (orbit, momentum, apsis)}
+START = np.array([0.8, 0.0, 0.0, 1.2])
+CHANGES: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "y0": {"y0": [0.9, 0.0, 0.0, 1.1]},
+    "args": {"args": (1.1,)},
+    "t_span": {"t_span": (0.5, 2.0)},
+    "backwards": {"t_span": (0.0, -2.0)},
+    "all": {"y0": np.array([1, 0, 0, 1]), "args": [2], "t_span": [0, 1]},
+}
+OPTIONS: dict[str, dict[str, Any]] = {
+    "all": {},
+    "end": {"keep": "end"},
+    "dense": {"dense_output": True, "refine": 3},
+    "capped": {"max_step": 0.05},
+}
+
+
+def described(form: str, kept: bool = False, events: bool = False) -> iv.Problem:
+    fun, g, event = FORMS[form]
+    return iv.Problem(
+        fun,
+        SPAN,
+        START,
+        args=(1.0,),
+        invariants=iv.Invariants(g, names="momentum") if kept else None,
+        events=iv.Event(event) if events else None,
+        labels=["x", "y", "u", "v"],
+    )
+
+
+def same(a: iv.Solution, b: iv.Solution) -> None:
+    """All that is in them, bit for bit; functions of t at points between the steps."""
+    assert list(a) == list(b)
+    for name in a:
+        if name == "steps":
+            assert (a.steps is None) == (b.steps is None)
+            if a.steps is not None:
+                np.testing.assert_array_equal(a.steps._rows, b.steps._rows)
+        elif name == "stats":
+            assert dict(a.stats) == dict(b.stats)
+        elif name == "sol":
+            if a.sol is not None:
+                times = np.linspace(a.t[0], a.t[-1], 37)
+                np.testing.assert_array_equal(a.sol(times), b.sol(times))
+        else:
+            np.testing.assert_equal(a[name], b[name], err_msg=name)
+    np.testing.assert_array_equal(a.residual, b.residual)
+    assert repr(a.drift()) == repr(b.drift())
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> None:
+    problem = described(form, kept, events=True)
+    solver = problem.prepare(method)
+    for _ in range(2):  # the second finds the solver as another call has left it
+        same(solver(**CHANGES[change]), problem.replace(**CHANGES[change]).solve(method))
+    same(solver(), problem.solve(method))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_options_hold_in_every_call(form: str, options: str, change: str) -> None:
+    problem, given = described(form), OPTIONS[options]
+    solver = problem.prepare("ode45", **given)
+    same(solver(**CHANGES[change]), problem.replace(**CHANGES[change]).solve("ode45", **given))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_times_must_fit_the_interval_of_the_call(form: str) -> None:
+    solver = described(form).prepare(t_eval=[1.0, 2.0])
+    assert solver(y0=[1.0, 0.0, 0.0, 1.0]).t.tolist() == [1.0, 2.0]
+    assert solver(t_span=(0.5, 2.5)).t.tolist() == [1.0, 2.0]
+    with pytest.raises(ValueError, match="t_eval must lie within"):
+        solver(t_span=(0.0, 1.5))
+    with pytest.raises(ValueError, match="first_step must not exceed"):
+        described(form).prepare(first_step=0.5)(t_span=(0.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("fun", "options"),
+    [
+        (lambda t, y: np.conj(y) * 1j - y, {}),
+        (lambda t, y: [-1e4 * (y[0] - np.cos(t)), y[0] - y[1]], {"mass": np.diag([1.0, 0.0])}),
+        (lambda t, y: [-y[1], y[0]], {"events": iv.Event(lambda t, y: y[1], at_start=True)}),
+        (lambda t, y: [-y[1], y[0]], {"bounds": (-0.5, 2)}),
+    ],
+    ids=["complex", "algebraic", "at the start", "bounds"],
+)
+def test_problems_that_are_looked_at_anew(fun: Callable[..., Any], options: dict[str, Any]) -> None:
+    start = [1 + 0j, 1j] if not options else [1.0, 0.0]
+    method = "ode15s" if "mass" in options else "ode45"
+    problem = iv.Problem(fun, (0, 1), start, **options)
+    solver = problem.prepare(method)
+    for y0 in (np.array(start), np.array(start) * 0.7):
+        same(solver(y0=y0), problem.replace(y0=y0).solve(method))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"y0": [np.nan, 0.0, 0.0, 1.0]},
+        {"y0": [1.0, 0.0]},
+        {"y0": "abcd"},
+        {"y0": [[1.0, 0.0, 0.0, 1.0]]},
+        {"args": (1.0, 2.0)},
+        {"args": ("a",)},
+        {"args": 3.0},
+        {"t_span": (0.0, np.nan)},
+        {"t_span": 4.0},
+        {"y0": [0.0, 0.0, 0.0, 0.0]},
+    ],
+    ids=str,
+)
+def test_errors_are_those_of_a_solve(form: str, wrong: dict[str, Any]) -> None:
+    def outcome(act: Callable[[], Any]) -> Any:
+        try:
+            sol = act()
+        except Exception as error:
+            return type(error), str(error)
+        return sol.status, sol.message, sol.y.tolist()
+
+    problem = described(form)
+    solver = problem.prepare()
+    with np.errstate(all="ignore"):
+        one = outcome(lambda: solver(**wrong))
+        other = outcome(lambda: problem.replace(**wrong).solve())
+    np.testing.assert_equal(one, other)
+    same(solver(), problem.solve())  # nothing of it is left
+
+
+def test_an_exception_of_fun_comes_out_and_the_solver_goes_on() -> None:
+    def fun(t: float, y: np.ndarray) -> Any:
+        if y[0] > 5:
+            raise ArithmeticError("too large")
+        return y
+
+    problem = iv.Problem(fun, (0, 1), [1.0])
+    solver = problem.prepare()
+    with pytest.raises(ArithmeticError, match="too large"):
+        solver(y0=[4.0])
+    same(solver(), problem.solve())
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_threads_do_not_disturb_each_other(form: str) -> None:
+    problem = described(form, kept=True, events=True)
+    solver = problem.prepare("ode45", rtol=1e-6)
+    chosen = [(0.7 + 0.05 * i, 1.0 + 0.01 * i) for i in range(12)]
+    expected = [problem.replace(y0=[x, 0, 0, 1.2], args=(mu,)).solve("ode45", rtol=1e-6) for x, mu in chosen]
+    found: dict[int, iv.Solution] = {}
+
+    def work(own: int) -> None:
+        for i in range(own, len(chosen), 3):
+            x, mu = chosen[i]
+            found[i] = solver(y0=[x, 0, 0, 1.2], args=(mu,))
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for i, sol in enumerate(expected):
+        same(found[i], sol)
+
+
+def test_a_function_may_call_the_solver_that_calls_it() -> None:
+    def fun(t: float, y: np.ndarray) -> Any:
+        if t == 0 and y[0] == 1:
+            inner.append(solver(y0=[0.5]))
+        return -y
+
+    inner: list[iv.Solution] = []
+    problem = iv.Problem(fun, (0, 1), [1.0])
+    solver = problem.prepare()
+    same(solver(), problem.solve())
+    assert inner
+    same(inner[0], problem.replace(y0=[0.5]).solve())
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_solution_can_be_extended_and_pickled(form: str) -> None:
+    problem = described(form)
+    y0 = START * 1.1
+    sol = problem.prepare("dop853")(y0=y0, args=(1.2,))
+    y0[:] = 0  # the solution has its own
+    other = problem.replace(y0=START * 1.1, args=(1.2,)).solve("dop853")
+    same(sol.extend(4.0), other.extend(4.0))
+    same(pickle.loads(pickle.dumps(sol)), pickle.loads(pickle.dumps(other)))
+
+
+def test_what_is_wrong_for_every_call_is_an_error_at_once() -> None:
+    problem = described("python")
+    with pytest.raises(TypeError, match="did you mean 'rtol'"):
+        problem.prepare(rtoll=1e-3)  # type: ignore[call-arg]  # that is the point
+    with pytest.raises(ValueError, match="unknown method"):
+        problem.prepare("ode46")  # type: ignore[arg-type]  # the same
+    with pytest.warns(UserWarning, match="has no effect"):
+        problem.prepare("ode45", max_order=3)
+
+
+def test_what_is_dissipated_backward_in_time_rises():
+    pytest.importorskip("numba")
+    falls = iv.Dissipated(iv.compile(lambda t, y: y[0] ** 2), names="square")
+    problem = iv.Problem(iv.compile(lambda t, y: (-y[0],)), (0, 2), [1.0], invariants=falls)
+    prepared = problem.prepare()
+    backward = prepared(t_span=(2, 0))
+    np.testing.assert_array_equal(backward.y, problem.replace(t_span=(2, 0)).solve().y)
+    assert backward.success
