@@ -65,8 +65,8 @@ sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; wha
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
 	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=thread
-	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble
-	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble)$$'
+	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble native_lanes
+	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble|lanes)$$'
 
 # So many random cases of each kind; `make fuzz N=100000 SEED=7`.
 N := 10000
@@ -117,6 +117,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/native.py --write
 	$(BIN)/python benchmarks/peers.py --write
 	$(BIN)/python benchmarks/ensembles.py --write
+	$(BIN)/python benchmarks/lanes.py --write
 	$(BIN)/python benchmarks/many.py --write
 	$(BIN)/python benchmarks/large.py --write
 	$(BIN)/python benchmarks/detest.py --write

@@ -30,6 +30,7 @@
 #include "outputs.hpp"
 #include "problem.hpp"
 #include "run/ensemble.hpp"
+#include "run/lanes/worker.hpp"
 #include "run/names.hpp"
 #include "run/problem.hpp"
 #include "run/run.hpp"
@@ -357,10 +358,18 @@ class Stepper {
   bool accepted_ = false;
 };
 
+/// Code of f in the lanes of an instruction set, by its name.
+LaneForm lane_form(const std::pair<std::string, std::uintptr_t>& code) {
+  for (const lanes::Instructions* one : lanes::instructions())
+    if (one->name == code.first) return {one, reinterpret_cast<lanes::Function*>(code.second), nullptr};
+  throw std::invalid_argument("this processor has no instructions named " + code.first);
+}
+
 /// Integrates from each row of y0, with the row of `parameters` of the same number, on as many threads as there are
 /// solvers, all of the same problem and native. `progress(done)` is called now and then.
 std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0,
-                                               const ConstMatrix& parameters, const nb::object& progress) {
+                                               const ConstMatrix& parameters, const nb::object& progress,
+                                               const std::optional<std::pair<std::string, std::uintptr_t>>& lanes) {
   std::vector<Solver*> solvers;
   for (BoundSolver* one : all) {
     if (!one->bound.native()) throw std::invalid_argument("functions of an ensemble on threads must be native");
@@ -384,11 +393,13 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
     return !raised;
   };
   const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };
+  std::optional<LaneForm> form;
+  if (lanes) form = lane_form(*lanes);
   std::unique_ptr<EnsembleResult> result;
   {
     const Unlocked released;
-    result =
-        integrate_all(solvers, {y0.shape(0), y0.data(), parameters.data(), y0.shape(1), parameters.shape(1)}, watch);
+    result = integrate_all(solvers, {y0.shape(0), y0.data(), parameters.data(), y0.shape(1), parameters.shape(1)},
+                           watch, form);
   }
   if (!result) throw nb::python_error();
   return result;
@@ -552,9 +563,17 @@ void define_ensemble(nb::module_& module) {
              }
              return all;
            })
-      .def("failures", &failures, "(trajectory, Run that tells why it ended) of those that failed.");
-  module.def("integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
-             nb::arg("progress").none(), "Integrates from each row of y0, on as many threads as there are solvers.");
+      .def("failures", &failures, "(trajectory, Run that tells why it ended) of those that failed.")
+      .def_ro("alone", &Result::alone, "Trajectories that the lanes left to the code for one at a time.");
+  module.def(
+      "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
+      nb::arg("progress").none(), nb::arg("lanes") = nb::none(),
+      "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
+      "set and the address of f in its lanes.");
+  std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
+  for (const lanes::Instructions* one : lanes::instructions())
+    sets.emplace_back(std::string(one->name), one->lanes, one->bits);
+  module.attr("LANES") = nb::cast(sets);
 }
 
 void define_solver(nb::module_& module) {
@@ -577,6 +596,13 @@ void define_solver(nb::module_& module) {
             return nb::make_tuple(first.name, second.name);
           },
           "The names of the methods that make the steps: one, or the explicit and the implicit one that take turns.")
+      .def_prop_ro(
+          "obstacle_to_lanes",
+          [](const BoundSolver& self) -> std::optional<std::string> {
+            const char* obstacle = obstacle_to_lanes(self.solver);
+            return obstacle ? std::optional<std::string>(obstacle) : std::nullopt;
+          },
+          "Why its trajectories cannot be integrated side by side, or None.")
       .def_prop_ro(
           "motion_work",
           [](const BoundSolver& self) -> nb::object {

@@ -23,7 +23,7 @@ OF_PARTS = ("executor", "store", "resume", "retry", "chunk", "seed")
 ENTRIES = {
     "solve_ivp": (iv.solve_ivp, {"fun", "t_span", "y0", "method"}),
     "Problem.solve": (iv.Problem.solve, {"self", "method"}),
-    "solve_ensemble": (iv.solve_ensemble, {"fun", "t_span", "y0", "method", "workers", *OF_PARTS}),
+    "solve_ensemble": (iv.solve_ensemble, {"fun", "t_span", "y0", "method", "workers", "lanes", *OF_PARTS}),
     **{name: (getattr(iv, name), {"fun", "t_span", "y0"}) for name in METHODS},
     **{name.upper(): (getattr(plugin, name.upper()), {"fun", "t0", "y0", "t_bound"}) for name in METHODS},
 }

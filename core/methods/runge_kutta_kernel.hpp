@@ -12,11 +12,12 @@
 
 namespace invariode::runge_kutta {
 
-/// With two lower formulas: e₁² / √(e₁² + (e₂/10)²) (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10).
-inline double combined_error(double error, double crude) {
-  constexpr double weight_of_crude = 0.1;
-  return error > 0 ? error * (error / std::hypot(error, weight_of_crude * crude)) : error;
-}
+inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
+inline constexpr double largest_growth = 5;  // of h after a success
+
+// Packs have functions of their own of these names.
+inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }
+inline double square_root(double x) { return std::sqrt(x); }
 
 /// `Build` tells translation units apart that are compiled with different flags: they must not share these functions.
 template <const auto& T, class Real, int Build = 0>
@@ -54,8 +55,10 @@ struct Kernel {
       norm.add(dot<T.stages>(k, [](auto j) { return T.E[j]; }, i) / w);
       if constexpr (T.crude_order > 0) crude.add(dot<T.stages>(k, [](auto j) { return T.crude[j]; }, i) / w);
     }
-    if constexpr (T.crude_order > 0) return combined_error(norm.value(), crude.value());
-    return norm.value();
+    if constexpr (T.crude_order > 0)
+      return combined_error(norm.value(), crude.value());
+    else
+      return norm.value();
   }
 
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
@@ -79,6 +82,14 @@ struct Kernel {
   }
 
  private:
+  /// With two lower formulas: e₁² / √(e₁² + (e₂/10)²) (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10), in a form
+  /// whose squares neither overflow nor underflow before the result does.
+  static Real combined_error(Real error, Real crude) {
+    constexpr double weight_of_crude = 0.1;
+    const Real ratio = weight_of_crude * crude / error;
+    return choose(Real(0) < error, error / square_root(Real(1) + ratio * ratio), error);
+  }
+
   template <std::size_t D>
   static void coefficient(Real h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.all_stages>(k, [](auto j) { return T.B[j][D]; }, i);

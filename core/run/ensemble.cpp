@@ -1,13 +1,16 @@
 #include "run/ensemble.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <string_view>
 #include <utility>
 
+#include "run/lanes/worker.hpp"
 #include "run/threads.hpp"
 #include "run/watch.hpp"
 
@@ -52,8 +55,8 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
 
 /// Trajectory i, on a thread that has the solver to itself. Once stopped() is true, it is left as if not begun.
 template <class Stopped>
-void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
-                   EnsembleResult& result) {
+void integrate_until(const Solver& solver, const Ensemble& ensemble, std::size_t i, Stopped stopped,
+                     EnsembleResult& result) {
   const double* row = ensemble.rows + i * ensemble.parameters;
   std::copy(row, row + ensemble.parameters, solver.problem().parameters.begin());
   const double t0 = solver.settings().t0;
@@ -84,7 +87,7 @@ std::size_t integrate_few(const Solver& solver, const Ensemble& ensemble, Ensemb
   const auto stopped = [&] { return late = Clock::now() >= end; };
   std::size_t done = 0;
   while (done < ensemble.size && !late) {
-    integrate_one(solver, ensemble, done, stopped, result);
+    integrate_until(solver, ensemble, done, stopped, result);
     if (late) break;  // in the middle of it
     ++done;
     stopped();
@@ -135,6 +138,20 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   keep_happenings(i, one);
 }
 
+void EnsembleResult::keep(const lanes::Ended& ended, double tf) {
+  const std::size_t i = ended.trajectory;
+  t[i] = tf;
+  for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = ended.y[c * ended.stride];
+  state[i] = static_cast<std::int8_t>(State::reached_end);
+  static_assert(RunResult::count_names[2] == std::string_view("nfev"));
+  std::copy_n(std::array{ended.steps, ended.failed, ended.evaluations}.begin(), 3, &count[i * counts]);
+}
+
+void EnsembleResult::add_alone(std::size_t more) {
+  const std::scoped_lock lock(shared_);
+  alone += more;
+}
+
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
   if (n_t == 0) return;
   for (std::size_t j = 0; j < run.points.t.size(); ++j)
@@ -183,19 +200,29 @@ void EnsembleResult::keep_happenings(std::size_t i, const RunResult& run) {
   }
 }
 
+void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+                   EnsembleResult& result) {
+  const auto stopped = [&] { return cancelled.load(std::memory_order_relaxed); };
+  integrate_until(solver, ensemble, i, stopped, result);
+}
+
 std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
-                                              const std::function<bool(std::uint32_t done)>& watch) {
+                                              const std::function<bool(std::uint32_t done)>& watch,
+                                              const std::optional<LaneForm>& form) {
   require_alike(solvers, ensemble);
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
-  const std::size_t first = integrate_few(*solvers.front(), ensemble, *result);
+  const bool in_lanes = form && obstacle_to_lanes(*solvers.front()) == nullptr;
+  const std::size_t first = in_lanes ? 0 : integrate_few(*solvers.front(), ensemble, *result);
   const auto told = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
   if (first == ensemble.size) return told(0) ? std::move(result) : nullptr;
-  const auto work = [&](std::size_t worker, std::uint32_t i, const std::atomic<bool>& cancelled) {
-    const auto stopped = [&] { return cancelled.load(std::memory_order_relaxed); };
-    integrate_one(*solvers[worker], ensemble, first + i, stopped, *result);
+  const auto work = [&](std::size_t worker, Queue& queue) {
+    const Solver& solver = *solvers[worker];
+    if (in_lanes) return LaneWorker(solver, ensemble, *form, queue, *result).run();
+    for (std::uint32_t i; queue.next(i); queue.finish_one())
+      integrate_one(solver, ensemble, first + i, queue.cancelled(), *result);
   };
   const auto left = static_cast<std::uint32_t>(ensemble.size - first);
-  if (!for_each_index(left, solvers.size(), patience, work, told)) return {};
+  if (!on_workers(left, solvers.size(), patience, work, told)) return {};
   return result;
 }
 

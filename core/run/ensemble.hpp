@@ -1,14 +1,17 @@
 #pragma once
 // Many runs of one problem, from different initial values and with different parameters, on several threads.
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <vector>
 
+#include "run/lanes/lanes.hpp"
 #include "run/problem.hpp"
 #include "run/run.hpp"
 
@@ -42,6 +45,10 @@ class EnsembleResult {
   void hold(std::size_t i, Run& run);
   /// Keeps what it did; ng gets `uncounted` more. The times of y that it did not reach stay NaN.
   void keep(std::size_t i, Run& run, std::int64_t uncounted);
+  /// The same of one that has reached tf in a lane.
+  void keep(const lanes::Ended& ended, double tf);
+  /// So many more trajectories were solved one at a time, though the others were not.
+  void add_alone(std::size_t count);
 
   std::size_t size, n, parts, m, n_t;
   std::vector<double> t, y_end;
@@ -53,13 +60,14 @@ class EnsembleResult {
   std::vector<std::int8_t> state;   ///< a State, or why it could not start
   std::vector<Occurrences> occurrences;
   std::vector<Failure> failures;
+  std::size_t alone = 0;  ///< of an ensemble in lanes: trajectories that were left to the code for one at a time
 
  private:
   void keep_outputs(std::size_t i, const RunResult& run);
   void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants);
   void keep_happenings(std::size_t i, const RunResult& run);
 
-  std::mutex shared_;  // for occurrences and failures
+  std::mutex shared_;  // for occurrences, failures and alone
 };
 
 /// What is integrated: `size` rows of y0 (n doubles each) and of parameters (`parameters` doubles each).
@@ -70,11 +78,24 @@ struct Ensemble {
   std::size_t n, parameters;
 };
 
+/// f in the lanes of an instruction set.
+struct LaneForm {
+  const lanes::Instructions* instructions;
+  lanes::Function* f;
+  void* context;
+};
+
+/// Trajectory i, on a thread that has the solver to itself.
+void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i, const std::atomic<bool>& cancelled,
+                   EnsembleResult& result);
+
 /// Integrates from each row, on as many threads as there are solvers: one for each, all of the same problem, with
-/// functions that need no interpreter. Every `patience`, and at the end, watch(done) is called on this thread; by
+/// functions that need no interpreter; in lanes, if f has a form for them and nothing speaks against it
+/// (`obstacle_to_lanes`). Every `patience`, and at the end, watch(done) is called on this thread; by
 /// returning false it cancels the rest, and there is no result. Throws std::invalid_argument where sizes do not match
 /// or where solvers share the place of their parameters.
 std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,
-                                              const std::function<bool(std::uint32_t done)>& watch);
+                                              const std::function<bool(std::uint32_t done)>& watch,
+                                              const std::optional<LaneForm>& form = {});
 
 }  // namespace invariode

@@ -61,17 +61,17 @@ class Crew {
                         static_cast<std::uint32_t>(std::uint64_t{count} * (w + 1) / workers));
   }
 
-  /// What worker number `own` does on its thread: its share, then parts of the others'.
-  template <class Work>
-  void labour(std::size_t own, Work& work) {
+  /// The next index of worker number `own`: of its share, then of parts of the others'. False: there are no more, or
+  /// the rest is cancelled.
+  bool next(std::size_t own, std::uint32_t& index) {
     do {
-      for (std::uint32_t index; !cancelled() && shares_[own].take(index);) {
-        guarded([&] { work(own, index, std::as_const(cancelled_)); });
-        done_.fetch_add(1, std::memory_order_relaxed);
-      }
-    } while (!cancelled() && steal(own));
-    leave(1);
+      if (cancelled()) return false;
+      if (shares_[own].take(index)) return true;
+    } while (steal(own));
+    return false;
   }
+  /// One more has been done.
+  void finish_one() { done_.fetch_add(1, std::memory_order_relaxed); }
   /// The first of these to throw cancels the rest; `rethrow` throws it again.
   template <class Act>
   void guarded(Act act) noexcept {
@@ -89,6 +89,7 @@ class Crew {
 
   void cancel() { cancelled_ = true; }
   [[nodiscard]] bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
+  [[nodiscard]] const std::atomic<bool>& cancellation() const { return cancelled_; }
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
   /// So many workers have ended, or never began.
   void leave(std::size_t workers) {
@@ -118,18 +119,38 @@ class Crew {
   std::exception_ptr error_;
 };
 
-/// Calls work(worker, index, cancelled) for each index < count, on `workers` threads; meanwhile, every `patience` and
-/// at the end, watch(done) on the calling thread, which cancels what is left by returning false. True: all were done.
-/// `cancelled` is for work that takes long. What work or watch throws first cancels the rest, and is thrown again when
-/// all threads have ended.
+/// The indices that one worker is to do, one after the other or several together.
+class Queue {
+ public:
+  Queue(Crew& crew, std::size_t own) : crew_(crew), own_(own) {}
+
+  /// The next one; false: there are no more, or the rest is cancelled.
+  bool next(std::uint32_t& index) { return crew_.next(own_, index); }
+  /// One of those taken has been done.
+  void finish_one() { crew_.finish_one(); }
+  /// For work that takes long.
+  [[nodiscard]] const std::atomic<bool>& cancelled() const { return crew_.cancellation(); }
+
+ private:
+  Crew& crew_;
+  std::size_t own_;
+};
+
+/// Calls work(worker, queue) on each of `workers` threads, whose queues share out all indices < count; meanwhile, every
+/// `patience` and at the end, watch(done) on the calling thread, which cancels what is left by returning false. True:
+/// all were done. What work or watch throws first cancels the rest, and is thrown again when all threads have ended.
 template <class Work, class Watch>
-bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work,
-                    Watch watch) {
+bool on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work, Watch watch) {
   Crew crew(count, workers);
+  const auto labour = [&](std::size_t w) {
+    Queue queue(crew, w);
+    crew.guarded([&] { work(w, queue); });
+    crew.leave(1);
+  };
   std::vector<std::thread> threads;
   threads.reserve(workers);
   try {
-    for (std::size_t w = 0; w < workers; ++w) threads.emplace_back([&, w] { crew.labour(w, work); });
+    for (std::size_t w = 0; w < workers; ++w) threads.emplace_back(labour, w);
   } catch (...) {  // the system gives no more threads: those that run take the others' shares
     if (threads.empty()) throw;
     crew.leave(workers - threads.size());
@@ -142,6 +163,16 @@ bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milli
   crew.rethrow();
   look();
   return !crew.cancelled();
+}
+
+/// The same with work(worker, index, cancelled) for each index.
+template <class Work, class Watch>
+bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work,
+                    Watch watch) {
+  const auto one_by_one = [&](std::size_t worker, Queue& queue) {
+    for (std::uint32_t index; queue.next(index); queue.finish_one()) work(worker, index, queue.cancelled());
+  };
+  return on_workers(count, workers, patience, one_by_one, watch);
 }
 
 }  // namespace invariode

@@ -378,10 +378,16 @@ class EnsembleRun:
     def failures(self) -> list[tuple[int, Run]]:
         """(trajectory, Run that tells why it ended) of those that failed."""
 
-def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None) -> EnsembleRun:
+    @property
+    def alone(self) -> int:
+        """Trajectories that the lanes left to the code for one at a time."""
+
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, int] | None = None) -> EnsembleRun:
     """
-    Integrates from each row of y0, on as many threads as there are solvers.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and the address of f in its lanes.
     """
+
+LANES: list = ...
 
 class StopRequest:
     """A wish to end a run."""
@@ -405,6 +411,10 @@ class Solver:
         """
         The names of the methods that make the steps: one, or the explicit and the implicit one that take turns.
         """
+
+    @property
+    def obstacle_to_lanes(self) -> str | None:
+        """Why its trajectories cannot be integrated side by side, or None."""
 
     @property
     def motion_work(self) -> object:

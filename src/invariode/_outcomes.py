@@ -15,7 +15,7 @@ from .ensemble_solution import EnsembleEvents
 __all__ = ["ROWS", "Outcomes", "counts_by_name", "in_order", "joined"]
 
 
-def counts_by_name(counts: Array) -> dict[str, Array]:
+def counts_by_name(counts: Array) -> dict[str, Any]:
     """The statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one more."""
     by_name = dict(zip(_core.COUNTS, counts.T, strict=True))
     del by_name["dropped"], by_name["harmed"]
@@ -38,6 +38,7 @@ class Outcomes:
     correction: Array
     messages: dict[int, str]
     events: list[EnsembleEvents]
+    lanes: str  # as `EnsembleStats` says it
     attempt: Array = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
@@ -80,7 +81,7 @@ class Outcomes:
 
 #: The arrays of `Outcomes` that every run fills.
 ROWS = tuple(
-    field.name for field in dataclasses.fields(Outcomes) if field.name not in ("messages", "events", "attempt")
+    field.name for field in dataclasses.fields(Outcomes) if field.name not in ("messages", "events", "lanes", "attempt")
 )
 
 
@@ -100,6 +101,7 @@ def joined(parts: Sequence[Outcomes]) -> Outcomes:
             )
             for these in zip(*(part.events for part in parts), strict=True)
         ],
+        lanes="; ".join(dict.fromkeys(part.lanes for part in parts)),
     )
     whole.attempt = np.concatenate([part.attempt for part in parts])
     return whole

@@ -30,7 +30,7 @@ import numpy as np
 from . import _core
 from ._arguments import Array, call_name
 
-__all__ = ["CompiledFunction", "compile", "event_value", "is_native", "to_native", "values_of"]
+__all__ = ["CompiledFunction", "compile", "event_value", "is_native", "made_by_compile", "to_native", "values_of"]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -111,6 +111,7 @@ class CompiledFunction:
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self._made: dict[tuple[Any, ...], _core.Native] = {}
+        self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
         self._making = threading.Lock()
@@ -146,6 +147,15 @@ class CompiledFunction:
             return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True))
         except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
+
+    @property
+    def jitted(self) -> Any:
+        """The function as numba's own, for real numbers."""
+        return self._jit(is_complex=False)
+
+    def result_type(self, n: int, parameters: int) -> Any:
+        """numba's type of what the function returns for n components."""
+        return self._result(self.jitted, _Shape(n, n, parameters, event=False))
 
     def _machine_code(self, shape: _Shape) -> _core.Native:
         with self._making:
@@ -376,15 +386,24 @@ class _Native(_core.Native):
 
     def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
         super().__init__(address=address, event=event, owner=owner)
-        self._made_of = made_of
+        self.made_of = made_of
 
     def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
-        if self._made_of is None:
+        if self.made_of is None:
             raise TypeError("native functions cannot be pickled, except those that invariode.compile makes")
-        return CompiledFunction._machine_code, self._made_of
+        return CompiledFunction._machine_code, self.made_of
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
         return self
+
+
+def made_by_compile(fun: Any) -> tuple[CompiledFunction, int, int] | None:
+    """Of a right-hand side as `to_native` made it for the core: the compiled function, its number of components and of
+    parameters. None: it is another one."""
+    if not isinstance(fun, _Native) or fun.made_of is None:
+        return None
+    compiled, shape = fun.made_of
+    return (compiled, shape.n, shape.parameters) if shape == _Shape(shape.n, shape.n, shape.parameters, False) else None
 
 
 def event_value(fun: Any, t: float, y: Array, p: Array) -> float:

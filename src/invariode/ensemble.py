@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from functools import lru_cache, partial
 from time import perf_counter
-from typing import Any, NamedTuple, TypeAlias, Unpack, cast, overload
+from typing import Any, Literal, NamedTuple, TypeAlias, Unpack, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,6 +55,7 @@ from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, 
 from .ensemble_store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .events import to_events
 from .invariants import AccuracyWarning
+from .lanes import Lanes, choose_lanes
 from .plan import Plan, make_plan, solver
 from .result import LIMIT_REACHED, StiffnessWarning, default_labels
 
@@ -107,6 +108,7 @@ def solve_ensemble(
     events: EventsLike = None,
     t_eval: ArrayLike | None = None,
     workers: int | None = None,
+    lanes: Literal["auto", 1] = "auto",
     progress: bool = False,
     executor: Any = None,
     store: None = None,
@@ -127,6 +129,7 @@ def solve_ensemble(
     events: EventsLike = None,
     t_eval: ArrayLike | None = None,
     workers: int | None = None,
+    lanes: Literal["auto", 1] = "auto",
     progress: bool = False,
     executor: Any = None,
     store: str | os.PathLike[str],
@@ -147,6 +150,7 @@ def solve_ensemble(
     events: EventsLike = None,
     t_eval: ArrayLike | None = None,
     workers: int | None = None,
+    lanes: Literal["auto", 1] = "auto",
     progress: bool = False,
     executor: Any = None,
     store: str | os.PathLike[str] | None = None,
@@ -176,6 +180,9 @@ def solve_ensemble(
     workers : int, optional
         Threads or processes. Default: the processors that this process may use. With an executor: threads that each of
         its places uses at once. Default: 1.
+    lanes : {'auto', 1}, default 'auto'
+        With 'auto', explicit Runge-Kutta pairs integrate trajectories of compiled functions side by side in vector
+        registers where they can, with the same result; 1: one at a time. ``stats.lanes`` says which it was, and why.
     progress : bool, default False
         Whether a progress bar is shown (outside notebooks by rich).
     executor : concurrent.futures.Executor or distributed.Client, optional
@@ -245,7 +252,7 @@ def solve_ensemble(
             "at_start is for single runs: evaluate the event at the initial states of an ensemble yourself"
         )
     described = _Described(fun, interval(t_span), events, describing)
-    ensemble = _Ensemble(described, _attempts(method, _options_of_each(running, t_eval), retry))
+    ensemble = _Ensemble(described, _attempts(method, _options_of_each(running, t_eval), retry), _side_by_side(lanes))
     drawn = flag("progress", progress)
     if executor is None and store is None and not isinstance(y0, Iterator):
         if chunk is not None or seed is not None or flag("resume", resume):
@@ -301,6 +308,14 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     if options.get("save") is None:
         options["keep"] = "end"
     return options
+
+
+def _side_by_side(lanes: Any) -> bool:
+    if lanes == "auto":
+        return True
+    if lanes != 1 or isinstance(lanes, bool):
+        raise ValueError(f'lanes must be "auto" or 1, got {lanes!r}')
+    return False
 
 
 def _processors() -> int:
@@ -359,6 +374,7 @@ class _Task:
     options: Options
     y0: Array
     args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
+    in_lanes: bool
 
     def plan(self, i: int) -> Plan:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
@@ -383,11 +399,12 @@ class _Ensemble:
 
     described: _Described
     attempts: list[_Attempt]  # the first, and those for rows that failed
+    in_lanes: bool  # if they can be
 
     def task(self, y0: Array, args: Any, attempt: int = 0) -> _Task:
         """These rows, by one of the attempts."""
         chosen = self.attempts[attempt]
-        return _Task(self.described, chosen.method, chosen.options, y0, args)
+        return _Task(self.described, chosen.method, chosen.options, y0, args, self.in_lanes)
 
 
 def _first_plan(task: _Task) -> tuple[int, Plan]:
@@ -444,7 +461,7 @@ def _solution(task: _Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
         success=found.status >= 0,
         messages=found.messages,
         events=found.events,
-        stats=EnsembleStats(**stats, clipped_amount=found.clipped_amount),
+        stats=EnsembleStats(**stats, clipped_amount=found.clipped_amount, _lanes=found.lanes),
         value=found.value,
         residual_before=found.residual_before,
         residual_after=found.residual_after,
@@ -500,7 +517,9 @@ def _on_threads(
 ) -> Outcomes:
     y0 = np.ascontiguousarray(task.y0)
     solvers = [core, *(solver(plan) for _ in range(workers - 1))]
-    run = _core.integrate_all(solvers, y0.view(float).reshape(len(y0), -1), _parameters(task, plan), report)
+    lanes = choose_lanes(core, plan.functions.fun, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
+    rows = y0.view(float).reshape(len(y0), -1)
+    run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
     dtype = y0.dtype
     states = run.take_states()
     value, before, after, correction = run.take_drift()
@@ -517,6 +536,7 @@ def _on_threads(
         residual_before=before,
         residual_after=after,
         correction=correction,
+        lanes=lanes.described(run.alone),
     )
 
 
@@ -674,6 +694,7 @@ class _Rows:
             residual_before=self.before,
             residual_after=self.after,
             correction=self.correction,
+            lanes=Lanes(reason="functions are in Python").described(),
         )
 
     def _events(self, found: list[tuple[int, Array, Array]]) -> EnsembleEvents:

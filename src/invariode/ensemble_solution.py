@@ -95,7 +95,7 @@ class EnsembleEvents(Record):
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleStats(Record):
-    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve.
+    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words.
 
     `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0.
     """
@@ -116,6 +116,13 @@ class EnsembleStats(Record):
     stiff: Array
     switches: Array
     clipped_amount: Array
+    _lanes: str = ""
+
+    @property
+    def lanes(self) -> str:
+        """How many trajectories were integrated side by side, by which instructions, or why they were not. Not in
+        files."""
+        return self._lanes
 
 
 @dataclasses.dataclass(eq=False, repr=False)

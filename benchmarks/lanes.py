@@ -1,0 +1,135 @@
+"""Ensembles side by side in vector registers against one at a time: ``python benchmarks/lanes.py [--write]``.
+
+Final states only, one thread, ode45, rtol = atol = 1e-6; the times are of the process's CPU clock, ``lanes=1`` and
+each instruction set in turn. Before anything is timed all results must be the same bits. Compilation is not timed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from time import process_time
+from typing import Any
+
+import numpy as np
+from measure import interleaved, machine, ratio, run, table
+from numpy.typing import NDArray
+
+import invariode as iv
+from invariode import _core, lanes
+
+Array = NDArray[np.float64]
+TOLERANCE = 1e-6
+LONGEST = 100.0  # how much longer the dearest of trajectories of unequal cost is
+
+
+def lotka_volterra(t: float, y: Any, p: Any) -> Any:
+    return p[0] * y[0] - y[0] * y[1], y[0] * y[1] - y[1]
+
+
+def slowed(t: float, y: Any, p: Any) -> Any:
+    return p[1] * (p[0] * y[0] - y[0] * y[1]), p[1] * (y[0] * y[1] - y[1])
+
+
+def henon_heiles(t: float, y: Any, p: Any) -> Any:
+    return y[2], y[3], -y[0] - 2.0 * p[0] * y[0] * y[1], -y[1] - p[0] * (y[0] * y[0] - y[1] * y[1])
+
+
+def three_bodies(t: float, y: Any, p: Any) -> Any:
+    """In the plane, with masses 1, 1 and p[0]: positions, then velocities."""
+    ax, ay, bx, by, cx, cy = y[2] - y[0], y[3] - y[1], y[4] - y[0], y[5] - y[1], y[4] - y[2], y[5] - y[3]
+    a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
+    a, b, c = 1.0 / (a2 * math.sqrt(a2)), 1.0 / (b2 * math.sqrt(b2)), 1.0 / (c2 * math.sqrt(c2))
+    m = p[0]
+    return (
+        y[6],
+        y[7],
+        y[8],
+        y[9],
+        y[10],
+        y[11],
+        a * ax + m * b * bx,
+        a * ay + m * b * by,
+        m * c * cx - a * ax,
+        m * c * cy - a * ay,
+        -b * bx - c * cx,
+        -b * by - c * cy,
+    )
+
+
+def pendulum(t: float, y: Any, p: Any) -> Any:
+    return y[1], -p[0] * math.sin(y[0])
+
+
+@dataclass(frozen=True)
+class Case:
+    """Functions to solve, on (0, span), from y0 with args: made for N trajectories."""
+
+    name: str
+    fun: Callable[..., Any]
+    span: float
+    rows: Callable[[int], tuple[Array, Array]]
+    size: int
+
+
+def populations(size: int) -> tuple[Array, Array]:
+    numbers = np.random.default_rng(2024).uniform(size=(size, 3))
+    return 0.5 + 2.5 * numbers[:, :2], 0.5 + numbers[:, 2:]
+
+
+def unequal(size: int) -> tuple[Array, Array]:
+    y0, p = populations(size)
+    return y0, np.column_stack([p, np.geomspace(LONGEST, 1.0, size)])
+
+
+def around(point: list[float], spread: float, size: int) -> tuple[Array, Array]:
+    random = np.random.default_rng(2024)
+    return np.array(point) + random.uniform(-spread, spread, (size, len(point))), random.uniform(0.9, 1.1, (size, 1))
+
+
+BODIES = [1.0, 0.0, -0.5, 0.9, -0.5, -0.9, 0.0, 0.7, -0.6, -0.35, 0.6, -0.35]
+CASES = [
+    Case("Lotka–Volterra", lotka_volterra, 10.0, populations, 10000),
+    Case(f"the same, costs unequal by {LONGEST:.0f}", slowed, 10.0, unequal, 1000),
+    Case("Hénon–Heiles", henon_heiles, 20.0, partial(around, [0.1, 0.1, 0.3, 0.1], 0.05), 5000),
+    Case("three bodies, n = 12", three_bodies, 5.0, partial(around, BODIES, 0.02), 2000),
+    Case("pendulum, libm's sin", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000),
+]
+
+
+def measured(case: Case, repetitions: int) -> list[str]:
+    """A row of the table: rate one at a time, and how many times that each instruction set gives."""
+    y0, p = case.rows(case.size)
+    solve = partial(
+        iv.solve_ensemble, iv.compile(case.fun), (0, case.span), y0, args=p, rtol=TOLERANCE, atol=TOLERANCE, workers=1
+    )
+    alone = solve(lanes=1)
+
+    def in_lanes(name: str) -> iv.EnsembleSolution:
+        lanes.FORCED = name
+        return solve()
+
+    contestants: dict[str, Callable[[], object]] = {"alone": partial(solve, lanes=1)}
+    for name, width, _ in _core.LANES:
+        found = in_lanes(name)
+        if not found.stats.lanes.startswith(f"{width} lanes"):
+            raise SystemExit(f"not timed: {case.name} was solved {found.stats.lanes}")
+        if not np.array_equal(found.y_end, alone.y_end) or not alone.success.all():
+            raise SystemExit(f"not timed: the results of {case.name} are not the same")
+        contestants[name] = partial(in_lanes, name)
+    times = interleaved(contestants, repetitions, process_time)
+    rate = f"{case.size / median(times['alone']):,.0f}"
+    return [case.name, rate, *(f"{ratio(times['alone'], times[name]):.1f}" for name, _, _ in _core.LANES)]
+
+
+def report(repetitions: int) -> str:
+    header = ["ode45, 1e-6", "one at a time, per second", *(f"× with {name}" for name, _, _ in _core.LANES)]
+    rows = [measured(case, repetitions) for case in CASES]
+    return f"{machine('invariode', 'numpy', 'numba')}. Medians of {repetitions}.\n\n{table(header, rows)}"
+
+
+if __name__ == "__main__":
+    run("lanes", __doc__, report, repetitions=9)

@@ -1,0 +1,401 @@
+#pragma once
+// A block of trajectories, each in a lane of its own: its own t, h, error, acceptance. The arithmetic, and the order of
+// its operations, is that of a single run (methods/runge_kutta_step.hpp, integrate.cpp), so that each lane has its
+// bits. Whatever a lane meets that is rare (something not finite, a step at hmin) is left to that code, from the start.
+// (INVARIODE_LANES: see pack.hpp.)
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <utility>
+
+#include "methods/runge_kutta.hpp"
+#include "methods/runge_kutta_kernel.hpp"
+#include "run/lanes/lanes.hpp"
+#include "run/lanes/pack.hpp"
+#include "run/lanes/power.hpp"
+
+namespace invariode::lanes::INVARIODE_LANES {
+
+inline constexpr double hmin_ulps = 16;  // as in integrate.cpp
+inline constexpr double stretch = 1.1;
+inline constexpr double infinity = std::numeric_limits<double>::infinity();
+// Of `StiffnessDetector`: |h λ| near the limit, what a limited step changes, with room for roundoff; how many there are
+// before anything is said.
+inline constexpr double at_least = 0.499, at_most = 0.101, limited_looks = 10;
+inline constexpr double to_integer = 4503599627370496;  // 2⁵²: what is added to it is rounded to an integer
+
+/// MaxNorm of packs: NaN gets through.
+template <int W>
+class LaneNorm {
+ public:
+  void add(const Pack<W>& a) {
+    const Pack<W> size = absolute(a);
+    max_ = larger(max_, size);
+    undefined_ += 0.0 * size;  // of infinity too, which no error test passes either
+  }
+  [[nodiscard]] Pack<W> value() const { return max_ + undefined_; }
+
+ private:
+  Pack<W> max_{0}, undefined_{0};
+};
+
+/// The pair T in W lanes.
+template <const auto& T, int W>
+class Block {
+  using P = Pack<W>;
+  using M = Mask<W>;
+  using Kernel = runge_kutta::Kernel<T, P>;
+  static constexpr std::size_t last = T.stages - 1;
+  static constexpr unsigned every_lane = one_lane(W) - 1;
+  // With fewer trajectories than this in a block they are faster one at a time (benchmarks/lanes.py).
+  static constexpr int too_few = W / 8 + 1;
+  static constexpr unsigned patience = 64;  // attempts from one look at `cancelled` to the next
+
+ public:
+  /// How many packs a block needs, and their size.
+  static std::size_t memory(const Job& job) { return sizeof(P) * (job.n * (T.stages + 5) + 2 * job.parameters); }
+
+  Block(const Job& job, Host& host, void* memory) : job_(job), host_(host) {
+    auto* next = static_cast<P*>(memory);
+    const auto take = [&next](std::size_t rows) { return std::exchange(next, next + rows); };
+    for (std::size_t k = 0; k < T.stages; ++k) k_[k] = take(job.n);
+    y_ = take(job.n);
+    stage_ = take(job.n);
+    candidate_ = take(job.n);
+    p_ = take(job.parameters);
+    ready_y_ = take(job.n);
+    ready_k_ = take(job.n);
+    ready_p_ = take(job.parameters);
+  }
+
+  /// Until there is nothing left to take.
+  void run() {
+    if constexpr (W > 1) {
+      unsigned attempts = 0;
+      for (unsigned free = every_lane;;) {
+        fill(free);
+        if (empty_ && count(occupied_) < too_few) break;
+        if (++attempts % patience == 0 && host_.cancelled()) return;
+        attempt();
+        free = settle();
+      }
+      for (int l = 0; l < W; ++l)
+        if (has(occupied_, l)) host_.go_on(suspended(l));
+    }
+  }
+
+  /// One trajectory, in lane 0, to its end.
+  void go_on(const Suspended& from) {
+    trajectory_[0] = from.trajectory;
+    t_.lanes()[0] = from.t;
+    h_.lanes()[0] = from.h;
+    retries_ = to_mask<W>(from.retries ? 1 : 0);
+    steps_.lanes()[0] = from.steps;
+    limited_.lanes()[0] = from.limited;
+    failed_.lanes()[0] = from.failed;
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      y_[i].lanes()[0] = from.y[i * from.stride];
+      k_[0][i].lanes()[0] = from.k[i * from.stride];
+    }
+    for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[0] = from.p[i * from.stride];
+    occupied_ = 1;
+    unsigned attempts = 0;
+    while (occupied_ != 0) {
+      if (++attempts % patience == 0 && host_.cancelled()) return;
+      attempt();
+      settle();
+    }
+  }
+
+ private:
+  static int count(unsigned set) {
+    int n = 0;
+    for (; set != 0; set &= set - 1) ++n;
+    return n;
+  }
+
+  // ------------------------------------------------------------------------------------------- trajectories come and
+  // go
+
+  /// Puts trajectories into lanes that have none, as long as there are any.
+  void fill(unsigned free) {
+    for (int l = 0; l < W; ++l) {
+      if (!has(free, l)) continue;
+      while (ready_ == prepared_ && prepare()) {
+      }
+      if (ready_ == prepared_) return keep_defined();
+      adopt(l, ready_++);
+    }
+  }
+
+  /// f is asked in lanes that are not occupied, too: those that never were get the state of one that is.
+  void keep_defined() {
+    if (defined_ == every_lane || occupied_ == 0) return;
+    int from = 0;
+    while (!has(occupied_, from)) ++from;
+    for (int l = 0; l < W; ++l) {
+      if (has(defined_, l)) continue;
+      t_.lanes()[l] = t_.lanes()[from];
+      h_.lanes()[l] = h_.lanes()[from];
+      for (std::size_t i = 0; i < job_.n; ++i) {
+        y_[i].lanes()[l] = y_[i].lanes()[from];
+        k_[0][i].lanes()[l] = k_[0][i].lanes()[from];
+      }
+      for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[l] = p_[i].lanes()[from];
+    }
+    defined_ = every_lane;
+  }
+
+  /// f at the start of W more trajectories, and their first steps. False: there are no more.
+  bool prepare() {
+    if (empty_) return false;
+    prepared_ = ready_ = 0;
+    while (prepared_ < W && host_.take(ready_trajectory_[prepared_])) load(prepared_++);
+    empty_ = prepared_ < W;
+    if (prepared_ == 0) return false;
+    for (int l = prepared_; l < W; ++l) {  // f is asked in all lanes
+      ready_trajectory_[l] = ready_trajectory_[prepared_ - 1];
+      load(l);
+    }
+    const P t0(job_.t0);
+    evaluate(t0, ready_y_, ready_k_, ready_p_);
+    start(t0);
+    return true;
+  }
+
+  /// The initial value and the parameters of a trajectory that is to be made ready.
+  void load(int lane) {
+    const double* y0 = job_.y0 + ready_trajectory_[lane] * job_.n;
+    const double* row = job_.rows + ready_trajectory_[lane] * job_.parameters;
+    for (std::size_t i = 0; i < job_.n; ++i) ready_y_[i].lanes()[lane] = y0[i];
+    for (std::size_t i = 0; i < job_.parameters; ++i) ready_p_[i].lanes()[lane] = row[i];
+  }
+
+  /// |h| of the first steps, as `Pair::start` and `Step::first_h` choose it; and which of them are left alone.
+  void start(const P& t0) {
+    LaneNorm<W> norm;
+    for (std::size_t i = 0; i < job_.n; ++i) norm.add(ready_k_[i] / weight(i, absolute(ready_y_[i])));
+    const P reciprocal = norm.value() / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
+    const P longest = smaller(P(job_.hmax), absolute(P(job_.tf) - t0));
+    const P h = choose(P(1) < longest * reciprocal, P(1) / reciprocal, longest);
+    ready_h_ = job_.first_step > 0 ? P(job_.first_step) : larger(h, smallest_step(t0));
+    const unsigned bad = bits(~(norm.value() < P(infinity)));
+    int kept = 0;
+    for (int l = 0; l < prepared_; ++l) {
+      if (has(bad, l))
+        host_.leave(ready_trajectory_[l]);
+      else
+        place_[kept++] = l;
+    }
+    prepared_ = kept;
+  }
+
+  /// The trajectory that was made ready as number `number` moves into the lane.
+  void adopt(int lane, int number) {
+    const int from = place_[number];
+    trajectory_[lane] = ready_trajectory_[from];
+    t_.lanes()[lane] = job_.t0;
+    h_.lanes()[lane] = ready_h_.lanes()[from];
+    retries_.lanes()[lane] = 0;
+    steps_.lanes()[lane] = failed_.lanes()[lane] = limited_.lanes()[lane] = 0;
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      y_[i].lanes()[lane] = ready_y_[i].lanes()[from];
+      k_[0][i].lanes()[lane] = ready_k_[i].lanes()[from];
+    }
+    for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[lane] = ready_p_[i].lanes()[from];
+    occupied_ |= one_lane(lane);
+    defined_ |= one_lane(lane);
+  }
+
+  /// Hands back what has ended. Returns the lanes that are free.
+  unsigned settle() {
+    const unsigned ended = reached_ & occupied_, odd = odd_ & occupied_;
+    if ((ended | odd) == 0) return 0;
+    for (int l = 0; l < W; ++l) {
+      if (has(odd, l))
+        host_.leave(trajectory_[l]);
+      else if (has(ended, l))
+        host_.keep({trajectory_[l], y_[0].lanes() + l, W, static_cast<std::int64_t>(steps_.lanes()[l]),
+                    static_cast<std::int64_t>(failed_.lanes()[l]), evaluations(l)});
+    }
+    occupied_ &= ~(ended | odd);
+    return every_lane & ~occupied_;
+  }
+
+  /// Of f: at the start, then in each attempt those of all stages but the first; the last one only in accepted steps
+  /// where it has no part in the error estimate.
+  [[nodiscard]] std::int64_t evaluations(int lane) const {
+    const auto steps = static_cast<std::int64_t>(steps_.lanes()[lane]);
+    const auto attempts = steps + static_cast<std::int64_t>(failed_.lanes()[lane]);
+    constexpr auto all = static_cast<std::int64_t>(last);
+    return 1 + (T.last_in_error() ? attempts * all : attempts * (all - 1) + steps);
+  }
+
+  [[nodiscard]] Suspended suspended(int lane) const {
+    return {.trajectory = trajectory_[lane],
+            .t = t_.lanes()[lane],
+            .h = h_.lanes()[lane],
+            .retries = retries_.lanes()[lane] != 0,
+            .steps = steps_.lanes()[lane],
+            .failed = failed_.lanes()[lane],
+            .limited = limited_.lanes()[lane],
+            .y = y_[0].lanes() + lane,
+            .k = k_[0][0].lanes() + lane,
+            .p = job_.parameters > 0 ? p_[0].lanes() + lane : nullptr,
+            .stride = W};
+  }
+
+  // ---------------------------------------------------------------------------------------------------------- a step
+
+  /// One attempt in each lane, from which those that are accepted go on.
+  void attempt() {
+    const P rest = P(job_.tf) - t_, forward(job_.tf >= job_.t0 ? 1 : -1);
+    const P hmin = smallest_step(t_), size = larger(hmin, smaller(P(job_.hmax), h_));
+    const M landing = (absolute(rest) <= stretch * size) & ~retries_;
+    const P h = choose(landing, rest, forward * size), t1 = choose(landing, P(job_.tf), t_ + h);
+    const P purified = t1 - t_, length = absolute(h);
+
+    M odd = to_mask<W>(0);
+    inner_stages(h, odd, std::make_index_sequence<last - 1>{});
+    Kernel::candidate(y_, purified, k_, job_.n, candidate_);
+    odd = odd | mend(candidate_);
+    if constexpr (T.last_in_error()) evaluate(t1, candidate_, k_[last], p_);
+    const P error = absolute(purified) * Kernel::template error<LaneNorm<W>>(k_, job_.n, [this](std::size_t i) {
+                      return weight(i, larger(absolute(y_[i]), absolute(candidate_[i])));
+                    });
+    odd = odd | ~(error < P(infinity));
+    M accepted = (error <= P(job_.rtol)) & ~odd;
+    if constexpr (!T.last_in_error()) {
+      evaluate(t1, candidate_, k_[last], p_);
+      const M undefined = accepted & not_finite(k_[last]);
+      odd = odd | undefined;
+      accepted = accepted & ~undefined;
+    }
+    control(accepted, error, length, hmin);
+    note_stability(accepted);
+    commit(accepted, t1);
+    odd_ = bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
+    reached_ = bits(accepted & landing);
+  }
+
+  /// |h| of the next attempt, as `Pair::accept` and `Pair::reject` choose it; and the counts.
+  void control(const M& accepted, const P& error, const P& length, const P& hmin) {
+    const P rtol(job_.rtol), safety(runge_kutta::safety), most(runge_kutta::largest_growth);
+    const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
+    const P root = root_by_pow<T.order>(larger(P(smallest_ratio), ratio));
+    const P tau = root / safety;
+    const P grown = choose(P(1 / runge_kutta::largest_growth) < tau, length / tau, length * most);
+    const P factor = choose(retries_, P(0.5), larger(P(T.floor), safety * root));
+    const P cut = larger(hmin, length * factor);
+    h_ = choose(accepted, choose(retries_, length, grown), cut);
+    steps_ += choose(accepted, P(1), P(0));
+    failed_ += choose(accepted, P(0), P(1));
+    retries_ = ~accepted;
+  }
+
+  /// Looks at one step in 64 of each lane, as the `StiffnessDetector` of a single run does, with thresholds that find no
+  /// fewer limited steps. So many of them may be a stiff problem: single runs find that out.
+  void note_stability(const M& accepted) {
+    const P looks = (1.0 / 64) * steps_, whole = (looks + P(to_integer)) - P(to_integer);
+    const M now = accepted & (looks <= whole) & (whole <= looks);
+    if (bits(now) == 0) return;
+    LaneNorm<W> slopes, arguments, changes;
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      const P w = weight(i, larger(absolute(y_[i]), absolute(candidate_[i])));
+      const auto [slope, argument] = Kernel::probed(k_, i);
+      slopes.add(slope / w);
+      arguments.add(argument / w);
+      changes.add((candidate_[i] - y_[i]) / w);
+    }
+    const M at_limit = P(at_least * job_.real_limit) * arguments.value() <= slopes.value();
+    const M limited = now & at_limit & (changes.value() <= P(at_most));
+    limited_ += choose(limited, P(1), P(0));
+  }
+
+  void commit(const M& accepted, const P& t1) {
+    t_ = choose(accepted, t1, t_);
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      y_[i] = choose(accepted, candidate_[i], y_[i]);
+      k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
+    }
+  }
+
+  template <std::size_t... I>
+  void inner_stages(const P& h, M& odd, std::index_sequence<I...>) {
+    (stage<I + 1>(h, odd), ...);
+  }
+  template <std::size_t I>
+  void stage(const P& h, M& odd) {
+    Kernel::template argument<I>(y_, h, k_, job_.n, stage_);
+    odd = odd | mend(stage_);
+    evaluate(t_ + T.c[I] * h, stage_, k_[I], p_);
+  }
+
+  /// 0 · x is 0 where x is finite, and NaN where it is not.
+  [[nodiscard]] M not_finite(const P* v) const {
+    P sum(0);
+    for (std::size_t i = 0; i < job_.n; ++i) sum += 0.0 * v[i];
+    return ~(sum <= P(0));
+  }
+  /// f is never asked at points that are not finite: in such lanes y takes their place. Returns which they are.
+  M mend(P* v) const {
+    const M odd = not_finite(v);
+    if (bits(odd) != 0)
+      for (std::size_t i = 0; i < job_.n; ++i) v[i] = choose(odd, y_[i], v[i]);
+    return odd;
+  }
+
+  void evaluate(const P& t, const P* y, P* out, const P* p) const {
+    job_.f(job_.context, t.lanes(), y->lanes(), out->lanes(), reinterpret_cast<const double*>(p));
+  }
+
+  /// `Weights::at`, of |y|
+  [[nodiscard]] P weight(std::size_t i, const P& size) const {
+    return larger(job_.scale != nullptr ? job_.scale[i] * size : size, P(job_.threshold[i]));
+  }
+  static P smallest_step(const P& t) {
+    const P size = absolute(t);
+    return hmin_ulps * (next(size) - size);
+  }
+
+  P t_{0}, h_{0}, steps_{0}, failed_{0};
+  P limited_{0};  // looks at steps that stability limits
+  M retries_ = to_mask<W>(0);
+  P ready_h_{0};  // of those that are ready to take the place of such as end
+  const Job& job_;
+  Host& host_;
+  P *y_, *stage_, *candidate_, *p_;
+  P *ready_y_, *ready_k_, *ready_p_;
+  typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
+  unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0;  // lanes
+  int prepared_ = 0, ready_ = 0;
+  std::uint32_t trajectory_[W]{};
+  std::uint32_t ready_trajectory_[W]{};
+  int place_[W]{};
+  bool empty_ = false;  // there are no more to be made ready
+};
+
+// ------------------------------------------------------------------------------------------------- what the host calls
+
+template <const auto& T, int W>
+void run(const Job& job, Host& host, void* memory) {
+  Block<T, W>(job, host, memory).run();
+}
+template <const auto& T, int W>
+void go_on(const Job& job, const Suspended& from, Host& host, void* memory) {
+  Block<T, W>(job, host, memory).go_on(from);
+}
+
+/// `Alone`: with the code for trajectories that have no neighbours.
+template <int W, bool Alone, const auto&... T>
+constexpr std::array<Pair, sizeof...(T)> kernels(runge_kutta::Tableaux<T...>) {
+  if constexpr (Alone)
+    return {{{T.name, Block<T, W>::memory, run<T, W>, go_on<T, 1>}...}};
+  else
+    return {{{T.name, Block<T, W>::memory, run<T, W>, nullptr}...}};
+}
+
+}  // namespace invariode::lanes::INVARIODE_LANES

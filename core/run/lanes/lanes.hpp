@@ -1,0 +1,94 @@
+#pragma once
+// Many trajectories of an explicit Runge-Kutta pair side by side, one in each lane of vector registers: what the
+// kernels, compiled once per instruction set, are asked for and what they ask for.
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string_view>
+
+namespace invariode::lanes {
+
+/// f in all lanes: t (lanes,), y (n, lanes), out (n, lanes), p (parameters, lanes), each aligned to 64 bytes. NaN in a
+/// lane of out: f is not defined there. It is asked at finite points only.
+using Function = void(void* context, const double* t, const double* y, double* out, const double* p);
+
+/// What is integrated, without anything that only some runs have: invariants, events, output on the way, limits.
+struct Job {
+  Function* f;
+  void* context;
+  std::size_t n, parameters;
+  const double* y0;    ///< rows (n,) of all trajectories
+  const double* rows;  ///< of their parameters
+  double t0, tf;       ///< finite, and different
+  double hmax;         ///< finite
+  double first_step;   ///< 0: chosen by the method
+  double rtol;
+  double real_limit;        ///< of the pair's stability on the negative real axis
+  const double* threshold;  ///< (n,)
+  const double* scale;      ///< (n,), or null: all 1
+};
+
+/// A trajectory that has reached tf: y (n,) with that stride.
+struct Ended {
+  std::uint32_t trajectory;
+  const double* y;
+  std::size_t stride;
+  std::int64_t steps, failed, evaluations;
+};
+
+/// A trajectory between two attempts: where it is, f there, |h| of the next attempt, whether the last one failed, and
+/// its counts. y, k and p have that stride.
+struct Suspended {
+  std::uint32_t trajectory;
+  double t, h;
+  bool retries;
+  double steps, failed, limited;
+  const double *y, *k, *p;
+  std::size_t stride;
+};
+
+/// Who hands out trajectories and takes them back. One for each thread.
+class Host {
+ public:
+  Host() = default;
+  Host(const Host&) = delete;
+  Host& operator=(const Host&) = delete;
+  virtual ~Host() = default;
+
+  /// The next trajectory, whose initial value is finite; false: there are no more.
+  virtual bool take(std::uint32_t& trajectory) = 0;
+  virtual void keep(const Ended& ended) = 0;
+  /// Something rare has happened to it: it is to be integrated from its start by the code that knows everything.
+  virtual void leave(std::uint32_t trajectory) = 0;
+  /// It has too few neighbours left: it is to go on alone.
+  virtual void go_on(const Suspended& suspended) = 0;
+  [[nodiscard]] virtual bool cancelled() const = 0;
+};
+
+/// The kernels of one pair.
+struct Pair {
+  std::string_view method;
+  /// Bytes of memory, aligned to 64, that both of these need.
+  std::size_t (*memory)(const Job& job);
+  /// Integrates what the host hands out, until it has no more.
+  void (*run)(const Job& job, Host& host, void* memory);
+  /// Goes on with one trajectory, f having one lane. Null, but for the instructions that every processor has.
+  void (*go_on)(const Job& job, const Suspended& from, Host& host, void* memory);
+};
+
+/// An instruction set for which there are kernels.
+struct Instructions {
+  std::string_view name;
+  std::size_t lanes;  ///< in a block
+  std::size_t bits;   ///< of a vector register
+  std::span<const Pair> pairs;
+
+  /// Null: the method is none of the pairs.
+  [[nodiscard]] const Pair* pair(std::string_view method) const;
+};
+
+/// The instruction sets that this processor has, the best one first; the last one is that of every processor.
+[[nodiscard]] std::span<const Instructions* const> instructions();
+
+}  // namespace invariode::lanes

@@ -1,0 +1,62 @@
+#pragma once
+// An ensemble in lanes: which ones can be, and what one thread does.
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <new>
+
+#include "callback.hpp"
+#include "run/ensemble.hpp"
+#include "run/lanes/lanes.hpp"
+#include "run/problem.hpp"
+#include "run/threads.hpp"
+
+namespace invariode {
+
+/// What keeps trajectories of this solver from being integrated in lanes, in words; null: nothing.
+[[nodiscard]] const char* obstacle_to_lanes(const Solver& solver);
+
+/// Takes trajectories from a queue and integrates them in lanes, on a thread that has the solver to itself. What the
+/// lanes leave is integrated alone.
+class LaneWorker final : public lanes::Host {
+ public:
+  LaneWorker(const Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue,
+             EnsembleResult& result);
+
+  void run();
+
+  bool take(std::uint32_t& trajectory) override;
+  void keep(const lanes::Ended& ended) override;
+  void leave(std::uint32_t trajectory) override;
+  void go_on(const lanes::Suspended& suspended) override;
+  [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
+
+ private:
+  /// Memory of a kernel, aligned as it needs it.
+  class Memory {
+   public:
+    explicit Memory(std::size_t bytes);
+    [[nodiscard]] void* get() const { return bytes_.get(); }
+
+   private:
+    static constexpr std::align_val_t alignment{64};  // of the widest registers
+    struct Free {
+      void operator()(std::byte* bytes) const { ::operator delete(bytes, alignment); }
+    };
+    std::unique_ptr<std::byte, Free> bytes_;
+  };
+
+  const Solver& solver_;
+  const Ensemble& ensemble_;
+  Queue& queue_;
+  EnsembleResult& result_;
+  const lanes::Pair& pair_;
+  const lanes::Pair& alone_;  // with one lane
+  Callback f_;                // for that
+  lanes::Job job_, job_alone_;
+  Memory memory_, memory_alone_;
+  std::size_t left_ = 0;
+};
+
+}  // namespace invariode

@@ -1,0 +1,230 @@
+"""Trajectories side by side: the form of a compiled function that works in all lanes of vector registers at once.
+
+    void code(void* unused, const double* t, const double* y, double* out, const double* p)
+
+with t (lanes,), y and out (n, lanes), p (k, lanes). numba compiles a loop over the lanes whose number it does not know.
+In its intermediate representation the number becomes a constant and the arguments are said not to overlap; then LLVM
+optimises it once more, and its loop vectoriser finds a clean loop. A function that it does not vectorise has no such
+form.
+
+numba.cuda compiles the same loop body, a lane being a thread there: what is missing for that is in
+docs/howto/ensembles.md.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+import threading
+from typing import Any, NamedTuple
+
+from . import _core
+from ._arguments import warn
+from .compiled import CompiledFunction, made_by_compile
+
+__all__ = ["LaneCode", "Lanes", "choose_lanes"]
+
+#: With fewer trajectories the form, which takes about half a second to compile, is not made.
+FEWEST = 1000
+#: The name of the instruction set to use; None: the best that this processor has.
+FORCED: str | None = None
+
+_ENTRY = "invariode_lanes"
+#: Attribute group of the entry; numba's own groups have small numbers.
+_GROUP = 9999
+
+
+class LaneCode(NamedTuple):
+    """Machine code for all lanes, and what keeps it alive."""
+
+    address: int
+    owner: Any
+
+
+class Lanes(NamedTuple):
+    """How an ensemble is solved: in the lanes of `instructions`, or one trajectory at a time, for a `reason`."""
+
+    instructions: str = ""
+    width: int = 1
+    code: LaneCode | None = None
+    reason: str = ""
+
+    def for_core(self) -> tuple[str, int] | None:
+        """What `integrate_all` takes."""
+        return None if self.code is None else (self.instructions, self.code.address)
+
+    def described(self, alone: int = 0) -> str:
+        """In words, with the number of trajectories that were left to the code for one at a time."""
+        if self.code is None:
+            return f"one at a time: {self.reason}"
+        left = f"; {alone} trajectories one at a time" if alone else ""
+        return f"{self.width} lanes, {self.instructions}{left}"
+
+
+class _NotVectorisedError(Exception):
+    """Why a function has no form for lanes."""
+
+
+_making = threading.Lock()
+_warned = False
+
+
+def choose_lanes(solver: _core.Solver, fun: Any, size: int) -> Lanes:
+    """How `size` trajectories of this solver are solved; `fun` is f as the core calls it."""
+    obstacle = solver.obstacle_to_lanes
+    if obstacle is not None:
+        return Lanes(reason=obstacle)
+    made = made_by_compile(fun)
+    if made is None:
+        return Lanes(reason="f is not made by invariode.compile, or has inputs")
+    compiled, n, parameters = made
+    name, width, bits = next(one for one in _core.LANES if FORCED in (None, one[0]))
+    forms, key = compiled.lane_forms, (n, parameters, name)
+    if size < FEWEST and key not in forms:
+        return Lanes(reason=f"fewer than {FEWEST} trajectories do not pay for compiling f once more")
+    with _making:
+        if key not in forms:
+            forms[key] = _lane_code(compiled, n, parameters, width, bits)
+        code = forms[key]
+    return Lanes(reason=code) if isinstance(code, str) else Lanes(name, width, code)
+
+
+def _lane_code(compiled: CompiledFunction, n: int, parameters: int, width: int, bits: int) -> LaneCode | str:
+    """The form, or why there is none."""
+    global _warned
+    reason = ""
+    for by_tuples in (False, True):  # loops over len(y) are unrolled for tuples only
+        try:
+            return _vectorised(_loop(compiled, n, parameters, width, by_tuples), width, bits)
+        except _NotVectorisedError as error:
+            reason = reason or str(error)
+        except Exception as error:  # whatever internals of numba and llvmlite have changed
+            if not _warned:
+                warn(f"this version of numba has no lanes: {error!r}. Ensembles are solved one trajectory at a time")
+                _warned = True
+            return f"this version of numba is not known: {error!r}"
+    return reason
+
+
+def _loop(compiled: CompiledFunction, n: int, parameters: int, width: int, by_tuples: bool) -> Any:
+    """numba's compilation of f in a loop over a number of lanes that it does not know."""
+    numba: Any = importlib.import_module("numba")
+    config, pointer = numba.core.config, numba.types.CPointer(numba.types.double)
+
+    def row(name: str, size: int) -> str:
+        return f"({''.join(f'{name}_[{i * width} + l],' for i in range(size))})" if by_tuples else f"{name}[:, l]"
+
+    head = [f"y = carray(y_, ({n}, {width}))", f"out = carray(out_, ({n}, {width}))"]
+    head += [f"p = carray(p_, ({parameters}, {width}))"] if parameters else []
+    values = ["t_[l]", row("y", n), *(["out[:, l]"] if compiled.inplace else [])]
+    values += [row("p", parameters)] if parameters else []
+    call = f"f({', '.join(values)})"
+    unfilled = f"for i in range({n}): out[i, l] = nan"  # what f does not fill is not defined
+    body = [unfilled, call] if compiled.inplace else [f"r = {call}", *_stores(compiled, n, parameters)]
+    lines = ["def code(lanes, t_, y_, out_, p_):", *head, "for l in range(lanes):", *(f"    {line}" for line in body)]
+    namespace: dict[str, Any] = {"f": compiled.jitted, "carray": numba.carray, "nan": math.nan}
+    exec("\n    ".join(lines), namespace)
+    signature = numba.types.void(numba.types.intp, pointer, pointer, pointer, pointer)
+    kept, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # the loop is left to the second pass
+    try:
+        return numba.cfunc(signature, error_model="numpy")(namespace["code"])
+    except numba.core.errors.NumbaError as error:
+        raise _NotVectorisedError(f"numba does not compile f for lanes: {str(error).splitlines()[0]}") from error
+    finally:
+        config.LOOP_VECTORIZE = kept
+
+
+def _stores(compiled: CompiledFunction, n: int, parameters: int) -> list[str]:
+    """Lines that store the result r of f in lane l."""
+    from numba import types
+
+    result = compiled.result_type(n, parameters)
+    if isinstance(result, types.BaseTuple):
+        return [f"out[{i}, l] = r[{i}]" for i in range(n)]
+    if isinstance(result, types.Number):
+        return ["out[0, l] = r"]
+    raise _NotVectorisedError("f returns a list or an array: return a tuple")
+
+
+def _vectorised(code: Any, width: int, bits: int) -> LaneCode:
+    """numba's loop with a constant number of lanes, optimised once more."""
+    import llvmlite.binding as llvm
+    from numba.core.registry import cpu_target
+
+    text = code._library.get_llvm_str()
+    found = re.search(r"define [^@]*@(_ZN[^(]*code[^(]*)\(ptr", text)
+    if found is None:
+        raise RuntimeError("the compiled loop has another name or other pointers")
+    module = llvm.parse_assembly(text + _entry(found[1], width, bits, known_assume="@llvm.assume(i1" in text))
+    for function in module.functions:
+        if not function.is_declaration and function.name != _ENTRY:
+            function.linkage = llvm.Linkage.private
+            if function.name == found[1]:
+                function.add_function_attribute("alwaysinline")
+    machine = _machine(llvm, cpu_target.target_context.codegen())
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization, options.slp_vectorization = True, False
+    options.loop_unrolling = options.loop_interleaving = False
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(module, passes)
+    _require_vectors(str(module))
+    engine = llvm.create_mcjit_compiler(module, machine)
+    engine.finalize_object()
+    return LaneCode(engine.get_function_address(_ENTRY), (engine, code))
+
+
+def _machine(llvm: Any, codegen: Any) -> Any:
+    """A target machine with numba's own options: the code must have the same bits."""
+    options: dict[str, Any] = {"opt": 3}
+    codegen._tm_features = codegen._customize_tm_features()
+    codegen._customize_tm_options(options)
+    return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(**options)
+
+
+def _entry(loop: str, width: int, bits: int, known_assume: bool) -> str:
+    """The entry in LLVM's language: calls the loop; if that raised, which no vectorised one can, f is not defined."""
+    pointers = ", ".join(f'"align"(ptr %{name}, i64 64)' for name in ("t", "y", "out", "p"))
+    undefined = ", ".join(["double 0x7FF8000000000000"] * width)
+    declared = "" if known_assume else "declare void @llvm.assume(i1)\n"
+    return f"""
+define void @{_ENTRY}(ptr %unused, ptr noalias nocapture readonly %t, ptr noalias nocapture readonly %y,
+                      ptr noalias nocapture writeonly %out, ptr noalias nocapture readonly %p) #{_GROUP} {{
+  %result = alloca ptr
+  %raised = alloca ptr
+  call void @llvm.assume(i1 true) [{pointers}]
+  %status = call i32 @{loop}(ptr %result, ptr %raised, i64 {width}, ptr %t, ptr %y, ptr %out, ptr %p)
+  %failed = icmp ne i32 %status, 0
+  br i1 %failed, label %undefined, label %done
+undefined:
+  store <{width} x double> <{undefined}>, ptr %out
+  br label %done
+done:
+  ret void
+}}
+{declared}attributes #{_GROUP} = {{ nounwind "prefer-vector-width"="{bits}" }}
+"""
+
+
+def _require_vectors(text: str) -> None:
+    """That all arithmetic of the entry is done on vectors, and that there is no loop but that over the lanes: only
+    innermost loops are vectorised. Calls of the mathematical library are one by one."""
+    start = text.index(f"@{_ENTRY}(")
+    body = text[start : text.index("\n}", start)]
+    if re.search(r"= f(?:add|sub|mul|div|neg) (?:\w+ )*double", body) or _loops(body) > 1:
+        raise _NotVectorisedError(
+            "LLVM does not vectorise f over lanes: return a tuple, and leave out arrays made in f, long loops, loops "
+            "until convergence and exceptions"
+        )
+
+
+def _loops(body: str) -> int:
+    """How many branches of LLVM's code lead back."""
+    seen: set[str] = set()
+    count = 0
+    for line in body.splitlines():
+        if label := re.match(r"([\w.$-]+):", line):
+            seen.add(label[1])
+        elif line.lstrip().startswith(("br ", "switch ")):
+            count += len(seen.intersection(re.findall(r"label %([\w.$-]+)", line)))
+    return count

@@ -1,0 +1,229 @@
+// Trajectories side by side: each is the single run to the last bit, in every instruction set, whoever its neighbours.
+
+#include "run/lanes/lanes.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <limits>
+#include <memory>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "check.hpp"
+#include "run/ensemble.hpp"
+#include "run/lanes/worker.hpp"
+
+#define INVARIODE_LANES tested
+#include "run/lanes/power.hpp"
+
+using namespace invariode;
+
+namespace {
+
+constexpr auto go_on = [](std::uint32_t) { return true; };
+constexpr std::size_t parameters = 3;
+
+/// x' = v, v' = −p₀ x − p₁ x³ + cos t, and a third component whose derivative ends at t = p₂.
+void law(double t, const double* y, double* out, const double* p, std::size_t stride) {
+  const double x = y[0], v = y[stride], z = y[2 * stride];
+  out[0] = v;
+  out[stride] = -p[0] * x - p[stride] * x * x * x + std::cos(t);
+  out[2 * stride] = std::sqrt(p[2 * stride] - t) - z;
+}
+
+Status f_alone(void* context, double t, const double* y, double* out) {
+  law(t, y, out, static_cast<const double*>(context), 1);
+  return Status::ok;
+}
+
+struct InLanes {
+  std::size_t lanes;
+  bool finite = true;  // all points at which it was asked
+
+  static void f(void* context, const double* t, const double* y, double* out, const double* p) {
+    auto& me = *static_cast<InLanes*>(context);
+    me.finite = me.finite && all_finite(y, 3 * me.lanes) && all_finite(t, me.lanes);
+    for (std::size_t l = 0; l < me.lanes; ++l) law(t[l], y + l, out + l, p + l, me.lanes);
+  }
+};
+
+struct Rows {
+  std::vector<double> y0, p;
+
+  Rows(std::size_t size, std::mt19937_64& random) {
+    std::uniform_real_distribution<double> uniform(-1, 1);
+    for (std::size_t i = 0; i < size; ++i) {
+      for (int c = 0; c < 3; ++c) y0.push_back(2 * uniform(random));
+      p.push_back(std::exp(4 * uniform(random)));  // costs differ by 50
+      p.push_back(std::exp(2 * uniform(random)));
+      p.push_back(uniform(random) > -0.8 ? 1e3 : 1);  // which some reach
+    }
+    if (size > 4) y0[3 * 4] = std::numeric_limits<double>::quiet_NaN();
+    if (size > 7) p[3 * 7] = std::numeric_limits<double>::infinity();
+  }
+  [[nodiscard]] Ensemble ensemble() const { return {y0.size() / 3, y0.data(), p.data(), 3, parameters}; }
+};
+
+/// As many solvers, each with parameters of its own.
+class Solvers {
+ public:
+  Solvers(const Method& method, std::size_t workers, const Weights& weights, const Settings& settings) {
+    for (std::size_t w = 0; w < workers; ++w) {
+      auto& place = places_.emplace_back(parameters, 1.0);
+      Problem problem;
+      problem.n = 3;
+      problem.f = {f_alone, place.data()};
+      problem.parameters = place;
+      solvers_.push_back(std::make_unique<Solver>(method, problem, weights, settings, MethodOptions{}));
+      pointers_.push_back(solvers_.back().get());
+    }
+  }
+  std::vector<Solver*>& all() { return pointers_; }
+
+ private:
+  std::deque<std::vector<double>> places_;
+  std::vector<std::unique_ptr<Solver>> solvers_;
+  std::vector<Solver*> pointers_;
+};
+
+bool same_numbers(const std::vector<double>& a, const std::vector<double>& b) {
+  return std::ranges::equal(a, b, [](double x, double y) { return x == y || (std::isnan(x) && std::isnan(y)); });
+}
+
+void check_same(const EnsembleResult& a, const EnsembleResult& b) {
+  CHECK(same_numbers(a.t, b.t));
+  CHECK(same_numbers(a.y_end, b.y_end));
+  CHECK(a.state == b.state);
+  CHECK(a.count == b.count);
+  CHECK(a.failures.size() == b.failures.size());
+}
+
+struct Case {
+  std::size_t size;
+  Settings settings;
+  Weights weights;
+};
+
+std::vector<Case> random_cases(std::mt19937_64& random) {
+  const auto between = [&](double a, double b) { return std::uniform_real_distribution<double>(a, b)(random); };
+  std::vector<Case> cases;
+  for (const std::size_t size : {1, 2, 3, 9, 17, 40, 100}) {
+    const double rtol = std::exp(between(std::log(1e-6), std::log(1e-3))), t0 = between(-3, 3), span = between(1, 4);
+    const bool backwards = between(0, 1) < 0.3, vector = between(0, 1) < 0.5, starts = between(0, 1) < 0.3;
+    Settings settings{.t0 = t0, .tf = backwards ? t0 - span : t0 + span, .hmax = between(0.05, 1) * span};
+    if (starts) settings.first_step = 1e-2;
+    settings.save_all = false;
+    const std::vector<double> scale = vector ? std::vector{1.0, 10.0, 3.0} : std::vector<double>{};
+    cases.push_back({size, settings, Weights(rtol, {1e-3, 1e-3, 1.0}, scale)});
+  }
+  return cases;
+}
+
+}  // namespace
+
+TEST(lanes_are_the_single_runs_to_the_bit_in_every_instruction_set) {
+  std::mt19937_64 random(17);
+  std::size_t beside_others = 0;
+  for (const Method& method : methods()) {
+    if (lanes::instructions().back()->pair(method.name) == nullptr) continue;
+    for (const Case& one : random_cases(random)) {
+      const Rows rows(one.size, random);
+      Solvers solvers(method, 1, one.weights, one.settings);
+      CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
+      const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
+      for (const lanes::Instructions* instructions : lanes::instructions())
+        for (const std::size_t workers : {1, 3}) {
+          const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows, ", workers,
+                                  " workers");
+          Solvers crew(method, workers, one.weights, one.settings);
+          InLanes form{instructions->lanes};
+          const auto found =
+              integrate_all(crew.all(), rows.ensemble(), go_on, LaneForm{instructions, InLanes::f, &form});
+          check_same(*found, *alone);
+          CHECK(form.finite);
+          beside_others += one.size - found->alone;
+        }
+    }
+  }
+  CHECK(beside_others > 1000);
+}
+
+TEST(a_cancelled_ensemble_in_lanes_has_no_result) {
+  std::mt19937_64 random(1);
+  const Rows rows(100, random);
+  Settings settings{.tf = 1e7, .hmax = 1};
+  settings.save_all = false;
+  for (const lanes::Instructions* instructions : lanes::instructions()) {
+    Solvers solvers(*find_method("ode45"), 2, Weights(1e-6, {1, 1, 1}, {}), settings);
+    InLanes form{instructions->lanes};
+    CHECK(integrate_all(
+              solvers.all(), rows.ensemble(), [](std::uint32_t) { return false; },
+              LaneForm{instructions, InLanes::f, &form}) == nullptr);
+  }
+}
+
+TEST(what_only_some_runs_have_keeps_them_out_of_lanes) {
+  Settings settings{.tf = 1, .hmax = 1};
+  const Weights weights(1e-6, {1, 1, 1}, {});
+  const auto obstacle = [&](const char* method, const Settings& s) {
+    Solvers solvers(*find_method(method), 1, weights, s);
+    return std::string(obstacle_to_lanes(*solvers.all()[0]));
+  };
+  CHECK(obstacle("ode113", settings).find("method") != std::string::npos);
+  Settings other = settings;
+  other.output_at_times = true;
+  CHECK(obstacle("ode45", other).find("t_eval") != std::string::npos);
+  other = settings;
+  other.max_steps = 5;
+  CHECK(obstacle("ode45", other).find("limited") != std::string::npos);
+  other = settings;
+  other.tf = std::numeric_limits<double>::infinity();
+  CHECK(obstacle("ode45", other).find("infinite") != std::string::npos);
+}
+
+namespace {
+
+/// Of x^(1/Q) for random x: the largest error before rounding in units of the last place; and how many results are not
+/// those of std::pow, or were left to it.
+template <int Q>
+void check_roots(std::mt19937_64& random) {
+  using namespace lanes::tested;
+  constexpr int W = 4, many = 100000;
+  std::uniform_real_distribution<double> exponent(-28, 0);
+  double worst = 0;
+  int different = 0, doubtful = 0;
+  for (int i = 0; i < many; ++i) {
+    Pack<W> x, y, rest;
+    for (int l = 0; l < W; ++l) x.lanes()[l] = std::exp2(exponent(random));
+    if (i == 0) x = smallest_ratio;
+    if (i == 1) x = 1;
+    Mask<W> doubt;
+    split_root<Q>(x, y, rest);
+    rounded_root<Q>(x, doubt);
+    const Pack<W> root = root_by_pow<Q>(x);
+    for (int l = 0; l < W; ++l) {
+      const double pow = std::pow(x.lanes()[l], 1.0 / Q);
+      const long double exact = std::pow(static_cast<long double>(x.lanes()[l]), static_cast<long double>(1.0 / Q));
+      const long double error = y.lanes()[l] - exact + rest.lanes()[l];
+      worst = std::max(worst, std::abs(static_cast<double>(error)) / ulp(std::nextafter(pow, 0)));
+      different += root.lanes()[l] != pow ? 1 : 0;
+      doubtful += doubt.lanes()[l] != 0 ? 1 : 0;
+    }
+  }
+  const check::Case label("q = ", Q, ", error ", worst, " ulp, ", doubtful, " doubtful");
+  CHECK(different == 0);
+  CHECK(worst < 0.005 + (std::numeric_limits<long double>::digits > 60 ? 0 : 1));  // without them nobody knows
+  CHECK(doubtful < 0.05 * W * many);
+}
+
+}  // namespace
+
+TEST(roots_are_those_of_pow_and_hardly_ever_need_it) {
+  std::mt19937_64 random(5);
+  check_roots<3>(random);
+  check_roots<5>(random);
+  check_roots<8>(random);
+  check_roots<9>(random);
+}

@@ -1,0 +1,166 @@
+"""Trajectories side by side have the bits of single solves, whatever the instructions, threads and neighbours."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from invariode import _core, lanes
+
+numba = pytest.importorskip("numba")
+
+SIZE = 60
+SETS = [name for name, _, _ in _core.LANES]
+PAIRS = [name for name, method in iv.METHODS.items() if method.stages]
+
+
+def lotka_volterra(t, y, p):
+    return p[0] * y[0] - y[0] * y[1], y[0] * y[1] - y[1]
+
+
+def pendulum(t, y, p):
+    return y[1], -math.sin(y[0]) - 0.1 * p[0] * y[1] + math.exp(-t)
+
+
+def branching(t, y, out, p):
+    force = -y[0] if y[0] > 0 else -p[0] * y[0]
+    out[0] = y[1]
+    out[1] = force
+
+
+def undefined_beyond(t, y, p):
+    return math.sqrt(2 * p[0] - t) - y[1], y[0]
+
+
+def half_filled(t, y, out, p):
+    out[0] = y[1]
+    if p[0] < 2:
+        out[1] = -y[0]
+
+
+COMPILED = {
+    "polynomials": iv.compile(lotka_volterra),
+    "elementary functions": iv.compile(pendulum),
+    "branches, in place": iv.compile(branching, inplace=True),
+    "not filled for some": iv.compile(half_filled, inplace=True),
+    "undefined for some": iv.compile(undefined_beyond),
+}
+
+
+@pytest.fixture(autouse=True)
+def small_ensembles_too(monkeypatch):
+    monkeypatch.setattr(lanes, "FEWEST", 1)
+
+
+def rows():
+    random = np.random.default_rng(3)
+    return random.uniform(0.5, 3, (SIZE, 2)), random.uniform(0.5, 3, (SIZE, 1))
+
+
+def solve(fun, method="ode45", **options):
+    y0, p = rows()
+    given = {"args": p, "workers": 1, "rtol": 1e-5, **options}
+    return iv.solve_ensemble(fun, (0, 4), y0, method, **given)
+
+
+def same(a, b):
+    for name in ("y", "t_end", "y_end", "status"):
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+    for name in a.stats:
+        np.testing.assert_array_equal(a.stats[name], b.stats[name], err_msg=name)
+    assert a.messages == b.messages
+
+
+@pytest.mark.parametrize(
+    ("instructions", "name"),
+    [(SETS[0], name) for name in COMPILED] + [(one, "elementary functions") for one in SETS[1:]],
+)
+def test_results_depend_on_no_instructions_threads_or_neighbours(name, instructions, monkeypatch):
+    monkeypatch.setattr(lanes, "FORCED", instructions)
+    fun = COMPILED[name]
+    alone = solve(fun, lanes=1)
+    assert alone.stats.lanes == "one at a time: lanes=1"
+    for workers in (1, 3):
+        found = solve(fun, workers=workers)
+        same(found, alone)
+        assert instructions in found.stats.lanes
+    y0, p = rows()
+    some = slice(5, 22)
+    part = iv.solve_ensemble(fun, (0, 4), y0[some], args=p[some], workers=1, rtol=1e-5)
+    np.testing.assert_array_equal(part.y_end, alone.y_end[some])
+
+
+@pytest.mark.parametrize("method", PAIRS)
+def test_every_pair_gives_its_single_solves(method):
+    found = solve(COMPILED["polynomials"], method, atol=[1e-8, 1e-5], first_step=0.01, max_step=0.5)
+    assert "lanes" in found.stats.lanes
+    y0, p = rows()
+    for i in range(0, SIZE, 7):
+        about = {"args": tuple(p[i]), "rtol": 1e-5, "atol": [1e-8, 1e-5], "first_step": 0.01, "max_step": 0.5}
+        one = iv.solve_ivp(COMPILED["polynomials"], (0, 4), y0[i], method, keep="end", **about)
+        np.testing.assert_array_equal(found.y_end[i], one.y[:, -1])
+        for count in ("steps", "failed", "nfev"):
+            assert found.stats[count][i] == one.stats[count]
+
+
+def test_failures_are_told_as_without_lanes():
+    found = solve(COMPILED["undefined for some"])
+    assert 0 < (found.status < 0).sum() < SIZE
+    assert f"{(found.status < 0).sum()} trajectories one at a time" in found.stats.lanes
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"method": "ode113"}, "explicit Runge-Kutta pair"),
+        ({"t_eval": [1.0, 2.0]}, "t_eval"),
+        ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]))}, "events"),
+        ({"max_steps": 10**6}, "limited"),
+        ({"nonnegative": True}, "bounds"),
+    ],
+)
+def test_what_lanes_cannot_do_is_done_one_at_a_time(options, why):
+    assert why in solve(COMPILED["polynomials"], **options).stats.lanes
+
+
+def growing(t, y, p):
+    total = 0.0
+    while total < p[0]:
+        total += 0.25
+    return total - y[0], y[0]
+
+
+def array_made(t, y, p):
+    return np.array([y[1], -p[0] * y[0]])
+
+
+@pytest.mark.parametrize("fun", [growing, array_made])
+def test_functions_without_a_form_for_lanes_say_why(fun):
+    found = solve(iv.compile(fun))
+    assert found.stats.lanes.startswith("one at a time: ")
+    assert "return a tuple" in found.stats.lanes
+    assert found.success.all()
+
+
+def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
+    monkeypatch.setattr(lanes, "FEWEST", 1000)
+    assert "fewer than 1000" in solve(iv.compile(lotka_volterra)).stats.lanes
+
+
+def test_an_unknown_numba_is_one_warning_and_the_same_result(monkeypatch):
+    monkeypatch.setattr(lanes, "_warned", False)
+    monkeypatch.setattr(lanes, "_machine", lambda llvm, codegen: codegen.has_gone)
+    with pytest.warns(UserWarning, match="this version of numba has no lanes"):
+        found = solve(iv.compile(lotka_volterra))
+    assert "not known" in found.stats.lanes
+    same(found, solve(COMPILED["polynomials"], lanes=1))
+    assert "not known" in solve(iv.compile(lotka_volterra)).stats.lanes  # without a second warning
+
+
+@pytest.mark.parametrize("wrong", [2, True, "all", None])
+def test_lanes_are_auto_or_one(wrong):
+    with pytest.raises(ValueError, match='lanes must be "auto" or 1'):
+        solve(COMPILED["polynomials"], lanes=wrong)
