@@ -296,8 +296,8 @@ class Block {
     retries_ = ~accepted;
   }
 
-  /// Looks at one step in 64 of each lane, as the `StiffnessDetector` of a single run does, with thresholds that find no
-  /// fewer limited steps. So many of them may be a stiff problem: single runs find that out.
+  /// Looks at one step in 64 of each lane, as the `StiffnessDetector` of a single run does, with thresholds that find
+  /// no fewer limited steps. So many of them may be a stiff problem: single runs find that out.
   void note_stability(const M& accepted) {
     const P looks = (1.0 / 64) * steps_, whole = (looks + P(to_integer)) - P(to_integer);
     const M now = accepted & (looks <= whole) & (whole <= looks);
