@@ -3,6 +3,7 @@
 #include "run/lanes/lanes.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <deque>
 #include <limits>
@@ -40,11 +41,11 @@ Status f_alone(void* context, double t, const double* y, double* out) {
 
 struct InLanes {
   std::size_t lanes;
-  bool finite = true;  // all points at which it was asked
+  std::atomic<bool> finite = true;  // all points at which any thread asked it
 
   static void f(void* context, const double* t, const double* y, double* out, const double* p) {
     auto& me = *static_cast<InLanes*>(context);
-    me.finite = me.finite && all_finite(y, 3 * me.lanes) && all_finite(t, me.lanes);
+    if (!all_finite(y, 3 * me.lanes) || !all_finite(t, me.lanes)) me.finite = false;
     for (std::size_t l = 0; l < me.lanes; ++l) law(t[l], y + l, out + l, p + l, me.lanes);
   }
 };
