@@ -252,7 +252,7 @@ FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, 
   return travel(self, {.memory = {bytes, memory.size()}, .anew = anew}, told, request, kept, every);
 }
 
-/// Writes floats, in a tuple or an array, to the parameters. False: they are none, or not as many.
+/// Writes floats, in a tuple or an array, to the parameters. False: some are not floats, or their number is wrong.
 bool read_parameters(nb::handle args, std::span<double> out) {
   if (!PyTuple_Check(args.ptr())) {
     const auto array = nb::cast<ConstVector>(args);

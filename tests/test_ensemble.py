@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from ensembles import same
 
 numba = pytest.importorskip("numba")
 
@@ -62,19 +63,6 @@ def solve(kind: str, method: str = "ode45", workers: int = 2, size: int = SIZE, 
     y0, mu = rows(size)
     given = {"invariants": invariants, "events": event, "args": mu, "workers": workers, "rtol": 1e-5, **options}
     return iv.solve_ensemble(fun, SPAN, options.pop("y0", y0), method, **{k: v for k, v in given.items() if k != "y0"})
-
-
-def same(a: iv.EnsembleSolution, b: iv.EnsembleSolution) -> None:
-    for name in a.keys():  # noqa: SIM118 - a loop over it goes over trajectories
-        if name in ("messages", "events", "stats"):
-            continue
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
-    assert a.messages == b.messages
-    for name in a.stats:
-        np.testing.assert_array_equal(a.stats[name], b.stats[name], err_msg=name)
-    for one, other in zip(a.events, b.events, strict=True):
-        for name in one:
-            np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
 def same_counts(out: iv.EnsembleSolution, i: int, one: iv.Solution) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from ensembles import same
 from invariode._parts import GivenRows, StreamedRows, digest, packed
 from invariode.ensemble import _rows
 
@@ -61,18 +62,6 @@ def solve(form: str, y0: Any = None, **options: Any) -> Any:
     states, args = rows()
     given = {"args": args} if y0 is None else {}
     return iv.solve_ensemble(fun, SPAN, states if y0 is None else y0, events=event, t_eval=TIMES, **given, **options)
-
-
-def same(a: iv.EnsembleSolution, b: iv.EnsembleSolution) -> None:
-    for name in a.keys():  # noqa: SIM118 - a loop over it goes over trajectories
-        if name not in ("messages", "events", "stats"):
-            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
-    assert a.messages == b.messages
-    for name in a.stats:
-        np.testing.assert_array_equal(a.stats[name], b.stats[name], err_msg=name)
-    for one, other in zip(a.events, b.events, strict=True):
-        for name in one:
-            np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
 class Immediate(Executor):

@@ -67,7 +67,7 @@ Projected OneSided::project_once(double t, const double* from, double* y) {
   return within_ != nullptr ? within_->project(t, from, y) : projector_.project(t, from, y);
 }
 
-/// Residuals and distances of the candidate: what does not violate a one-sided invariant is none.
+/// Residuals and distances of the candidate: zero where a one-sided invariant is not violated.
 void OneSided::note(const Projected& did) {
   const Invariants& invariants = projector_.invariants();
   for (std::size_t i = 0; i < residual_.size(); ++i) {

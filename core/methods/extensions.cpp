@@ -23,7 +23,7 @@ constexpr Extension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomial, ro
                               {"TR-BDF2", two_hermite_cubics, rows_of_n},
                               {"numbered", numbered_extension, numbered}};
 
-/// The one of that number; null where there is none, or it is numbered itself.
+/// The extension with that number; null if the number is unknown, or names a numbered extension.
 const Extension* of_number(double number) {
   for (std::size_t i = 0; i < std::size(list); ++i)
     if (number == static_cast<double>(i) && list[i].evaluate != numbered_extension) return &list[i];

@@ -122,7 +122,7 @@ def find_invariants(
     Returns
     -------
     list of PolynomialInvariant
-        Functionally independent ones, low degrees first: no products or powers of others. Empty if there are none, or
+        Functionally independent ones, low degrees first: no products or powers of others. Empty if none is found, or
         if the singular values leave doubt: a wrong invariant is worse than a missing one.
 
     Raises

@@ -91,7 +91,7 @@ def choose_lanes(solver: _core.Solver, fun: Any, size: int) -> Lanes:
 
 
 def _lane_code(compiled: CompiledFunction, n: int, parameters: int, width: int, bits: int) -> LaneCode | str:
-    """The form, or why there is none."""
+    """The form, or the reason why f has no form for lanes."""
     global _warned
     reason = ""
     for by_tuples in (False, True):  # loops over len(y) are unrolled for tuples only

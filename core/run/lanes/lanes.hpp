@@ -84,7 +84,7 @@ struct Instructions {
   std::size_t bits;   ///< of a vector register
   std::span<const Pair> pairs;
 
-  /// Null: the method is none of the pairs.
+  /// Null if the method is not a pair.
   [[nodiscard]] const Pair* pair(std::string_view method) const;
 };
 
