@@ -215,12 +215,12 @@ State Integration::advance() {
 /// exactly.
 bool Integration::begin_step() {
   if (bounded_slope_ && !meet_bounds()) return false;
-  const double t = step_->t();
-  if (step_->hand_over({target_, settings_.hmax, hmin_ulps * ulp(t)}) == Outcome::stop) return end(State::interrupted);
+  const double t = step_->t(), hmin = hmin_ulps * ulp(t);
+  if (step_->hand_over({target_, settings_.hmax, hmin}) == Outcome::stop) return end(State::interrupted);
   interpolant_->start_at(t, step_->y());
-  attempt_ = {.hmin = hmin_ulps * ulp(t)};
+  attempt_ = {.hmin = hmin};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
-  const double size = std::max(attempt_.hmin, std::min({settings_.hmax, huge, step_->h()}));
+  const double size = std::max(hmin, std::min({settings_.hmax, huge, step_->h()}));
   attempt_.landing = stretch * size >= std::abs(target_ - t);
   attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
   attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
