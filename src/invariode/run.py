@@ -162,6 +162,8 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
 def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
+        if "checkpoint_every" in source.options:
+            warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
     who = identity(source.problem, source.method, source.options)
     return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
