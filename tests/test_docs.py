@@ -72,6 +72,13 @@ def test_every_formula_can_be_shown_without_a_network(monkeypatch):
     assert found > 100
 
 
+def test_the_picture_on_the_front_page_is_that_of_todays_solver(monkeypatch):
+    """It says in numbers what it shows; `python docs/picture.py` draws it again."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    picture = importlib.import_module("picture")
+    assert f"<dc:description>{picture.summary()}</dc:description>" in picture.FILE.read_text(encoding="utf-8")
+
+
 def test_indices_and_exponents_written_as_text_are_small_in_print(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     formulas = importlib.import_module("formulas")
