@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, real_numbers
 from ._bound_invariants import BoundInvariants, as_columns
 from ._core import Dense
-from .notebook import html_of_solution
 
 __all__ = [
     "LIMIT_REACHED",
@@ -459,9 +458,6 @@ class Result(dict[str, Any]):
         if self.steps is None:
             raise ValueError('the run did not keep the corrections of its steps: solve with keep="all"')
         return self.steps.correction
-
-    def _repr_html_(self) -> str:
-        return html_of_solution(self)
 
     def __repr__(self) -> str:
         width = max((len(str(name)) for name in self), default=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import io
 import sys
 
@@ -24,4 +26,5 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show ∂ shows ? instead
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    atexit.register(gc.freeze)  # the process ends: a last search for cycles would take longer than a short run
     app()

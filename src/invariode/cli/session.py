@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import re
 import sys
@@ -41,6 +42,7 @@ __all__ = [
     "plain_warnings",
     "print_traceback",
     "stop",
+    "without_collector",
     "writable",
 ]
 
@@ -113,6 +115,18 @@ def plain_warnings() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.showwarning = _Lines()
         yield
+
+
+@contextmanager
+def without_collector() -> Iterator[None]:
+    """Imports and pictures make many objects that stay; searching them for cycles takes a third of the time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def _ours(filename: str) -> bool:

@@ -36,6 +36,7 @@ from .session import (
     method_of,
     numbers,
     stop,
+    without_collector,
     writable,
     write_to,
 )
@@ -334,10 +335,11 @@ def _save(sol: Any, path: Path) -> None:
 
 
 def _draw(sol: Any, name: str, drawn: list[int] | None, log: bool, path: Path) -> None:
-    import matplotlib as mpl
+    with without_collector():
+        import matplotlib as mpl
 
-    from ..paper.plots import STYLE
-    from ..pictures.whole_run import draw
+        from ..paper.plots import STYLE
+        from ..pictures.whole_run import draw
 
-    with mpl.rc_context(STYLE):
-        draw(sol, name, drawn, log).savefig(path, dpi=150)
+        with mpl.rc_context(STYLE):
+            draw(sol, name, drawn, log).savefig(path, dpi=150)
