@@ -60,7 +60,7 @@ def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
 
 def test_where_no_checkpoint_can_be(tmp_path):
     case = random_case(SEED, "ode45")
-    with pytest.raises(FileNotFoundError, match="checkpoint: there is no folder .*nowhere: make it"):
+    with pytest.raises(FileNotFoundError, match=r"checkpoint: there is no folder .*nowhere: make it"):
         case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
     with pytest.warns(UserWarning, match="checkpoint_every has no effect without checkpoint"):
         case.solve(checkpoint_every=10.0)
