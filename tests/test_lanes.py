@@ -11,6 +11,7 @@ import invariode as iv
 from invariode import _core, lanes
 
 numba = pytest.importorskip("numba")
+from invariode import _machine_code  # noqa: E402
 
 SIZE = 60
 SETS = [name for name, _, _ in _core.LANES]
@@ -152,7 +153,7 @@ def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
 
 def test_an_unknown_numba_is_one_warning_and_the_same_result(monkeypatch):
     monkeypatch.setattr(lanes, "_warned", False)
-    monkeypatch.setattr(lanes, "_machine", lambda llvm, codegen: codegen.has_gone)
+    monkeypatch.setattr(_machine_code, "declarations", lambda *functions: numba.has_gone)
     with pytest.warns(UserWarning, match="this version of numba has no lanes"):
         found = solve(iv.compile(lotka_volterra))
     assert "not known" in found.stats.lanes

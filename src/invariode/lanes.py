@@ -17,13 +17,16 @@ import importlib
 import math
 import re
 import threading
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import _core
 from ._arguments import warn
 from .compiled import CompiledFunction, made_by_compile
 
-__all__ = ["LaneCode", "Lanes", "choose_lanes"]
+if TYPE_CHECKING:
+    from ._machine_code import MachineCode
+
+__all__ = ["Lanes", "choose_lanes"]
 
 #: With fewer trajectories the form, which takes about half a second to compile, is not made.
 FEWEST = 1000
@@ -35,19 +38,12 @@ _ENTRY = "invariode_lanes"
 _GROUP = 9999
 
 
-class LaneCode(NamedTuple):
-    """Machine code for all lanes, and what keeps it alive."""
-
-    address: int
-    owner: Any
-
-
 class Lanes(NamedTuple):
     """How an ensemble is solved: in the lanes of `instructions`, or one trajectory at a time, for a `reason`."""
 
     instructions: str = ""
     width: int = 1
-    code: LaneCode | None = None
+    code: MachineCode | None = None
     reason: str = ""
 
     def for_core(self) -> tuple[str, int] | None:
@@ -90,13 +86,13 @@ def choose_lanes(solver: _core.Solver, fun: Any, size: int) -> Lanes:
     return Lanes(reason=code) if isinstance(code, str) else Lanes(name, width, code)
 
 
-def _lane_code(compiled: CompiledFunction, n: int, parameters: int, width: int, bits: int) -> LaneCode | str:
+def _lane_code(compiled: CompiledFunction, n: int, parameters: int, width: int, bits: int) -> MachineCode | str:
     """The form, or the reason why f has no form for lanes."""
     global _warned
-    reason = ""
+    reason, own = "", compiled.has_own_functions(n, parameters)
     for by_tuples in (False, True):  # loops over len(y) are unrolled for tuples only
         try:
-            return _vectorised(_loop(compiled, n, parameters, width, by_tuples), width, bits)
+            return _vectorised(_loop(compiled, n, parameters, width, by_tuples), width, bits, own)
         except _NotVectorisedError as error:
             reason = reason or str(error)
         except Exception as error:  # whatever internals of numba and llvmlite have changed
@@ -147,39 +143,29 @@ def _stores(compiled: CompiledFunction, n: int, parameters: int) -> list[str]:
     raise _NotVectorisedError("f returns a list or an array: return a tuple")
 
 
-def _vectorised(code: Any, width: int, bits: int) -> LaneCode:
+def _vectorised(code: Any, width: int, bits: int, own: bool) -> MachineCode:
     """numba's loop with a constant number of lanes, optimised once more."""
     import llvmlite.binding as llvm
-    from numba.core.registry import cpu_target
 
-    text = code._library.get_llvm_str()
+    from . import _machine_code as made
+
+    text, calls = made.own(code._library.get_llvm_str()) if own else (code._library.get_llvm_str(), [])
     found = re.search(r"define [^@]*@(_ZN[^(]*code[^(]*)\(ptr", text)
     if found is None:
         raise RuntimeError("the compiled loop has another name or other pointers")
-    module = llvm.parse_assembly(text + _entry(found[1], width, bits, known_assume="@llvm.assume(i1" in text))
-    for function in module.functions:
-        if not function.is_declaration and function.name != _ENTRY:
-            function.linkage = llvm.Linkage.private
-            if function.name == found[1]:
-                function.add_function_attribute("alwaysinline")
-    machine = _machine(llvm, cpu_target.target_context.codegen())
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.loop_vectorization, options.slp_vectorization = True, False
-    options.loop_unrolling = options.loop_interleaving = False
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
-    _require_vectors(str(module))
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    return LaneCode(engine.get_function_address(_ENTRY), (engine, code))
-
-
-def _machine(llvm: Any, codegen: Any) -> Any:
-    """A target machine with numba's own options: the code must have the same bits."""
-    options: dict[str, Any] = {"opt": 3}
-    codegen._tm_features = codegen._customize_tm_features()
-    codegen._customize_tm_options(options)
-    return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(**options)
+    entry = _entry(found[1], width, bits, known_assume="@llvm.assume(i1" in text)
+    forms = made.side_by_side(calls, bits // 64)
+    module = llvm.parse_assembly(text + made.declarations(calls, forms) + entry)
+    made.hide(module, _ENTRY)
+    module.get_function(found[1]).add_function_attribute("alwaysinline")
+    machine = made.machine()
+    made.optimise(module, machine, loop_vectorization=True)
+    text = str(module)
+    _require_vectors(text)
+    if calls:
+        module = made.linked(text, bits)
+        made.optimise(module, machine, loop_vectorization=False)
+    return made.finished(module, machine, _ENTRY, code)
 
 
 def _entry(loop: str, width: int, bits: int, known_assume: bool) -> str:
