@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <vector>
 
 #include "callback.hpp"
 #include "run/ensemble.hpp"
@@ -52,11 +53,13 @@ class LaneWorker final : public lanes::Host {
   Queue& queue_;
   EnsembleResult& result_;
   const lanes::Pair& pair_;
-  const lanes::Pair& alone_;  // with one lane
-  Callback f_;                // for that
+  const lanes::Pair& alone_;   // with one lane
+  Callback f_, g_, jacobian_;  // for that
+  std::vector<double> direction_;
+  lanes::Invariant invariant_, invariant_alone_;
   lanes::Job job_, job_alone_;
   Memory memory_, memory_alone_;
-  std::size_t left_ = 0;
+  std::size_t kept_ = 0, left_ = 0;
 };
 
 }  // namespace invariode
