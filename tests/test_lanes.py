@@ -129,6 +129,22 @@ def test_an_invariant_is_held_as_without_lanes(instructions, monkeypatch):
     assert (found.residual_after < 1e-9).all()
 
 
+@pytest.mark.parametrize("method", PAIRS)
+@pytest.mark.parametrize("invariants", [None, ENERGY])
+@pytest.mark.parametrize("interpolation", ["projected", "raw"])
+def test_output_at_times_is_that_of_single_solves(method, invariants, interpolation):
+    options = {"t_eval": [0, 0.1, 0.10001, 1, 2.5, 4], "invariants": invariants, "interpolation": interpolation}
+    found = solve(COMPILED["quartic"], method, **options)
+    assert "lanes, " in found.stats.lanes
+    y0, p = rows()
+    for i in range(0, SIZE, 11):
+        about = {"args": tuple(p[i]), "rtol": 1e-5, **options}
+        one = iv.solve_ivp(COMPILED["quartic"], (0, 4), y0[i], method, **about)
+        np.testing.assert_array_equal(found.y[i], one.y)
+        for count in ("steps", "nfev", "ng", "ngjac", "nfev_check", "projections"):
+            assert found.stats[count][i] == one.stats[count]
+
+
 @pytest.fixture(scope="module", params=["Henon-Heiles", "rigid body"])
 def held(request):
     """A problem of the registry with the first of its invariants, compiled."""
@@ -146,6 +162,8 @@ def test_problems_keep_their_invariant_in_every_pair(held, method):
     random = np.random.default_rng(len(method))
     y0 = np.array(y0) * random.uniform(0.97, 1.03, (40, len(y0)))
     options = {"invariants": invariant, "workers": 2, "rtol": random.choice([1e-4, 1e-6, 1e-9]), "atol": 1e-9}
+    if random.random() < 0.5:
+        options["t_eval"] = np.linspace(0, 3, 31)
     alone = iv.solve_ensemble(fun, (0, 3), y0, method, lanes=1, **options)
     found = iv.solve_ensemble(fun, (0, 3), y0, method, **options)
     same(found, alone)
@@ -186,7 +204,7 @@ def test_failures_are_told_as_without_lanes():
     ("options", "why"),
     [
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
-        ({"t_eval": [1.0, 2.0]}, "t_eval"),
+        ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]))}, "events"),
         ({"max_steps": 10**6}, "limited"),
         ({"nonnegative": True}, "bounds"),

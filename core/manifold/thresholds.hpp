@@ -19,6 +19,7 @@ inline constexpr double sharp_bend = 1, bend_of_correction = 0.2, slight_bend = 
 inline constexpr double slowest_newton = 0.45;
 inline constexpr double last_correction =
     1e-10;  // in units of the weights: it leaves a residual of its square, roundoff
+inline constexpr int interpolation_iterations = 3;  // between steps, at most (docs/algorithms.md, 'Between steps')
 inline constexpr double small_square = 1e-280, large_square = 1e280;  // outside, squares underflow or overflow
 inline constexpr double roundoff_of_g = 10;  // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
 

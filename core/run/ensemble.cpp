@@ -183,9 +183,7 @@ void EnsembleResult::add_alone(std::size_t more) {
 
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
   if (n_t == 0) return;
-  for (std::size_t j = 0; j < run.points.t.size(); ++j)
-    for (std::size_t c = 0; c < n; ++c)
-      y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = run.points.y[j * n + c];
+  for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, &run.points.y[j * n], 1);
 }
 
 /// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them.

@@ -46,7 +46,12 @@ class EnsembleResult {
   void hold(std::size_t i, Run& run);
   /// Keeps what it did; ng gets `uncounted` more. The times of y that it did not reach stay NaN.
   void keep(std::size_t i, Run& run, std::int64_t uncounted);
-  /// The same of one that has reached tf in a lane.
+  /// Output number j, y (n,) with that stride.
+  void put_out(std::size_t i, std::size_t j, const double* row, std::size_t stride) {
+    for (std::size_t c = 0; c < n; ++c)
+      y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = row[c * stride];
+  }
+  /// What one that has reached tf in a lane did, but for its outputs.
   void keep(const lanes::Ended& ended, const Solver& solver);
   /// So many more trajectories were solved one at a time, though the others were not.
   void add_alone(std::size_t count);

@@ -15,6 +15,7 @@
 #include "run/lanes/held.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
+#include "run/lanes/outputs.hpp"
 #include "run/lanes/pack.hpp"
 #include "run/lanes/power.hpp"
 
@@ -40,13 +41,16 @@ class Block {
 
  public:
   /// How many packs a block needs, and their size.
-  static std::size_t memory(const Job& job) { return sizeof(P) * (own_memory(job) + Held<W>::memory(job)); }
+  static std::size_t memory(const Job& job) {
+    return sizeof(P) *
+           (own_memory(job) + Held<W>::memory(job) + Between<W>::memory(job, extension) + Outputs<W>::memory(job));
+  }
 
   Block(const Job& job, Host& host, void* memory)
-      : job_(job), host_(host), held_(job, static_cast<P*>(memory) + own_memory(job)) {
+      : Block(job, host, memory, static_cast<P*>(memory) + own_memory(job)) {
     auto* next = static_cast<P*>(memory);
     const auto take = [&next](std::size_t rows) { return std::exchange(next, next + rows); };
-    for (std::size_t k = 0; k < T.stages; ++k) k_[k] = take(job.n);
+    for (std::size_t k = 0; k < (job.looks_inside() ? T.all_stages : T.stages); ++k) k_[k] = take(job.n);
     y_ = take(job.n);
     stage_ = take(job.n);
     candidate_ = take(job.n);
@@ -87,6 +91,8 @@ class Block {
     }
     for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[0] = from.p[i * from.stride];
     if (holds()) held_.go_on(from);
+    if (job_.output_at_times()) outputs_.go_on(0, from.trajectory, from.output);
+    looked_.lanes()[0] = from.looked;
     occupied_ = 1;
     unsigned attempts = 0;
     while (occupied_ != 0) {
@@ -97,7 +103,18 @@ class Block {
   }
 
  private:
-  static std::size_t own_memory(const Job& job) { return job.n * (T.stages + 5) + 2 * job.parameters; }
+  static constexpr Extension extension{T.all_stages, T.degree, T.B.front().data()};
+  static constexpr std::size_t extra = T.all_stages - T.stages;
+  static std::size_t own_memory(const Job& job) {
+    return job.n * ((job.looks_inside() ? T.all_stages : T.stages) + 5) + 2 * job.parameters;
+  }
+  Block(const Job& job, Host& host, void* /*own*/, P* further)
+      : job_(job),
+        host_(host),
+        held_(job, std::exchange(further, further + Held<W>::memory(job))),
+        between_(job, extension, std::exchange(further, further + Between<W>::memory(job, extension))),
+        outputs_(job, host, further) {}
+
   [[nodiscard]] bool holds() const { return job_.invariant != nullptr; }
   static int count(unsigned set) {
     int n = 0;
@@ -172,7 +189,7 @@ class Block {
     const P h = choose(P(1) < longest * reciprocal, P(1) / reciprocal, longest);
     ready_h_ = job_.first_step > 0 ? P(job_.first_step) : larger(h, smallest_step(t0));
     M odd = ~(norm.value() < P(infinity));
-    if (holds()) odd = odd | held_.start(t0, ready_y_, ready_k_, forward() * ready_h_, ready_p_);
+    if (holds()) odd = odd | held_.start(t0, ready_y_, ready_k_, job_.forward() * ready_h_, ready_p_);
     const unsigned bad = bits(odd);
     int kept = 0;
     for (int l = 0; l < prepared_; ++l) {
@@ -198,6 +215,8 @@ class Block {
     }
     for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[lane] = ready_p_[i].lanes()[from];
     if (holds()) held_.adopt(lane, from);
+    looked_.lanes()[lane] = 0;
+    if (job_.output_at_times()) outputs_.adopt(lane, trajectory_[lane], ready_y_->lanes() + from);
     occupied_ |= one_lane(lane);
     defined_ |= one_lane(lane);
   }
@@ -206,8 +225,9 @@ class Block {
   unsigned settle() {
     const unsigned ended = reached_ & occupied_, odd = odd_ & occupied_;
     if ((ended | odd) == 0) return 0;
-    if (holds() && ended != 0) held_.measure_end(t_, y_, p_);
+    if (holds() && ended != 0) held_.measure(to_mask<W>(ended), t_, y_, p_);
     for (int l = 0; l < W; ++l) {
+      if (has(ended | odd, l)) outputs_.leave(l);
       if (has(odd, l))
         host_.leave(trajectory_[l]);
       else if (has(ended, l))
@@ -225,16 +245,17 @@ class Block {
             .steps = static_cast<std::int64_t>(steps),
             .failed = static_cast<std::int64_t>(failed_.lanes()[lane]),
             .evaluations = evaluations(lane),
-            .held = holds() ? held_.ended(lane, steps) : HeldToEnd{}};
+            .held = holds() ? held_.ended(lane) : HeldToEnd{}};
   }
 
   /// Of f: at the start, then in each attempt those of all stages but the first; the last one only in accepted steps
-  /// where it has no part in the error estimate.
+  /// where it has no part in the error estimate; and those of the extension in steps that were looked into.
   [[nodiscard]] std::int64_t evaluations(int lane) const {
     const auto steps = static_cast<std::int64_t>(steps_.lanes()[lane]);
     const auto attempts = steps + static_cast<std::int64_t>(failed_.lanes()[lane]);
     constexpr auto all = static_cast<std::int64_t>(last);
-    return 1 + (T.last_in_error() ? attempts * all : attempts * (all - 1) + steps);
+    const auto inside = static_cast<std::int64_t>(looked_.lanes()[lane]) * static_cast<std::int64_t>(extra);
+    return 1 + inside + (T.last_in_error() ? attempts * all : attempts * (all - 1) + steps);
   }
 
   [[nodiscard]] Suspended suspended(int lane) const {
@@ -249,7 +270,9 @@ class Block {
             .k = k_[0][0].lanes() + lane,
             .p = job_.parameters > 0 ? p_[0].lanes() + lane : nullptr,
             .held = holds() ? held_.suspended(lane) : nullptr,
-            .stride = W};
+            .stride = W,
+            .looked = looked_.lanes()[lane],
+            .output = outputs_.number(lane)};
   }
 
   // ---------------------------------------------------------------------------------------------------------- a step
@@ -259,7 +282,7 @@ class Block {
     const P rest = P(job_.tf) - t_;
     const P hmin = smallest_step(t_), size = larger(hmin, smaller(P(job_.hmax), h_));
     const M landing = (absolute(rest) <= stretch * size) & ~retries_;
-    const P h = choose(landing, rest, forward() * size), t1 = choose(landing, P(job_.tf), t_ + h);
+    const P h = choose(landing, rest, job_.forward() * size), t1 = choose(landing, P(job_.tf), t_ + h);
     const P purified = t1 - t_, length = absolute(h);
 
     M odd = no_lane<W>();
@@ -285,6 +308,8 @@ class Block {
       accepted = accepted & ~undefined;
     }
     if (holds() && bits(accepted) != 0) odd = odd | judge(accepted, purified, h, t1);
+    accepted = accepted & ~odd;
+    if (job_.looks_inside() && bits(accepted) != 0) odd = odd | put_out(accepted, purified, {t_, t1, y_, y1, p_});
     control(accepted, error, length, hmin);
     note_stability(accepted, purified, y1);
     commit(accepted, t1, y1);
@@ -300,6 +325,39 @@ class Block {
       held_.note_harm(noted, stage_, candidate_);
     }
     return held_.judge(accepted, t1, h, k_[last], steps_ + P(1), p_);
+  }
+
+  /// The outputs of steps that are about to be accepted. Returns those where these are odd.
+  M put_out(const M& accepted, const P& h, const LaneStep<W>& step) {
+    const M due = outputs_.due(accepted, step.t1), inside = outputs_.inside(due, step.t1);
+    M odd = no_lane<W>();
+    if (bits(inside) != 0) {
+      if constexpr (extra > 0) odd = inside & further_stages(h, step);
+      between_.take(step, h, k_);
+      looked_ += choose(inside, P(1), P(0));
+    }
+    if (holds()) held_.look_inside(accepted, inside, step);
+    return bits(due) != 0 ? odd | outputs_.put_out(due, step, between_, holds() ? &held_ : nullptr) : odd;
+  }
+
+  /// Those of the extension, as `Pair::extension` evaluates them. Returns where they are not sound.
+  M further_stages(const P& h, const LaneStep<W>& step) {
+    P largest(0);
+    for (std::size_t k = 0; k < T.stages; ++k) largest = larger(largest, size_of_stage(k, step));
+    M odd = no_lane<W>();
+    for (std::size_t k = T.stages; k < T.all_stages; ++k) {
+      Kernel::extension_argument(k, step.y0, h, k_, job_.n, stage_);
+      odd = odd | mend(stage_, step.y0, job_.n);
+      evaluate(job_.f, step.t1 - (1 - T.c[k]) * h, stage_, k_[k], p_);
+      odd = odd | ~(size_of_stage(k, step) <= runge_kutta::largest_slope * largest);
+    }
+    return odd;
+  }
+  [[nodiscard]] P size_of_stage(std::size_t k, const LaneStep<W>& step) const {
+    LaneNorm<W> norm;
+    for (std::size_t i = 0; i < job_.n; ++i)
+      norm.add(k_[k][i] / weight(i, larger(absolute(step.y0[i]), absolute(step.y1[i]))));
+    return norm.value();
   }
 
   /// |h| of the next attempt, as `Pair::accept` and `Pair::reject` choose it; and the counts.
@@ -357,13 +415,13 @@ class Block {
   }
 
   [[nodiscard]] P weight(std::size_t i, const P& size) const { return lanes::INVARIODE_LANES::weight(job_, i, size); }
-  [[nodiscard]] double forward() const { return job_.tf >= job_.t0 ? 1 : -1; }
   static P smallest_step(const P& t) {
     const P size = absolute(t);
     return hmin_ulps * (next(size) - size);
   }
 
   P t_{0}, h_{0}, steps_{0}, failed_{0};
+  P looked_{0};   // steps that were looked into
   P limited_{0};  // looks at steps that stability limits
   M retries_ = to_mask<W>(0);
   P ready_h_{0};  // of those that are ready to take the place of such as end
@@ -372,6 +430,8 @@ class Block {
   P *y_, *stage_, *candidate_, *p_;
   P *ready_y_, *ready_k_, *ready_p_;
   Held<W> held_;
+  Between<W> between_;
+  Outputs<W> outputs_;
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0;  // lanes
   int prepared_ = 0, ready_ = 0;

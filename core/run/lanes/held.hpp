@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "manifold/thresholds.hpp"
+#include "run/lanes/between.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
@@ -30,10 +31,13 @@ class Held {
     correction,
     norm,
     evaluations,
+    jacobians,
     checks,
     next_look,
     quiet,
     patient,
+    end,
+    known,
     rows
   };
 
@@ -60,7 +64,7 @@ class Held {
   void go_on(const Suspended& from) {
     for (std::size_t i = 0; i < size_of_state(job_); ++i) now_[i].lanes()[0] = from.held[i * from.stride];
   }
-  [[nodiscard]] HeldToEnd ended(int lane, double steps) const {
+  [[nodiscard]] HeldToEnd ended(int lane) const {
     const double* state = now_->lanes() + lane;
     return {.value = state[value * W],
             .before = state[before * W],
@@ -68,7 +72,7 @@ class Held {
             .correction = state[correction * W],
             .evaluations = static_cast<std::int64_t>(state[evaluations * W]),
             .checks = static_cast<std::int64_t>(state[checks * W]),
-            .jacobians = 1 + static_cast<std::int64_t>(steps) * invariant().iterations,
+            .jacobians = static_cast<std::int64_t>(state[jacobians * W]),
             .errors = state + rows * W,
             .corrections = state + (rows + job_.n) * W};
   }
@@ -83,7 +87,7 @@ class Held {
     evaluate(invariant().g, t, y, &g, p);
     ready_[value] = invariant().held ? g : P(invariant().value);
     ready_[evaluations] = P(2);  // one before the run
-    ready_[next_look] = P(1);
+    ready_[jacobians] = ready_[next_look] = P(1);
     for (std::size_t i = 0; i < job_.n; ++i) {
       w_[i] = weight(job_, i, absolute(y[i]));
       point_[i] = y[i];
@@ -91,6 +95,7 @@ class Held {
     const P residual = g - ready_[value];
     M odd = ~(absolute(residual) < P(infinity)) | linearize(t, p);
     odd = odd | ~(absolute(residual) <= roundoff(ready_[value]));
+    if (job_.output_at_times() && job_.times[0] == job_.t0) ready_[after] = absolute(residual);
     return invariant().tested ? odd | start_tests(t, y, f, h, p) : odd;
   }
 
@@ -119,6 +124,7 @@ class Held {
     const M sound = due & ~odd;
     now_[norm] = choose(sound, norm_, now_[norm]);
     now_[evaluations] += choose(sound, P(invariant().iterations), P(0));
+    now_[jacobians] += choose(sound, P(invariant().iterations), P(0));
     const M looked_at = sound & (doubtful | (crossed < P(1)));
     if (bits(looked_at) != 0) odd = odd | measure_after(looked_at, t, p);
     return odd & due;
@@ -153,11 +159,57 @@ class Held {
     return odd & due;
   }
 
-  /// The residual at the end of trajectories.
-  void measure_end(const P& t, const P* y, const P* p) {
+  // ------------------------------------------------------------------------------------------------------- the outputs
+
+  /// Of accepted steps, some of which are looked into: g at both ends of these, as `StepInterpolant` asks for it.
+  void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
+    P start = now_[end], g;
+    const M known_at_start = P(0) < now_[known], asked = looked & ~known_at_start;
+    if (job_.projects && bits(asked) != 0) {
+      evaluate(invariant().g, step.t0, step.y0, &g, step.p);
+      start = choose(known_at_start, start, g);
+    }
+    start_ = start;
+    if (job_.projects && bits(looked) != 0) {
+      evaluate(invariant().g, step.t1, step.y1, &g, step.p);
+      now_[end] = choose(looked, g, now_[end]);
+      now_[evaluations] += choose(looked, P(1), P(0)) + choose(asked, P(1), P(0));
+    }
+    now_[known] = choose(accepted, choose(looked, P(1), P(0)), now_[known]);
+  }
+
+  /// Values between the ends of steps, at θ: onto g = (1−θ) g₀ + θ g₁. Returns the odd ones.
+  M onto(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* y) {
+    const P target = (P(1) - theta) * start_ + theta * now_[end] - now_[value];
+    M odd = no_lane<W>(), open = due & (P(0) < theta) & (theta < P(1));
+    for (int iteration = 0; iteration < interpolation_iterations && bits(open) != 0; ++iteration) {
+      P g;
+      evaluate(invariant().g, t, y, &g, step.p);
+      const P residual = (g - now_[value]) - target;
+      for (std::size_t i = 0; i < job_.n; ++i) point_[i] = y[i];
+      odd = odd | (open & (linearize(t, step.p) | ~(absolute(residual) < P(infinity))));
+      now_[evaluations] += choose(open, P(1), P(0));
+      now_[jacobians] += choose(open, P(1), P(0));
+      const P distance = residual / norm_;
+      LaneNorm<W> moved;
+      for (std::size_t i = 0; i < job_.n; ++i) {
+        const P delta = w_[i] * (row_[i] * distance);
+        moved.add(delta / w_[i]);
+        y[i] = choose(open, y[i] - delta, y[i]);
+      }
+      odd = odd | (open & mend(y, step.y1, job_.n));
+      open = open & ~(moved.value() <= P(last_correction));
+    }
+    return odd;
+  }
+
+  /// The residual at outputs, and at the end.
+  void measure(const M& due, const P& t, const P* y, const P* p) {
     P g;
     evaluate(invariant().g, t, y, &g, p);
-    now_[after] = absolute(g - now_[value]);
+    const P residual = absolute(g - now_[value]);
+    const M larger_or_nan = (now_[after] < residual) | ~(residual <= residual);
+    now_[after] = choose(due & larger_or_nan, residual, now_[after]);
   }
 
  private:
@@ -321,7 +373,7 @@ class Held {
   const Job& job_;
   P *now_, *ready_;  // states
   P *w_, *jacobian_, *row_, *delta_, *point_, *y1_, *sizes_, *slope_;
-  P norm_{0}, moved_{0}, before_{0};  // of the step in work
+  P norm_{0}, moved_{0}, before_{0}, start_{0};  // of the step in work
 };
 
 }  // namespace invariode::lanes::INVARIODE_LANES

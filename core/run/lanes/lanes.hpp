@@ -33,7 +33,7 @@ struct Invariant {
   double (*time_increment)(double t, double h);  ///< of differences with respect to t
 };
 
-/// What is integrated, without anything that only some runs have: events, output on the way, limits.
+/// What is integrated, without anything that only some runs have: events, limits.
 struct Job {
   Called f;
   std::size_t n, parameters;
@@ -47,13 +47,21 @@ struct Job {
   const double* threshold;     ///< (n,)
   const double* scale;         ///< (n,), or null: all 1
   const Invariant* invariant;  ///< or null: none is held
+  // Output on the way:
+  const double* times;  ///< in the order of integration
+  std::size_t count_of_times;
+  bool corrects, projects;  ///< the extension at the ends of a step; values between them
+
+  [[nodiscard]] double forward() const { return tf >= t0 ? 1 : -1; }
+  [[nodiscard]] bool output_at_times() const { return count_of_times > 0; }
+  [[nodiscard]] bool looks_inside() const { return output_at_times(); }
 };
 
 /// What holding the invariant came to: its value, the largest residuals of candidates and at the end, the largest
 /// correction in units of rtol, evaluations of g, of f by its tests, and of its Jacobian, and sums of what the errors
 /// and the corrections of the components were in the looks of `HarmDetector`, with the stride of y.
 struct HeldToEnd {
-  double value, before, after, correction;
+  double value, before, after, correction;  ///< `after`: at outputs and at the end
   std::int64_t evaluations, checks, jacobians;
   const double *errors, *corrections;
 };
@@ -76,6 +84,8 @@ struct Suspended {
   double steps, failed, limited;
   const double *y, *k, *p, *held;
   std::size_t stride;
+  double looked;       ///< into so many steps
+  std::size_t output;  ///< the number of the next one
 };
 
 /// Who hands out trajectories and takes them back. One for each thread.
@@ -88,6 +98,8 @@ class Host {
 
   /// The next trajectory, whose initial value is finite; false: there are no more.
   virtual bool take(std::uint32_t& trajectory) = 0;
+  /// y (n,) with that stride, at output time number `output`.
+  virtual void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) = 0;
   virtual void keep(const Ended& ended) = 0;
   /// Something rare has happened to it: it is to be integrated from its start by the code that knows everything.
   virtual void leave(std::uint32_t trajectory) = 0;

@@ -79,7 +79,11 @@ lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, const lanes:
           .real_limit = real_limit(solver.method().name, runge_kutta::Pairs()),
           .threshold = weights.threshold().data(),
           .scale = weights.scale().empty() ? nullptr : weights.scale().data(),
-          .invariant = invariant.g.function != nullptr ? &invariant : nullptr};
+          .invariant = invariant.g.function != nullptr ? &invariant : nullptr,
+          .times = settings.times.data(),
+          .count_of_times = settings.output_at_times ? settings.times.size() : 0,
+          .corrects = settings.interpolation != Interpolation::raw,
+          .projects = settings.interpolation == Interpolation::projected && invariant.g.function != nullptr};
 }
 
 const lanes::Instructions& of_every_processor() { return *lanes::instructions().back(); }
@@ -109,13 +113,14 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (!problem.events.empty()) return "there are events";
   if (!problem.breakpoints.empty()) return "there are breakpoints";
   if (problem.callback) return "there is a callback";
-  if (settings.output_at_times) return "there is output at t_eval";
+  if (settings.output_at_times && settings.record) return "steps are recorded";
   if (problem.n == 0 || settings.t0 == settings.tf) return "there is nothing to integrate";
   if (!std::isfinite(settings.tf)) return "the interval is infinite";
-  const auto bytes = static_cast<std::int64_t>((problem.n + 1) * sizeof(double));  // of the point that is kept
+  const auto points = static_cast<std::int64_t>(settings.output_at_times ? settings.times.size() : 1);
+  const auto bytes = static_cast<std::int64_t>((problem.n + 1) * sizeof(double));  // of a point that is kept
   const bool limited = settings.max_steps != Settings::unlimited ||
-                       settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= 1 ||
-                       settings.max_bytes <= bytes;
+                       settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= points ||
+                       settings.max_bytes / bytes <= points;
   return limited ? "runs are limited" : nullptr;
 }
 

@@ -28,6 +28,9 @@ class LaneWorker final : public lanes::Host {
   void run();
 
   bool take(std::uint32_t& trajectory) override;
+  void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) override {
+    result_.put_out(trajectory, output, y, stride);
+  }
   void keep(const lanes::Ended& ended) override;
   void leave(std::uint32_t trajectory) override;
   void go_on(const lanes::Suspended& suspended) override;
