@@ -30,12 +30,31 @@ def lotka_volterra(t: float, y: Any, p: Any) -> Any:
     return p[0] * y[0] - y[0] * y[1], y[0] * y[1] - y[1]
 
 
+def first_integral(t: float, y: Any, p: Any) -> Any:
+    """Of `lotka_volterra`."""
+    return y[0] - math.log(y[0]) + y[1] - p[0] * math.log(y[1])
+
+
+def first_integral_slope(t: float, y: Any, p: Any) -> Any:
+    return 1.0 - 1.0 / y[0], 1.0 - p[0] / y[1]
+
+
 def slowed(t: float, y: Any, p: Any) -> Any:
     return p[1] * (p[0] * y[0] - y[0] * y[1]), p[1] * (y[0] * y[1] - y[1])
 
 
 def henon_heiles(t: float, y: Any, p: Any) -> Any:
     return y[2], y[3], -y[0] - 2.0 * p[0] * y[0] * y[1], -y[1] - p[0] * (y[0] * y[0] - y[1] * y[1])
+
+
+def energy(t: float, y: Any, p: Any) -> Any:
+    """Of `henon_heiles`."""
+    quadratic = 0.5 * (y[2] * y[2] + y[3] * y[3] + y[0] * y[0] + y[1] * y[1])
+    return quadratic + p[0] * y[1] * (y[0] * y[0] - y[1] * y[1] / 3.0)
+
+
+def energy_slope(t: float, y: Any, p: Any) -> Any:
+    return y[0] + 2.0 * p[0] * y[0] * y[1], y[1] + p[0] * (y[0] * y[0] - y[1] * y[1]), y[2], y[3]
 
 
 def three_bodies(t: float, y: Any, p: Any) -> Any:
@@ -88,6 +107,14 @@ class Case:
     rows: Callable[[int], tuple[Array, Array]]
     size: int
     elementary: Literal["own", "libm"] = "own"
+    held: tuple[Callable[..., Any], Callable[..., Any]] | None = None  # an invariant, and its Jacobian
+
+    def options(self) -> dict[str, Any]:
+        """Of the solve."""
+        if self.held is None:
+            return {}
+        fun, jac = self.held
+        return {"invariants": iv.Invariants(iv.compile(fun), iv.compile(jac), names="held")}
 
 
 def populations(size: int) -> tuple[Array, Array]:
@@ -119,6 +146,22 @@ CASES = [
     Case("the same, libm's sin", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000, "libm"),
     Case("Hodgkin–Huxley (six exp)", axon, 20.0, currents, 2000),
     Case("the same, libm's exp", axon, 20.0, currents, 2000, "libm"),
+    Case(
+        "Hénon–Heiles, energy held",
+        henon_heiles,
+        20.0,
+        partial(around, [0.1, 0.1, 0.3, 0.1], 0.05),
+        3000,
+        held=(energy, energy_slope),
+    ),
+    Case(
+        "Lotka–Volterra, first integral held (log)",
+        lotka_volterra,
+        10.0,
+        populations,
+        5000,
+        held=(first_integral, first_integral_slope),
+    ),
 ]
 
 
@@ -126,7 +169,8 @@ def measured(case: Case, repetitions: int) -> list[str]:
     """A row of the table: rate one at a time, and how many times that each instruction set gives."""
     y0, p = case.rows(case.size)
     fun = iv.compile(case.fun, elementary=case.elementary)
-    solve = partial(iv.solve_ensemble, fun, (0, case.span), y0, args=p, rtol=TOLERANCE, atol=TOLERANCE, workers=1)
+    options = {"args": p, "rtol": TOLERANCE, "atol": TOLERANCE, "workers": 1, **case.options()}
+    solve = partial(iv.solve_ensemble, fun, (0, case.span), y0, **options)
     alone = solve(lanes=1)
 
     def in_lanes(name: str) -> iv.EnsembleSolution:

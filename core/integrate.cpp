@@ -6,13 +6,13 @@
 #include <stdexcept>
 #include <utility>
 
+#include "manifold/thresholds.hpp"
+
 namespace invariode {
 namespace {
 
-constexpr double hmin_ulps = 16;  // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
-constexpr double stretch = 1.1;   // a step that comes this close to tf lands on it
-constexpr double largest_correction =
-    100;                                 // in units of rtol; right invariants stay below (docs/algorithms.md, 'Guard')
+constexpr double hmin_ulps = 16;         // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
+constexpr double stretch = 1.1;          // a step that comes this close to tf lands on it
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
 constexpr int start_iterations = 5;      // of the projection of the start within bounds: Newton's is at roundoff then
 constexpr int patience = 3;              // corrections refused in a step before the invariant is looked at

@@ -13,9 +13,6 @@
 
 namespace invariode::runge_kutta {
 
-// Slopes of the extension that are larger, in units of the largest of the step, come from beside a singularity of f.
-// (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
-inline constexpr double largest_slope = 100;
 // Arguments of stages that differ by no more than this, in the weights, tell nothing about λ but roundoff.
 inline constexpr double indistinct = 1000 * eps;
 

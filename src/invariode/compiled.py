@@ -30,7 +30,16 @@ import numpy as np
 from . import _core
 from ._arguments import Array, call_name, choice, warn
 
-__all__ = ["CompiledFunction", "compile", "event_value", "is_native", "made_by_compile", "to_native", "values_of"]
+__all__ = [
+    "Compiled",
+    "CompiledFunction",
+    "compile",
+    "event_value",
+    "is_native",
+    "made_by_compile",
+    "to_native",
+    "values_of",
+]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -157,9 +166,9 @@ class CompiledFunction:
         """The function as numba's own, for real numbers."""
         return self._jit(is_complex=False)
 
-    def result_type(self, n: int, parameters: int) -> Any:
-        """numba's type of what the function returns for n components."""
-        return self._result(self.jitted, _Shape(n, n, parameters, event=False))
+    def result_type(self, n: int, size: int, parameters: int) -> Any:
+        """numba's type of what the function returns for n components, where that is `size` values."""
+        return self._result(self.jitted, _Shape(n, size, parameters, event=False))
 
     def _machine_code(self, shape: _Shape) -> _core.Native:
         with self._making:
@@ -205,9 +214,9 @@ class CompiledFunction:
         self._own.add(shape)
         return own
 
-    def has_own_functions(self, n: int, parameters: int) -> bool:
-        """Whether the right-hand side that was made for n components calls our elementary functions."""
-        return _Shape(n, n, parameters, event=False) in self._own
+    def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
+        """Whether what was made for n components, with `size` values, calls our elementary functions."""
+        return _Shape(n, size, parameters, event) in self._own
 
     def _jit(self, is_complex: bool) -> Any:
         """For numba; 1/0 is inf: no exceptions."""
@@ -436,13 +445,23 @@ class _Native(_core.Native):
         return self
 
 
-def made_by_compile(fun: Any) -> tuple[CompiledFunction, int, int] | None:
-    """Of a right-hand side as `to_native` made it for the core: the compiled function, its number of components and of
-    parameters. None: it is another one."""
+class Compiled(NamedTuple):
+    """A function as `compile` made it for the core: of n components and so many parameters, with `size` values."""
+
+    function: CompiledFunction
+    n: int
+    size: int
+    parameters: int
+    event: bool = False
+
+
+def made_by_compile(fun: Any) -> Compiled | None:
+    """What `to_native` made for the core of a compiled function of (t, y, p). None: it is another one."""
     if not isinstance(fun, _Native) or fun.made_of is None:
         return None
     compiled, shape = fun.made_of
-    return (compiled, shape.n, shape.parameters) if shape == _Shape(shape.n, shape.n, shape.parameters, False) else None
+    known = _Shape(shape.n, shape.size, shape.parameters, shape.event)
+    return Compiled(compiled, known.n, known.size, known.parameters, known.event) if shape == known else None
 
 
 def event_value(fun: Any, t: float, y: Array, p: Array) -> float:

@@ -95,6 +95,13 @@ class Functions(NamedTuple):
     value: Array  # at which they are held
     limits: Limits | None  # of y
 
+    def in_lanes(self) -> dict[str, Any]:
+        """What is evaluated in each step, by how messages call it: f, and g and its Jacobian of the first invariant."""
+        functions = {"f": self.fun}
+        for invariant in self.invariants[:1]:
+            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
+        return functions
+
 
 class Plan(NamedTuple):
     """What a run does, and the names in its messages."""
