@@ -11,6 +11,7 @@ import pytest
 
 import invariode as iv
 from invariode import _core, lanes
+from invariode.compiled import Compiled
 
 mpmath = pytest.importorskip("mpmath")
 pytest.importorskip("numba")
@@ -184,7 +185,7 @@ def test_lanes_have_the_bits_of_one_number(name, width, bits):
     p = np.concatenate([random.choice(few, (64 * width, 1)), random.uniform(0, 20, (64 * width, 1))])
     compiled = iv.compile(all_of_them)
     alone = compiled.native(6, 6, 1, False)
-    form = lanes._lane_code(compiled, 6, 1, width, bits)
+    form = lanes._lane_code(Compiled(compiled, 6, 6, 1), width, bits)
     assert not isinstance(form, str), form
     expected = np.empty_like(y)
     for at, row, out in zip(p, y, expected, strict=True):
