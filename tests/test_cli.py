@@ -356,7 +356,7 @@ def test_missing_package_is_named_before_the_work(option, file, package, extra, 
     monkeypatch.setattr("invariode.cli.session.find_spec", lambda name: None if name == package else object())
     outcome = invariode("solve", "faulty.py:raising", option, file)
     assert outcome.exit_code == 1
-    assert outcome.output == f"{option} needs {package}: pip install invariode[{extra}]\n"
+    assert outcome.output == f'{option} needs {package}: pip install "invariode[{extra}]"\n'
 
 
 @pytest.mark.parametrize("ending", list(OUTPUTS))

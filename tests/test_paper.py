@@ -257,7 +257,7 @@ def test_command_paper_without_matplotlib_says_what_to_install(monkeypatch):
     outcome = CliRunner().invoke(app, ["paper"])
     assert outcome.exit_code == 1
     assert "--no-report" in outcome.output
-    assert "pip install invariode[plot]" in outcome.output
+    assert 'pip install "invariode[plot]"' in outcome.output
 
 
 def test_command_methods_lists_the_registry():
@@ -298,7 +298,7 @@ def test_module_is_the_command():
 def test_missing_extra_is_named(missing):
     done = command("methods", prelude=f"import sys; sys.modules['{missing}'] = None")
     assert done.returncode == 1
-    assert done.stderr.strip() == f"The command line needs {missing}: pip install invariode[cli]"
+    assert done.stderr.strip() == f'The command line needs {missing}: pip install "invariode[cli]"'
 
 
 def test_library_and_table_need_no_extra():
