@@ -526,7 +526,7 @@ def test_files_need_numpy_only(tmp_path):
 def test_what_is_missing_says_how_it_is_had(module, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     sol = KEPLER.solve("ode45")
-    with pytest.raises(ModuleNotFoundError, match=rf"{module}: pip install invariode\[data\]"):
+    with pytest.raises(ModuleNotFoundError, match=rf'{module}: pip install "invariode\[data\]"'):
         sol.to_xarray() if module == "xarray" else sol.to_dataframe()
 
 

@@ -596,7 +596,7 @@ def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch)
     monkeypatch.delitem(sys.modules, "invariode.plotting")
     monkeypatch.delattr(iv, "plotting")
     for draw in DRAWINGS.values():
-        with pytest.raises(ModuleNotFoundError, match=r"pip install invariode\[plot\]"):
+        with pytest.raises(ModuleNotFoundError, match=r'pip install "invariode\[plot\]"'):
             draw(sol)
     subprocess.run([sys.executable, "-c", "import invariode, sys; assert 'matplotlib' not in sys.modules"], check=True)
 

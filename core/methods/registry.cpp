@@ -141,7 +141,7 @@ constexpr Method others[] = {
      .mass = MassMatrices::any,
      .make = make_implicit<Radau>},
     {.name = "auto",
-     .summary = "ode113 and ode15s that take turns, for problems of which nobody knows whether they are stiff",
+     .summary = "ode113 and ode15s taking turns, for problems that may or may not be stiff",
      .family = "explicit and implicit methods that take turns",
      .source = "L. R. Petzold, Automatic selection of methods for solving stiff and nonstiff systems of ordinary "
                "differential equations, SIAM J. Sci. Stat. Comput. 4 (1983) 136-148",

@@ -351,7 +351,7 @@ def _numba() -> Any:
     try:
         import numba
     except ImportError:
-        raise ModuleNotFoundError("invariode.compile needs numba: pip install invariode[compiled]") from None
+        raise ModuleNotFoundError('invariode.compile needs numba: pip install "invariode[compiled]"') from None
     return numba
 
 

@@ -313,7 +313,7 @@ class EnsembleStore:
         try:
             import xarray
         except ModuleNotFoundError:
-            raise ModuleNotFoundError("this needs xarray: pip install invariode[data]", name="xarray") from None
+            raise ModuleNotFoundError('this needs xarray: pip install "invariode[data]"', name="xarray") from None
         whole = xarray.open_zarr(self.path, consolidated=False, drop_variables=["digest"])
         data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
         return data
@@ -399,7 +399,7 @@ def _zarr() -> Any:
     try:
         import zarr
     except ModuleNotFoundError:
-        raise ModuleNotFoundError("store= needs zarr: pip install invariode[cluster]", name="zarr") from None
+        raise ModuleNotFoundError('store= needs zarr: pip install "invariode[cluster]"', name="zarr") from None
     return zarr
 
 

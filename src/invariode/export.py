@@ -194,7 +194,7 @@ def _extra(module: str) -> Any:
     except ModuleNotFoundError as missing:
         if missing.name != module:
             raise
-        message = f"this needs {module}: pip install invariode[data]"
+        message = f'this needs {module}: pip install "invariode[data]"'
         raise ModuleNotFoundError(message, name=module) from None
 
 

@@ -21,7 +21,7 @@ def main() -> None:
         package = (missing.name or "").partition(".")[0]
         if package not in _EXTRA:
             raise
-        print(f"The command line needs {package}: pip install invariode[cli]", file=sys.stderr)
+        print(f'The command line needs {package}: pip install "invariode[cli]"', file=sys.stderr)
         raise SystemExit(1) from None
     for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show ∂ shows ? instead
         if isinstance(stream, io.TextIOWrapper):

@@ -192,7 +192,7 @@ def needs(what: str, packages: Iterable[str], extra: str) -> None:
     """Stops if a package is not installed, and says what to install."""
     for package in packages:
         if find_spec(package) is None:
-            raise stop(f"{what} needs {package}: pip install invariode[{extra}]", code=1)
+            raise stop(f'{what} needs {package}: pip install "invariode[{extra}]"', code=1)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ _MARKERS = "o^Dvps"
 
 def require_matplotlib() -> None:
     if find_spec("matplotlib") is None:
-        raise ModuleNotFoundError("pictures need matplotlib: pip install invariode[plot]", name="matplotlib")
+        raise ModuleNotFoundError('pictures need matplotlib: pip install "invariode[plot]"', name="matplotlib")
 
 
 def new(sol: Result, **options: Any) -> Axes:
