@@ -79,6 +79,11 @@ def three_bodies(t: float, y: Any, p: Any) -> Any:
     )
 
 
+def kepler(t: float, y: Any, p: Any) -> Any:
+    pull = p[0] * (y[0] * y[0] + y[1] * y[1]) ** -1.5
+    return y[2], y[3], -pull * y[0], -pull * y[1]
+
+
 def pendulum(t: float, y: Any, p: Any) -> Any:
     return y[1], -p[0] * math.sin(y[0])
 
@@ -142,6 +147,8 @@ CASES = [
     Case(f"the same, costs unequal by {LONGEST:.0f}", slowed, 10.0, unequal, 1000),
     Case("Hénon–Heiles", henon_heiles, 20.0, partial(around, [0.1, 0.1, 0.3, 0.1], 0.05), 5000),
     Case("three bodies, n = 12", three_bodies, 5.0, partial(around, BODIES, 0.02), 2000),
+    Case("Kepler (x^-1.5)", kepler, 10.0, partial(around, [1.0, 0.0, 0.0, 0.9], 0.1), 5000),
+    Case("the same, libm's pow", kepler, 10.0, partial(around, [1.0, 0.0, 0.0, 0.9], 0.1), 5000, "libm"),
     Case("pendulum (sin)", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000),
     Case("the same, libm's sin", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000, "libm"),
     Case("Hodgkin–Huxley (six exp)", axon, 20.0, currents, 2000),

@@ -1,9 +1,10 @@
-"""sin, cos, exp and log from + − × ÷ and operations on bits: the same results for one number and in vector registers,
-on every processor.
+"""sin, cos, exp, log and powers such as x^1.5 from + − × ÷ √ and operations on bits: the same results for one number
+and in vector registers, on every processor.
 
 Errors are below 1 unit in the last place for all arguments (tests/test_elementary.py). Each function is straight-line
 code that is right for usual arguments, followed by one branch that is taken if some argument is unusual: large for
-sin and cos, with an overflow or underflow for exp, not positive or subnormal for log.
+sin and cos, with an overflow or underflow for exp, not positive or subnormal for log, far from 1 for powers, which are
+then the library's.
 
 The functions are written once, with operators on values of LLVM's language: on doubles and on vectors of them.
 `.ci/minimax.py` prints the constants.
@@ -13,12 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 from ._values import Value, bits_of, looked_up
 
-__all__ = ["FORMULAS", "LARGEST", "Formula"]
+__all__ = ["FORMULAS", "LARGEST", "LIBRARY", "POWERS", "Formula"]
 
 #: sin(r) = r + r³ p(r²) and cos(r) = 1 − r²/2 + r⁴ p(r²) for |r| ≤ π/4, with relative errors of 2^-57.8 and 2^-63.8.
 SINE = (
@@ -80,6 +82,8 @@ MANTISSA = (1 << 52) - 1
 LAST_11 = (1 << 11) - 1
 #: What 64 bits have beyond a mantissa.
 LAST_12 = (1 << 12) - 1
+#: The half of a mantissa.
+LAST_27 = (1 << 27) - 1
 #: Of exponents.
 BIAS = 1023
 
@@ -287,6 +291,48 @@ def is_normal_and_positive(x: Value) -> Value:
     return x.compared(">=", SMALLEST_NORMAL) & x.compared("<=", LARGEST)
 
 
+class Twofold(NamedTuple):
+    """A sum whose tail is smaller than a unit in the last place of its head, or so."""
+
+    head: Value
+    tail: Value
+
+
+def product(a: Value, b: Value) -> Twofold:
+    """Without error but that of the tail (Dekker); a and b are cut in two, heads of 26 bits."""
+    head = a * b
+    a_head, b_head = ((one.bits & ~LAST_27).number for one in (a, b))
+    a_tail, b_tail = a - a_head, b - b_head
+    return Twofold(head, (((a_head * b_head - head) + a_head * b_tail) + a_tail * b_head) + a_tail * b_tail)
+
+
+def half_power(x: Value, n: int) -> Value:
+    """x^(n/2) of odd n from −5 to 5, by s = √x rounded and e = x − s²."""
+    s = x.square_root()
+    square = product(s, s)
+    e = (x - square.head) - square.tail
+    if n == -1:
+        inverse = 1.0 / s
+        return inverted(Twofold(s, e * inverse * 0.5), inverse)
+    power = product(x, s)
+    power = Twofold(power.head, power.tail + (s * e) * 0.5)
+    if abs(n) == 5:
+        higher = product(x, power.head)
+        power = Twofold(higher.head, higher.tail + x * power.tail)
+    return inverted(power, 1.0 / power.head) if n < 0 else power.head + power.tail
+
+
+def inverted(x: Twofold, inverse: Value) -> Value:
+    """1/x, from that of its head."""
+    unity = product(inverse, x.head)
+    return inverse + inverse * (((1.0 - unity.head) - unity.tail) - inverse * x.tail)
+
+
+def has_half_powers(x: Value) -> Value:
+    """Without overflow or underflow in between."""
+    return x.compared(">=", 2.0**-200) & x.compared("<=", 2.0**200)
+
+
 class Formula(NamedTuple):
     """A function: for usual arguments, which are those, and for others, perhaps only one at a time."""
 
@@ -301,4 +347,17 @@ FORMULAS = {
     "cos": Formula(cosine, is_small_angle, cosine_of_large, one_at_a_time=True),
     "exp": Formula(exponential, is_small_exponent, exponential_of_large, one_at_a_time=False),
     "log": Formula(logarithm, is_normal_and_positive, logarithm_of_any, one_at_a_time=False),
+}
+#: Names of the mathematical library.
+LIBRARY = tuple(FORMULAS)
+#: Constant exponents of its power that have formulas, and their names.
+POWERS = {n / 2: f"half_power_{n}".replace("-", "minus_") for n in (-5, -3, -1, 3, 5)}
+FORMULAS |= {
+    name: Formula(
+        partial(half_power, n=round(2 * exponent)),
+        has_half_powers,
+        partial(Value.library_power, exponent=exponent),
+        one_at_a_time=True,
+    )
+    for exponent, name in POWERS.items()
 }

@@ -1,4 +1,4 @@
-"""From numba's code to machine code, with our sin, cos, exp and log in place of the mathematical library's.
+"""From numba's code to machine code, with our elementary functions in place of the mathematical library's.
 
 numba leaves calls such as ``call double @llvm.sin.f64(double %x)`` in its intermediate representation, also those of
 the user's helpers. They get other names here, and LLVM inlines what `_elementary` defines under these names.
@@ -15,7 +15,7 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 from numba.core.registry import cpu_target
 
-from ._elementary import FORMULAS, LARGEST, Formula
+from ._elementary import FORMULAS, LARGEST, LIBRARY, POWERS, Formula
 from ._values import Value
 
 __all__ = [
@@ -32,11 +32,17 @@ __all__ = [
 ]
 
 #: More calls of our functions in one code are not inlined: they would take long to compile.
-MOST_INLINED = 16
+MOST_INLINED = 32
 
-_NAMES = "|".join(FORMULAS)
-_LIBRARY = re.compile(rf"@(?:llvm\.)?({_NAMES})(?:\.(?:v(\d+))?f64)?\(")
-_OURS = re.compile(rf"call [^@\n]*@invariode_({_NAMES})(?:_([vm])(\d+))?\(")
+_LIBRARY = re.compile(rf"@(?:llvm\.)?({'|'.join(LIBRARY)})(?:\.(?:v(\d+))?f64)?\(")
+_CONSTANT = r"[-+.e\d]+"
+#: A power with a constant exponent, which for vectors is one number in several spellings.
+_POWER = re.compile(
+    r"@(?:llvm\.)?pow(?:\.(?:v(?P<lanes>\d+))?f64)?\((?P<x>[^()]+), (?:"
+    rf"double (?P<one>{_CONSTANT})|<\d+ x double> (?:splat \(double (?P<all>{_CONSTANT})\)"
+    rf"|<double (?P<each>{_CONSTANT})(?:, double (?P=each))*>))\)"
+)
+_OURS = re.compile(rf"call [^@\n]*@invariode_({'|'.join(FORMULAS)})(?:_([vm])(\d+))?\(")
 #: Keeps functions that nobody calls yet.
 _KEPT = "@llvm.compiler.used = appending global"
 
@@ -80,8 +86,16 @@ def own(text: str) -> tuple[str, list[Function]]:
         calls.add(one)
         return f"@{one.symbol}("
 
+    def renamed_power(match: re.Match[str]) -> str:
+        name = POWERS.get(float(match["one"] or match["all"] or match["each"]))
+        if name is None:
+            return match[0]
+        one = Function(name, int(match["lanes"] or 1))
+        calls.add(one)
+        return f"@{one.symbol}({match['x']})"
+
     lines = (line for line in text.splitlines() if not (line.startswith("declare ") and _LIBRARY.search(line)))
-    return _LIBRARY.sub(renamed, "\n".join(lines)), sorted(calls)
+    return _POWER.sub(renamed_power, _LIBRARY.sub(renamed, "\n".join(lines))), sorted(calls)
 
 
 def side_by_side(calls: Iterable[Function], lanes: int) -> list[Function]:

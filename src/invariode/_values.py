@@ -58,6 +58,9 @@ class Value:
     def __truediv__(self, other: Value) -> Value:
         return self._made("fdiv", self.ir, other.ir)
 
+    def __rtruediv__(self, other: float) -> Value:
+        return Value(self.builder, self._like(other)) / self
+
     def __and__(self, other: Value | int) -> Value:
         return self._made("and_", self.ir, self._like(other))
 
@@ -80,6 +83,21 @@ class Value:
     def leading_zeros(self) -> Value:
         """Of one integer; of 0 as many as it has bits."""
         return self._made("ctlz", self.ir, ir.Constant(ir.IntType(1), 0))
+
+    def _called(self, name: str, *arguments: Value) -> Value:
+        """The value of an external function of such values."""
+        kind, module = self.ir.type, self.builder.module
+        function = module.globals.get(name) or ir.Function(module, ir.FunctionType(kind, [kind] * len(arguments)), name)
+        return Value(self.builder, self.builder.call(function, [one.ir for one in arguments]))
+
+    def square_root(self) -> Value:
+        """Correctly rounded, by the processor's instruction."""
+        vector = isinstance(self.ir.type, ir.VectorType)
+        return self._called(f"llvm.sqrt.{f'v{self.ir.type.count}' if vector else ''}f64", self)
+
+    def library_power(self, exponent: float) -> Value:
+        """Of one number, by the mathematical library."""
+        return self._called("pow", self, Value(self.builder, self._like(exponent)))
 
     def compared(self, sign: str, other: Value | float) -> Value:
         """False where a number is NaN."""

@@ -112,7 +112,7 @@ class CompiledFunction:
     inplace : bool
         Whether it fills an output.
     elementary : {"own", "libm"}
-        Whose sin, cos, exp and log it calls.
+        Whose elementary functions it calls.
     """
 
     def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
@@ -292,8 +292,8 @@ def compile(
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
     elementary : {"own", "libm"}, default "own"
-        Whose sin, cos, exp and log of real numbers it calls. Our own are inlined, also into the form for lanes of
-        `invariode.solve_ensemble`, are right to 0.8 units in the last place for all arguments, and have the same bits
+        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers it calls. Our own are inlined, also into the
+        form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and the same bits
         on every processor. "libm": those of the platform's mathematical library, one call for each number.
 
     Returns
