@@ -531,6 +531,9 @@ void define_summary_of_run(RunClass& run) {
     for (const Derivative one : r.derivatives) names.push_back(name_of(one));
     return names;
   });
+  property(run, "left_complex_steps", [](const RunResult& r) { return r.linear.left_complex_steps; });
+  property(run, "enlargements", [](const RunResult& r) { return r.linear.enlargements; });
+  property(run, "pattern", [](const RunResult& r) { return std::make_pair(r.linear.entries, r.linear.groups); });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });

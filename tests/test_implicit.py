@@ -144,7 +144,12 @@ REFUSED = {
     ),
     "function's shape, sparse": ({"jac": lambda t, y: sparse.eye_array(4)}, ValueError, r"shape \(4, 4\)"),
     "a vector": ({"jac": [1, 2, 3]}, ValueError, "jac must be 2-dimensional"),
-    "text": ({"jac": "exact"}, TypeError, "jac must hold numbers"),
+    "text": (
+        {"jac": "exact"},
+        ValueError,
+        "jac must be a function, a matrix, 'complex-step' or 'differences', got 'exact'",
+    ),
+    "text for a pattern": ({"jac_sparsity": "some"}, ValueError, "jac_sparsity must be a matrix, 'detect' or 'dense'"),
     "None": ({"jac": lambda t, y: None}, TypeError, r"jac\(t, y\) must hold numbers"),
     "complex": ({"jac": 1j * np.eye(3)}, TypeError, "jac is complex, expected real numbers"),
     "not packed": (

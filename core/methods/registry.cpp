@@ -45,7 +45,8 @@ double calls_per_jacobian(const Jacobian& jacobian) {
   switch (jacobian.kind()) {
     case Jacobian::Kind::constant: return 0;
     case Jacobian::Kind::function: return 1;
-    case Jacobian::Kind::differences: break;
+    case Jacobian::Kind::differences:
+    case Jacobian::Kind::complex_steps: break;
   }
   return static_cast<double>(jacobian.groups());
 }

@@ -70,6 +70,11 @@ class _Shape(NamedTuple):
     event: bool
     second: int = 0  # components of a second vector, of the n
     is_complex: bool = False
+    real_time: bool = False  # of a complex one: t is no part of y_
+
+    @property
+    def complex_time(self) -> bool:
+        return self.is_complex and not self.real_time
 
     @property
     def vectors(self) -> list[str]:
@@ -77,7 +82,8 @@ class _Shape(NamedTuple):
 
     def unpacked(self) -> list[str]:
         """Lines that bind what the function takes, from y_: (t,) q and v, in succession."""
-        first, middle = int(self.is_complex), int(self.is_complex) + self.n - self.second
+        first = int(self.complex_time)
+        middle = first + self.n - self.second
         if not first and not self.second:
             return [f"y = carray(y_, ({self.n},))"]
         lines = [f"x = carray(y_, ({first + self.n},))", f"y = x[{first}:{middle}]"]
@@ -148,8 +154,11 @@ class CompiledFunction:
         two vectors, of n - second and second components, which follow each other in y."""
         return self._machine_code(_Shape(n, size, parameters, event, second))
 
-    def complex_native(self, n: int, size: int, parameters: int, second: int = 0) -> _core.Native:
-        """The same function of complex t and y, which follow each other, with complex values.
+    def complex_native(
+        self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
+    ) -> _core.Native:
+        """The same function of complex t and y, which follow each other, with complex values; with `real_time` of real
+        t and complex y.
 
         Raises
         ------
@@ -157,7 +166,7 @@ class CompiledFunction:
             numba cannot compile it for complex numbers.
         """
         try:
-            return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True))
+            return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True, real_time=real_time))
         except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
 
@@ -190,7 +199,7 @@ class CompiledFunction:
             head = "def code(t, y_, p_):"
             body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
         else:
-            head = f"def code({'t_' if shape.is_complex else 't'}, y_, out_, p_):"
+            head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
             body += [] if self.inplace else self._stores(jitted, shape)
@@ -223,7 +232,10 @@ class CompiledFunction:
         numba = _numba()
         if is_complex:
             if self._jitted_complex is None:
-                self._jitted_complex = numba.njit(_with_complex_math(self.fun), error_model="numpy")
+                from ._complex_code import ComplexCompiler
+
+                options = {"error_model": "numpy", "pipeline_class": ComplexCompiler}
+                self._jitted_complex = numba.njit(**options)(_with_complex_math(self.fun))
             return self._jitted_complex
         if self._jitted is None:
             self._jitted = numba.njit(self.fun, error_model="numpy")
@@ -266,7 +278,8 @@ class CompiledFunction:
         numba = _numba()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         vector, values = numba.types.Array(number, 1, "C"), numba.types.Array(numba.types.double, 1, "C")
-        arguments = (number, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
+        time = number if shape.complex_time else numba.types.double
+        arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
         try:
             jitted.compile(arguments)
         except (numba.core.errors.NumbaError, TypeError) as error:
