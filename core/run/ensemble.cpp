@@ -111,6 +111,8 @@ EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
       after(size * m),
       correction(size),
       clipped(size),
+      stiff_since(size, undefined),
+      discontinuity(size, undefined),
       count(size * counts),
       state(size),
       occurrences(solver.problem().events.size()) {}
@@ -130,6 +132,8 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   one.ng += uncounted;
   t[i] = one.t_end;
   clipped[i] = one.clipped;
+  if (one.stiffness.found) stiff_since[i] = one.stiffness.since;
+  if (!one.discontinuities.empty()) discontinuity[i] = one.discontinuities.front();
   std::copy(one.end(), one.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);
@@ -144,7 +148,8 @@ void EnsembleResult::keep(const lanes::Ended& ended, double tf) {
   for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = ended.y[c * ended.stride];
   state[i] = static_cast<std::int8_t>(State::reached_end);
   static_assert(RunResult::count_names[2] == std::string_view("nfev"));
-  std::copy_n(std::array{ended.steps, ended.failed, ended.evaluations}.begin(), 3, &count[i * counts]);
+  static_assert(RunResult::count_names[3] == std::string_view("nfev_check"));
+  std::copy_n(std::array{ended.steps, ended.failed, ended.evaluations, ended.checks}.begin(), 4, &count[i * counts]);
 }
 
 void EnsembleResult::add_alone(std::size_t more) {

@@ -19,6 +19,7 @@ __all__ = [
     "LIMIT_REACHED",
     "BeforeProjection",
     "DenseSolution",
+    "DiscontinuityWarning",
     "Drift",
     "Names",
     "Record",
@@ -66,7 +67,7 @@ class Stats(Record):
     nfev : int
         Evaluations of f by the method.
     nfev_check : int
-        Evaluations of f by the tests of invariants; not in `nfev`.
+        Evaluations of f by the tests of invariants, and in search of its jumps; not in `nfev`.
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
@@ -102,6 +103,9 @@ class Stats(Record):
         of the accelerations was factorised, 'sparse' and 'dense'.
     stiff_since : float or None
         From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
+    discontinuities : tuple of float
+        Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
+        value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
     """
 
     steps: int
@@ -123,10 +127,15 @@ class Stats(Record):
     clipped_amount: float = 0.0
     mechanics: dict[str, Any] | None = None
     stiff_since: float | None = None
+    discontinuities: tuple[float, ...] = ()
 
 
 class StiffnessWarning(UserWarning):
     """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff."""
+
+
+class DiscontinuityWarning(UserWarning):
+    """f looks discontinuous where attempts fail: `breakpoints` and events save them."""
 
 
 class Steps(Record):

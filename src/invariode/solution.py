@@ -9,9 +9,9 @@ from ._arguments import Array, unknown_option, warn
 from ._options import TABLE, ExtensionOptions
 from .export import Exports
 from .plotting import Plots
-from .result import DenseSolution, Drift, Stats, Steps, StiffnessWarning
+from .result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 
-__all__ = ["DenseSolution", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
+__all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
 
 
 class Origin(Protocol):
