@@ -6,13 +6,13 @@
 #include <stdexcept>
 #include <utility>
 
+#include "manifold/thresholds.hpp"
+
 namespace invariode {
 namespace {
 
-constexpr double hmin_ulps = 16;  // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
-constexpr double stretch = 1.1;   // a step that comes this close to tf lands on it
-constexpr double largest_correction =
-    100;                                 // in units of rtol; right invariants stay below (docs/algorithms.md, 'Guard')
+constexpr double hmin_ulps = 16;         // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
+constexpr double stretch = 1.1;          // a step that comes this close to tf lands on it
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
 constexpr int start_iterations = 5;      // of the projection of the start within bounds: Newton's is at roundoff then
 constexpr int patience = 3;              // corrections refused in a step before the invariant is looked at
@@ -215,12 +215,12 @@ State Integration::advance() {
 /// exactly.
 bool Integration::begin_step() {
   if (bounded_slope_ && !meet_bounds()) return false;
-  const double t = step_->t();
-  if (step_->hand_over({target_, settings_.hmax, hmin_ulps * ulp(t)}) == Outcome::stop) return end(State::interrupted);
+  const double t = step_->t(), hmin = hmin_ulps * ulp(t);
+  if (step_->hand_over({target_, settings_.hmax, hmin}) == Outcome::stop) return end(State::interrupted);
   interpolant_->start_at(t, step_->y());
-  attempt_ = {.hmin = hmin_ulps * ulp(t)};
+  attempt_ = {.hmin = hmin};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
-  const double size = std::max(attempt_.hmin, std::min({settings_.hmax, huge, step_->h()}));
+  const double size = std::max(hmin, std::min({settings_.hmax, huge, step_->h()}));
   attempt_.landing = stretch * size >= std::abs(target_ - t);
   attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
   attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;

@@ -58,6 +58,14 @@ def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
     assert not differences(whole, iv.load(path, case.problem(), **case.functions))
 
 
+def test_where_no_checkpoint_can_be(tmp_path):
+    case = random_case(SEED, "ode45")
+    with pytest.raises(FileNotFoundError, match=r"checkpoint: there is no folder .*nowhere: make it"):
+        case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
+    with pytest.warns(UserWarning, match="checkpoint_every has no effect without checkpoint"):
+        case.solve(checkpoint_every=10.0)
+
+
 def test_between_two_attempts_of_a_step(method):
     """The limit of time is looked at after each attempt, also one that failed."""
 

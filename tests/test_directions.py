@@ -31,7 +31,7 @@ START = [0.0, 0, 0, 0, 1.5, -0.5, 0.25, -1.0]
 START_STATE = np.array(START)
 
 #: Methods whose Newton iterations, on matrices made of differences, leave more than roundoff in linear laws.
-LINEAR = {"ode23s": 1e-6, "ode23tb": 1e-10, "radau": 1e-10}
+LINEAR = {"ode23s": 1e-6, "ode23t": 1e-10, "ode23tb": 1e-9, "radau": 1e-10}
 
 
 def energy(direction):

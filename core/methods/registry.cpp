@@ -8,6 +8,7 @@
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
 #include "methods/switching.hpp"
+#include "methods/trapezoidal.hpp"
 #include "methods/trbdf2.hpp"
 
 namespace invariode {
@@ -44,7 +45,8 @@ double calls_per_jacobian(const Jacobian& jacobian) {
   switch (jacobian.kind()) {
     case Jacobian::Kind::constant: return 0;
     case Jacobian::Kind::function: return 1;
-    case Jacobian::Kind::differences: break;
+    case Jacobian::Kind::differences:
+    case Jacobian::Kind::complex_steps: break;
   }
   return static_cast<double>(jacobian.groups());
 }
@@ -117,6 +119,17 @@ constexpr Method others[] = {
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::constant_regular,
      .make = make_implicit<Rosenbrock>},
+    {.name = "ode23t",
+     .summary = "trapezoidal rule, for moderately stiff problems at crude tolerances, without damping, and M y' = f",
+     .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
+     .source = "L. F. Shampine, M. W. Reichelt, J. A. Kierzenka, Solving index-1 DAEs in MATLAB and Simulink, SIAM "
+               "Rev. 41 (1999) 538-552",
+     .min_order = Trapezoidal::formula_order,
+     .order = Trapezoidal::formula_order,
+     .extension_order = Trapezoidal::formula_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::any,
+     .make = make_implicit<Trapezoidal>},
     {.name = "ode23tb",
      .summary = "TR-BDF2 of order 2, for stiff problems at crude tolerances and M y' = f",
      .family = "implicit Runge-Kutta, for stiff problems and M y' = f",

@@ -42,7 +42,7 @@ void require_sizes(const Problem& problem, const Weights& weights) {
 }
 
 Jacobian make_jacobian(const LinearTerms& linear, const Weights& weights) {
-  return {linear.kind, linear.jacobian, linear.function, weights};
+  return {linear.source, linear.jacobian, weights};
 }
 
 Solver::Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options)

@@ -49,7 +49,9 @@ void Run::see_pieces() {
     block.complex_g = piece_.seen(block.complex_g);
   }
   if (!problem.linear) return;
-  problem.linear->function = piece_.seen(problem.linear->function);
+  Jacobian::Source& source = problem.linear->source;
+  source.function = piece_.seen(source.function);
+  source.complex_f = piece_.seen(source.complex_f);
   if (problem.linear->mass) problem.linear->mass->see([this](const MatrixFunction& m) { return piece_.seen(m); });
 }
 
@@ -164,7 +166,7 @@ std::int64_t Run::evaluations_of_prepare() const {
 }
 
 void Run::count_evaluations(RunResult& result) const {
-  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0);
+  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
   if (!steps_) return;
   result.ng = -before_;
   result.nfev_check = slope_->evaluations();

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ._arguments import EPS
 from ._bounds import Limits
-from ._core import Run
+from ._core import Linear, Run
 
 #: Runs that do not fail: status and message, SciPy's if it has them.
 MESSAGES = {
@@ -261,6 +261,32 @@ def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, laws)
+
+
+_FORMED = {"function": "given", "complex-step": "complex step"}
+
+
+def formed(linear: Linear | None, run: Run) -> str | None:
+    """How the Jacobian of f was computed."""
+    if linear is None:
+        return None
+    text = _FORMED.get(linear.kind, linear.kind)
+    if not math.isnan(run.left_complex_steps):
+        text += f", differences from t = {run.left_complex_steps:.6g} on"
+    if linear.found_pattern:
+        entries, groups = run.pattern
+        text += f"; detected pattern: {entries} entries, {groups} evaluations of f each"
+        text += f" ({linear.found_pattern} found it{f', enlarged {run.enlargements} times' * (run.enlargements > 0)})"
+    return text
+
+
+def complex_steps_left(t: float) -> str:
+    """The text of a warning: complex steps were chosen, and f did not take them."""
+    return (
+        f'jac="complex-step": at t = {t:.6g} fun is not finite for complex y, or drops its imaginary part; differences '
+        "are used from there on. Write fun without abs, real, conj, norms and rounding of y, or use "
+        'jac="differences"'
+    )
 
 
 def harmful_projection(components: str, distance: str) -> str:

@@ -95,6 +95,13 @@ class Functions(NamedTuple):
     value: Array  # at which they are held
     limits: Limits | None  # of y
 
+    def in_lanes(self) -> dict[str, Any]:
+        """What is evaluated in each step, by how messages call it: f, and g and its Jacobian of the first invariant."""
+        functions = {"f": self.fun}
+        for invariant in self.invariants[:1]:
+            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
+        return functions
+
 
 class Plan(NamedTuple):
     """What a run does, and the names in its messages."""
@@ -363,13 +370,15 @@ def _linear_algebra(
     if "jac" not in method.options:
         return None, problem.y0
     # SciPy's sparse matrices take longer to import than everything else
-    from ._matrices import prepare, too_large_to_be_dense
+    from ._matrices import Start, prepare, too_large_to_be_dense
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
     if "prefer" in method.options and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
-    linear = prepare(matrices, t0, y0, problem.args, parameters)
+    compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
+    start = Start(fed(problem.fun, problem.inputs), t0, y0, problem.args, parameters, complex_by_default=compiled)
+    linear = prepare(matrices, start)
     if not linear.algebraic:
         return linear, y0
     if any(event.action for event in problem.events):

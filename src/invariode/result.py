@@ -101,6 +101,9 @@ class Stats(Record):
         of the accelerations was factorised, 'sparse' and 'dense'.
     stiff_since : float or None
         From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
+    jacobian : str or None
+        How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
+        differences replaced complex steps, and the sparsity pattern if it was detected; None for explicit methods.
     """
 
     steps: int
@@ -122,6 +125,7 @@ class Stats(Record):
     clipped_amount: float = 0.0
     mechanics: dict[str, Any] | None = None
     stiff_since: float | None = None
+    jacobian: str | None = None
 
 
 class StiffnessWarning(UserWarning):
