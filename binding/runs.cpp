@@ -540,6 +540,8 @@ void define_summary_of_run(RunClass& run) {
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
   property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
+  property(run, "remarkable", [](const RunResult& r) { return r.stiffness.found || !r.discontinuities.empty(); });
+  property(run, "discontinuities", [](const RunResult& r) { return r.discontinuities; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
   run.def_prop_ro(
@@ -561,6 +563,13 @@ void define_ensemble(nb::module_& module) {
                  to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
            })
       .def("take_clipped", [](Result& r) { return to_array<Vector>(std::move(r.clipped), r.size); })
+      .def(
+          "take_remarks",
+          [](Result& r) {
+            return std::make_tuple(to_array<Vector>(std::move(r.stiff_since), r.size),
+                                   to_array<Vector>(std::move(r.discontinuity), r.size));
+          },
+          "From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.")
       .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
       .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
       .def("take_events",
@@ -663,6 +672,9 @@ void define_stepper(nb::module_& module) {
             return stiffness.found ? std::optional(stiffness.since) : std::nullopt;
           },
           "From which t on stability limits the steps; None: it does not.")
+      .def_prop_ro(
+          "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); },
+          "Where f jumps, as far as it was seen.")
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

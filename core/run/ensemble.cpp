@@ -112,6 +112,8 @@ EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
       after(size * m),
       correction(size),
       clipped(size),
+      stiff_since(size, undefined),
+      discontinuity(size, undefined),
       count(size * counts),
       state(size),
       occurrences(solver.problem().events.size()) {}
@@ -131,6 +133,8 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   one.ng += uncounted;
   t[i] = one.t_end;
   clipped[i] = one.clipped;
+  if (one.stiffness.found) stiff_since[i] = one.stiffness.since;
+  if (!one.discontinuities.empty()) discontinuity[i] = one.discontinuities.front();
   std::copy(one.end(), one.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);
@@ -147,6 +151,7 @@ void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
   count_of(i, "steps") = ended.steps;
   count_of(i, "failed") = ended.failed;
   count_of(i, "nfev") = ended.evaluations;
+  count_of(i, "nfev_check") = ended.checks;
   if (m > 0) keep_held(ended, solver.weights().rtol());
 }
 
@@ -165,7 +170,7 @@ void EnsembleResult::keep_held(const lanes::Ended& ended, double rtol) {
   }
   const std::int64_t looks = (ended.steps + harm_period - 1) / harm_period;  // at the first step, too
   count_of(i, "projections") = ended.steps;
-  count_of(i, "nfev_check") = held.checks;
+  count_of(i, "nfev_check") += held.checks;
   count_of(i, "ng") = held.evaluations;
   count_of(i, "ngjac") = held.jacobians;
   count_of(i, "harmed") = HarmDetector::harm(looks, errors, corrections, rtol).component + 1;

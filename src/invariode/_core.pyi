@@ -366,6 +366,12 @@ class Run:
     def stiff_since(self) -> float: ...
 
     @property
+    def remarkable(self) -> bool: ...
+
+    @property
+    def discontinuities(self) -> list[float]: ...
+
+    @property
     def clipped(self) -> float: ...
 
     @property
@@ -389,6 +395,11 @@ class EnsembleRun:
     def take_drift(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...
 
     def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    def take_remarks(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """
+        From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.
+        """
 
     def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
 
@@ -498,6 +509,10 @@ class Stepper:
     @property
     def stiff_since(self) -> float | None:
         """From which t on stability limits the steps; None: it does not."""
+
+    @property
+    def discontinuities(self) -> list[float]:
+        """Where f jumps, as far as it was seen."""
 
     @property
     def nfev(self) -> int: ...

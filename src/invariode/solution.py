@@ -11,9 +11,9 @@ from .export import Exports
 from .notebook import html_of_solution
 from .pictures.thumbnail import thumbnail
 from .plotting import Plots
-from .result import DenseSolution, Drift, Stats, Steps, StiffnessWarning
+from .result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 
-__all__ = ["DenseSolution", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
+__all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
 
 
 class Origin(Protocol):

@@ -33,6 +33,7 @@ class Block {
   using P = Pack<W>;
   using M = Mask<W>;
   using Kernel = runge_kutta::Kernel<T, P>;
+  using Series = FailedSeries<P>;
   static constexpr std::size_t last = T.stages - 1;
   static constexpr unsigned every_lane = one_lane(W) - 1;
   // With fewer trajectories than this in a block they are faster one at a time (benchmarks/lanes.py).
@@ -58,6 +59,7 @@ class Block {
     ready_y_ = take(job.n);
     ready_k_ = take(job.n);
     ready_p_ = take(job.parameters);
+    points_ = take(Series::points * job.n)->lanes();
   }
 
   /// Until there is nothing left to take.
@@ -93,6 +95,13 @@ class Block {
     if (holds()) held_.go_on(from);
     if (job_.output_at_times()) outputs_.go_on(0, from.trajectory, from.output);
     looked_.lanes()[0] = from.looked;
+    checks_[0] = from.checks;
+    series_[0].go_on(from.series);
+    in_series_ = series_[0].any() ? 1 : 0;
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      this->from(0)[i] = from.from[i];
+      latest(0)[i] = from.latest[i];
+    }
     occupied_ = 1;
     unsigned attempts = 0;
     while (occupied_ != 0) {
@@ -106,7 +115,7 @@ class Block {
   static constexpr Extension extension{T.all_stages, T.degree, T.B.front().data()};
   static constexpr std::size_t extra = T.all_stages - T.stages;
   static std::size_t own_memory(const Job& job) {
-    return job.n * ((job.looks_inside() ? T.all_stages : T.stages) + 5) + 2 * job.parameters;
+    return job.n * ((job.looks_inside() ? T.all_stages : T.stages) + 5 + Series::points) + 2 * job.parameters;
   }
   Block(const Job& job, Host& host, void* /*own*/, P* further)
       : job_(job),
@@ -209,6 +218,9 @@ class Block {
     h_.lanes()[lane] = ready_h_.lanes()[from];
     retries_.lanes()[lane] = 0;
     steps_.lanes()[lane] = failed_.lanes()[lane] = limited_.lanes()[lane] = 0;
+    checks_[lane] = 0;
+    series_[lane].forget();
+    in_series_ &= ~one_lane(lane);
     for (std::size_t i = 0; i < job_.n; ++i) {
       y_[i].lanes()[lane] = ready_y_[i].lanes()[from];
       k_[0][i].lanes()[lane] = ready_k_[i].lanes()[from];
@@ -245,6 +257,7 @@ class Block {
             .steps = static_cast<std::int64_t>(steps),
             .failed = static_cast<std::int64_t>(failed_.lanes()[lane]),
             .evaluations = evaluations(lane),
+            .checks = checks_[lane],
             .held = holds() ? held_.ended(lane) : HeldToEnd{}};
   }
 
@@ -272,7 +285,11 @@ class Block {
             .held = holds() ? held_.suspended(lane) : nullptr,
             .stride = W,
             .looked = looked_.lanes()[lane],
-            .output = outputs_.number(lane)};
+            .output = outputs_.number(lane),
+            .checks = checks_[lane],
+            .series = series_[lane].memory(),
+            .from = from(lane),
+            .latest = latest(lane)};
   }
 
   // ---------------------------------------------------------------------------------------------------------- a step
@@ -312,8 +329,9 @@ class Block {
     if (job_.looks_inside() && bits(accepted) != 0) odd = odd | put_out(accepted, purified, {t_, t1, y_, y1, p_});
     control(accepted, error, length, hmin);
     note_stability(accepted, purified, y1);
+    const unsigned jumping = note_failures(bits(accepted), h, t1, y1);
     commit(accepted, t1, y1);
-    odd_ = bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
+    odd_ = jumping | bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
     reached_ = bits(accepted & landing);
   }
 
@@ -395,6 +413,42 @@ class Block {
     limited_ += choose(limited, P(1), P(0));
   }
 
+  /// Where attempts fail one after the other, as `DiscontinuityDetector` of a single run sees it. Returns the lanes in
+  /// which f jumps: single runs tell where. Most attempts find no lane that is in a series.
+  unsigned note_failures(unsigned accepted, const P& h, const P& t1, const P* y1) {
+    const unsigned watched = occupied_ & (~accepted | in_series_);
+    unsigned jumping = 0;
+    if (watched == 0) return 0;
+    for (int l = 0; l < W; ++l) {
+      if (!has(watched, l)) continue;
+      Series& series = series_[l];
+      const double t0 = t_.lanes()[l], end = t1.lanes()[l];
+      if (!has(accepted, l))
+        series.add(end, h.lanes()[l]);
+      else if (series.accept(t0, y_[0].lanes() + l, W, job_.n, end, from(l), latest(l)) && jumps(l, end, y1))
+        jumping |= one_lane(l);
+      in_series_ = series.any() ? in_series_ | one_lane(l) : in_series_ & ~one_lane(l);
+    }
+    return jumping;
+  }
+  bool jumps(int lane, double t1, const P* y1) {
+    const auto attempts = static_cast<std::int64_t>(steps_.lanes()[lane] + failed_.lanes()[lane]);
+    const Suspicion suspicion{.trajectory = trajectory_[lane],
+                              .t0 = series_[lane].from_t(),
+                              .t1 = t1,
+                              .latest = series_[lane].latest(),
+                              .y0 = from(lane),
+                              .y1 = y1[0].lanes() + lane,
+                              .stride = W,
+                              .attempts = attempts};
+    return host_.jumps(suspicion, checks_[lane]);
+  }
+  /// The points of a series, (n,).
+  [[nodiscard]] double* from(int lane) const {
+    return points_ + static_cast<std::size_t>(lane) * Series::points * job_.n;
+  }
+  [[nodiscard]] double* latest(int lane) const { return from(lane) + job_.n; }
+
   void commit(const M& accepted, const P& t1, const P* y1) {
     t_ = choose(accepted, t1, t_);
     for (std::size_t i = 0; i < job_.n; ++i) {
@@ -432,13 +486,17 @@ class Block {
   Held<W> held_;
   Between<W> between_;
   Outputs<W> outputs_;
+  double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0;  // lanes
   int prepared_ = 0, ready_ = 0;
   std::uint32_t trajectory_[W]{};
   std::uint32_t ready_trajectory_[W]{};
   int place_[W]{};
-  bool empty_ = false;  // there are no more to be made ready
+  Series series_[W];
+  std::int64_t checks_[W]{};
+  unsigned in_series_ = 0;  // lanes
+  bool empty_ = false;      // there are no more to be made ready
 };
 
 // ------------------------------------------------------------------------------------------------- what the host calls

@@ -7,6 +7,8 @@
 #include <span>
 #include <string_view>
 
+#include "failed_series.hpp"
+
 namespace invariode::lanes {
 
 /// A function in all lanes: t (lanes,), y (n, lanes), out (its values, lanes), p (parameters, lanes), each aligned to
@@ -72,7 +74,8 @@ struct Ended {
   const double* y;
   std::size_t stride;
   std::int64_t steps, failed, evaluations;
-  HeldToEnd held;  ///< where there is an invariant
+  std::int64_t checks;  ///< evaluations of f in search of its jumps
+  HeldToEnd held;       ///< where there is an invariant
 };
 
 /// A trajectory between two attempts: where it is, f there, |h| of the next attempt, whether the last one failed, and
@@ -86,6 +89,19 @@ struct Suspended {
   std::size_t stride;
   double looked;       ///< into so many steps
   std::size_t output;  ///< the number of the next one
+  std::int64_t checks;
+  SeriesMemory series;  ///< of failed attempts, and its points (n,)
+  const double *from, *latest;
+};
+
+/// A way on which f may jump, from (t0, y0) to (t1, y1), after so many attempts, the latest that failed of size
+/// `latest`. y1 (n,) has that stride.
+struct Suspicion {
+  std::uint32_t trajectory;
+  double t0, t1, latest;
+  const double *y0, *y1;
+  std::size_t stride;
+  std::int64_t attempts;
 };
 
 /// Who hands out trajectories and takes them back. One for each thread.
@@ -105,6 +121,8 @@ class Host {
   virtual void leave(std::uint32_t trajectory) = 0;
   /// It has too few neighbours left: it is to go on alone.
   virtual void go_on(const Suspended& suspended) = 0;
+  /// Whether f jumps there; evaluations of f in search of it are added to `checks`.
+  virtual bool jumps(const Suspicion& suspicion, std::int64_t& checks) = 0;
   [[nodiscard]] virtual bool cancelled() const = 0;
 };
 

@@ -4,7 +4,9 @@
 #include <cmath>
 #include <limits>
 #include <string_view>
+#include <vector>
 
+#include "discontinuity.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/invariants.hpp"
 #include "methods/runge_kutta.hpp"
@@ -176,6 +178,19 @@ void LaneWorker::go_on(const lanes::Suspended& suspended) {
   const std::span<double> parameters = solver_.problem().parameters;
   for (std::size_t i = 0; i < parameters.size(); ++i) parameters[i] = suspended.p[i * suspended.stride];
   alone_.go_on(job_alone_, suspended, *this, memory_alone_.get());
+}
+
+bool LaneWorker::jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) {
+  if (!DiscontinuityDetector::may_search(suspicion.attempts, checks)) return false;
+  const double* row = ensemble_.rows + suspicion.trajectory * ensemble_.parameters;
+  std::copy(row, row + ensemble_.parameters, solver_.problem().parameters.begin());
+  std::vector<double> y1(ensemble_.n);
+  for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = suspicion.y1[i * suspicion.stride];
+  JumpSearch search(f_, solver_.weights());
+  const JumpSearch::Result result =
+      search.search(suspicion.t0, suspicion.y0, suspicion.t1, y1.data(), suspicion.latest);
+  checks += search.evaluations();
+  return result != JumpSearch::Result::none;
 }
 
 }  // namespace invariode

@@ -34,6 +34,7 @@ class LaneWorker final : public lanes::Host {
   void keep(const lanes::Ended& ended) override;
   void leave(std::uint32_t trajectory) override;
   void go_on(const lanes::Suspended& suspended) override;
+  bool jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) override;
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
 
  private:

@@ -263,7 +263,8 @@ def _times(problem: Problem, size: int) -> Array:
 
 def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Table:
     stats, mark = sol.stats, ("✓", "green") if sol.success else ("✗", "bold red")
-    checks = f" and {stats.nfev_check} to test the invariants" if stats.nfev_check else ""
+    why = "to test the invariants" if problem.invariants else "in search of its jumps"
+    checks = f" and {stats.nfev_check} {why}" if stats.nfev_check else ""
     linear = f", {stats.njev} of its Jacobian; {stats.nlu} factorisations" if stats.njev or stats.nlu else ""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="dim", no_wrap=True)
