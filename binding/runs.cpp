@@ -676,6 +676,7 @@ void define_stepper(nb::module_& module) {
           "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); },
           "Where f jumps, as far as it was seen.")
       .def_prop_ro("nfev", &Stepper::evaluations)
+      .def_prop_ro("nfev_searching", [](Stepper& s) { return s.integration().discontinuities().evaluations(); })
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
 }

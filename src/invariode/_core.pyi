@@ -518,6 +518,9 @@ class Stepper:
     def nfev(self) -> int: ...
 
     @property
+    def nfev_searching(self) -> int: ...
+
+    @property
     def njev(self) -> int: ...
 
     @property
