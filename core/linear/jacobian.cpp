@@ -184,6 +184,7 @@ Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const d
 }
 
 Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
+  drowned_.reserve(matrix_.n());  // once: a copy has no room yet, and later evaluations are not to allocate
   std::copy(y, y + matrix_.n(), point_.begin());
   for (const std::vector<std::size_t>& group : groups_) {
     if (difference_group(f, t, y, slope, group) == Status::stop) return Status::stop;

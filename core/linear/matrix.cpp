@@ -9,12 +9,14 @@
 #include <new>
 #include <string>
 
+#include "linear/narrow_band.hpp"
 #include "weights.hpp"
 
 namespace invariode {
 namespace {
 
 constexpr std::size_t dense_by_lapack = 64;  // from this n on LAPACK's blocked LU is the faster one
+constexpr std::size_t narrow_band = 24;      // lower + upper, up to which LAPACK's banded LU is slower than ours
 constexpr double least_diagonal = 0.1;       // of the largest entry in its column, to be taken as a sparse pivot
 
 Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
@@ -88,6 +90,27 @@ class DenseByLapack final : public Factors<Scalar> {
   int n_;
   std::vector<Scalar> lu_;  // of a method that may never need it: made when it is
   std::vector<int> pivots_;
+};
+
+template <class Scalar>
+class BandedByRows final : public Factors<Scalar> {
+ public:
+  explicit BandedByRows(const Structure& s) : A_(s.n, s.lower, s.upper) {}
+
+  bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
+    A_.clear();
+    if (mass)
+      mass->for_each([this](std::size_t i, std::size_t j, double m) { A_.at(i, j) = m; });
+    else
+      for (std::size_t j = 0; j < jacobian.n(); ++j) A_.at(j, j) = 1;
+    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { A_.at(i, j) -= c * value; });
+    return finite(A_.entries()) && A_.factor();
+  }
+
+  void solve(Scalar* b) override { A_.solve(b); }
+
+ private:
+  NarrowBand<Scalar> A_;
 };
 
 template <class Scalar>
@@ -255,6 +278,8 @@ std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const 
       return std::make_unique<DenseByLapack<Scalar>>(structure.n, *routines);
     return std::make_unique<DenseByEigen<Scalar>>(structure.n);
   }
+  const bool narrow = structure.lower + structure.upper <= narrow_band;
+  if (structure.kind == Structure::Kind::banded && narrow) return std::make_unique<BandedByRows<Scalar>>(structure);
   if (structure.kind == Structure::Kind::banded && routines)
     return std::make_unique<BandedByLapack<Scalar>>(structure, *routines);
   return std::make_unique<SparseByEigen<Scalar>>(structure.n);

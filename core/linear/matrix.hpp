@@ -126,8 +126,8 @@ class Factors {
 using Factorization = Factors<double>;
 using ComplexFactorization = Factors<std::complex<double>>;
 
-/// For matrices of that structure. `lapack` may be null: dense ones are then left to Eigen, and banded ones are treated
-/// as sparse.
+/// For matrices of that structure. `lapack` may be null: dense ones are then left to Eigen, and banded ones that are
+/// not narrow are treated as sparse.
 template <class Scalar>
 std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const Lapack* lapack);
 

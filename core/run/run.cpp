@@ -146,7 +146,7 @@ void Run::start_loop() {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
     };
-  integration_.emplace(std::move(step), solver_.weights(), manifold_, solver_.problem().events, std::move(breaks),
+  integration_.emplace(std::move(step), solver_.weights(), f_, manifold_, solver_.problem().events, std::move(breaks),
                        solver_.problem().callback, solver_.settings());
 }
 
@@ -167,9 +167,10 @@ std::int64_t Run::evaluations_of_prepare() const {
 
 void Run::count_evaluations(RunResult& result) const {
   result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
+  result.nfev_check = integration_->discontinuities().evaluations();
   if (!steps_) return;
   result.ng = -before_;
-  result.nfev_check = slope_->evaluations();
+  result.nfev_check += slope_->evaluations();
   result.ng += steps_->calls();
   result.ngjac = steps_->jacobian_calls();
   result.ngdiff = steps_->derivative_calls();
@@ -204,6 +205,7 @@ void Run::describe(RunResult& result) const {
   result.report = loop.report();
   result.counts = loop.counts();
   result.stiffness = loop.stiffness();
+  result.discontinuities = loop.discontinuities().found();
   result.switches = loop.step().switches();
   result.linear = loop.step().linear_work();
   count_evaluations(result);

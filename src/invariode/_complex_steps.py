@@ -36,7 +36,7 @@ def compiled_at_complex(fun: Any, n: int, parameters: int) -> _core.Native | Non
 
 
 def python_at_complex(fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...]) -> Callable[..., Any]:
-    """A Python f for complex y; NaN where it cannot be evaluated there, so that the core goes over to differences.
+    """A Python f for complex y; NaN where it cannot be evaluated there, so that the core switches to differences.
 
     Raises
     ------

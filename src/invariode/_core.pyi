@@ -366,6 +366,12 @@ class Run:
     def stiff_since(self) -> float: ...
 
     @property
+    def remarkable(self) -> bool: ...
+
+    @property
+    def discontinuities(self) -> list[float]: ...
+
+    @property
     def clipped(self) -> float: ...
 
     @property
@@ -390,6 +396,11 @@ class EnsembleRun:
 
     def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
+    def take_remarks(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """
+        From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.
+        """
+
     def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
 
     def take_states(self) -> Annotated[NDArray[numpy.int8], dict(shape=(None,), order='C')]: ...
@@ -403,9 +414,9 @@ class EnsembleRun:
     def alone(self) -> int:
         """Trajectories that the lanes left to the code for one at a time."""
 
-def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, int] | None = None) -> EnsembleRun:
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None) -> EnsembleRun:
     """
-    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and the address of f in its lanes.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant its g and its Jacobian.
     """
 
 LANES: list = ...
@@ -498,6 +509,10 @@ class Stepper:
     @property
     def stiff_since(self) -> float | None:
         """From which t on stability limits the steps; None: it does not."""
+
+    @property
+    def discontinuities(self) -> list[float]:
+        """Where f jumps, as far as it was seen."""
 
     @property
     def nfev(self) -> int: ...

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ._arguments import EPS
 from ._bounds import Limits
 from ._core import Linear, Run
+
+#: The most times that a message lists.
+_TIMES = 4
 
 #: Runs that do not fail: status and message, SciPy's if it has them.
 MESSAGES = {
@@ -42,12 +46,31 @@ class Laws(NamedTuple):
 def status_and_message(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message."""
     status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
-    return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
+    return status, remarked(message, run)
+
+
+def remarked(message: str, run: Run) -> str:
+    """The message, and what else is to be said of the run."""
+    if run.stiff:
+        message += f" {_sentence(limited_by_stability(run.stiff_since))}"
+    if found := run.discontinuities:
+        message += f" {_sentence(discontinuous(found))}"
+    return message
 
 
 def limited_by_stability(since: float) -> str:
     """The warning about an explicit method on a stiff problem."""
     return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
+
+
+def discontinuous(times: Sequence[float]) -> str:
+    """The warning about a right-hand side that jumps."""
+    listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
+    more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
+    return (
+        f"fun looks discontinuous at t = {listed}{more}, where steps fail; give breakpoints=[{listed}"
+        f"{', ...' * (len(times) > _TIMES)}], or an event with an action where y decides when it jumps"
+    )
 
 
 def _sentence(text: str) -> str:
@@ -132,6 +155,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
             "invariants."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
+    if any((t - run.t) * run.h > 0 for t in run.discontinuities):
+        return text  # what comes after it says why
     if run.pure_relative:
         text += (
             f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "

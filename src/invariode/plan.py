@@ -15,7 +15,16 @@ from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times,
 from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
 from ._files import PathLike
-from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
+from ._messages import (
+    MESSAGES,
+    Laws,
+    inconsistent_start,
+    limit_reached,
+    out_of_bounds,
+    refusal,
+    remarked,
+    status_and_message,
+)
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
@@ -95,6 +104,13 @@ class Functions(NamedTuple):
     value: Array  # at which they are held
     limits: Limits | None  # of y
 
+    def in_lanes(self) -> dict[str, Any]:
+        """What is evaluated in each step, by how messages call it: f, and g and its Jacobian of the first invariant."""
+        functions = {"f": self.fun}
+        for invariant in self.invariants[:1]:
+            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
+        return functions
+
 
 class Plan(NamedTuple):
     """What a run does, and the names in its messages."""
@@ -131,10 +147,11 @@ class Plan(NamedTuple):
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
         ended = MESSAGES.get(run.state)
-        if ended is not None and not run.stiff:
+        if ended is not None and not run.remarkable:
             return ended
         if run.state == "limit_reached":
-            return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
+            limit = self.settings.limit(run.limit)
+            return LIMIT_REACHED, remarked(limit_reached(run, limit, self.settings.t0, self.settings.tf), run)
         return status_and_message(run, self.laws, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:

@@ -94,6 +94,18 @@ TEST(factors_solve_what_they_factor_in_every_structure_with_and_without_mass) {
   }
 }
 
+/// Triangular, full and wide ones, and those of a single component: pivots come from anywhere in a column.
+TEST(banded_factors_solve_in_bands_of_every_width) {
+  std::mt19937 random(4);
+  constexpr Structure bands[] = {{Kind::banded, 20, 0, 0}, {Kind::banded, 20, 0, 3},   {Kind::banded, 20, 4, 0},
+                                 {Kind::banded, 9, 8, 8},  {Kind::banded, 40, 12, 13}, {Kind::banded, 1, 0, 0}};
+  for (const Structure& structure : bands) {
+    const check::Case label(structure.lower, ", ", structure.upper);
+    solve_with_factors<double>(structure, 0.3, random);
+    solve_with_factors<std::complex<double>>(structure, {0.3, -0.2}, random);
+  }
+}
+
 TEST(singular_and_undefined_matrices_are_told) {
   std::mt19937 random(2);
   for (const Structure& structure : structures) {
