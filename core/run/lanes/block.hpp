@@ -532,7 +532,7 @@ class Block {
   Host& host_;
   P *y_, *stage_, *candidate_, *p_;
   P *ready_y_, *ready_k_, *ready_p_, *reached_y_;
-  double* points_;  // (lanes, 2, n)
+  double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
   Between<W> between_;
   Watched<W> watched_;
