@@ -114,6 +114,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/multistep.py --write
 	$(BIN)/python benchmarks/implicit.py --write
 	$(BIN)/python benchmarks/jacobians.py --write
+	$(BIN)/python benchmarks/work.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
 	$(BIN)/python benchmarks/links.py --write
