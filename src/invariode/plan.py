@@ -96,7 +96,7 @@ class Functions(NamedTuple):
     limits: Limits | None  # of y
 
     def in_lanes(self) -> dict[str, Any]:
-        """What is evaluated in each step, by how messages call it: f, g and its Jacobian of the first invariant, events."""
+        """What steps evaluate, by how messages call it: f, of the first invariant g and its Jacobian, events."""
         functions = {"f": self.fun}
         for invariant in self.invariants[:1]:
             functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
