@@ -591,7 +591,11 @@ void define_ensemble(nb::module_& module) {
              return all;
            })
       .def("failures", &failures, "(trajectory, Run that tells why it ended) of those that failed.")
-      .def_ro("alone", &Result::alone, "Trajectories that the lanes left to the code for one at a time.");
+      .def_prop_ro(
+          "alone", [](const Result& self) { return std::vector<std::size_t>(self.alone.begin(), self.alone.end()); },
+          "How many trajectories the lanes left to the code for one at a time: because something was not finite or a "
+          "step too short, because of stability, the invariant, an event or output inside a step, max_steps, and "
+          "because too many were left.");
   module.def(
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
       nb::arg("progress").none(), nb::arg("lanes") = nb::none(),

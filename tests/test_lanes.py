@@ -206,7 +206,7 @@ def test_a_function_that_f_does_not_keep_is_refused_in_lanes_too():
     options = {"args": p, "workers": 1, "invariants": wrong, "rtol": 1e-5}
     found = iv.solve_ensemble(COMPILED["quartic"], (0, 4), y0, **options)
     assert (found.failed == np.flatnonzero(p[:, 0] != 1)).all()
-    assert f"{len(found.failed)} trajectories one at a time" in found.stats.lanes
+    assert f"{len(found.failed)} whose invariant asked" in found.stats.lanes
     same(found, iv.solve_ensemble(COMPILED["quartic"], (0, 4), y0, lanes=1, **options))
 
 
@@ -229,13 +229,22 @@ def test_failures_are_told_as_without_lanes():
     assert f"{(found.status < 0).sum()} trajectories one at a time" in found.stats.lanes
 
 
+def test_a_limit_of_steps_is_that_of_single_solves():
+    found, alone = (solve(COMPILED["quartic"], max_steps=40, **how) for how in ({}, {"lanes": 1}))
+    assert found.messages.keys() == alone.messages.keys()  # they tell the seconds
+    found.messages = alone.messages
+    same(found, alone)
+    assert 0 < len(found.failed) < SIZE
+    assert f"{len(found.failed)} that reached max_steps" in found.stats.lanes
+
+
 @pytest.mark.parametrize(
     ("options", "why"),
     [
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
         ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
-        ({"max_steps": 10**6}, "limited"),
+        ({"time_limit": 100.0}, "limited"),
         ({"nonnegative": True}, "bounds"),
         ({"invariants": iv.Invariants(iv.compile(energy), names="energy")}, "give jac"),
         ({"invariants": [ENERGY, iv.Invariants(iv.compile(lambda t, y, p: y[0]), names="x")]}, "several invariants"),

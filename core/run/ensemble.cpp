@@ -181,9 +181,9 @@ std::int64_t& EnsembleResult::count_of(std::size_t i, std::string_view name) {
                static_cast<std::size_t>(std::ranges::find(RunResult::count_names, name) - RunResult::count_names)];
 }
 
-void EnsembleResult::add_alone(std::size_t more) {
+void EnsembleResult::add_alone(const Left& left) {
   const std::scoped_lock lock(shared_);
-  alone += more;
+  for (std::size_t why = 0; why < left.size(); ++why) alone[why] += left[why];
 }
 
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {

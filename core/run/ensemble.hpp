@@ -1,6 +1,7 @@
 #pragma once
 // Many runs of one problem, from different initial values and with different parameters, on several threads.
 
+#include <array>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -35,6 +36,8 @@ class EnsembleResult {
   /// In place of a State, of a trajectory that could not start: its initial value is not finite, or not consistent.
   static constexpr std::int8_t not_finite = -1, not_found = -2, index_too_high = -3;
   static constexpr std::size_t counts = RunResult::count_size;
+  /// Trajectories that were left to the code for one at a time, by `lanes::Why`.
+  using Left = std::array<std::size_t, lanes::whys>;
 
   EnsembleResult(std::size_t size, const Solver& solver);
 
@@ -55,8 +58,8 @@ class EnsembleResult {
   void keep(const lanes::Ended& ended, const Solver& solver);
   /// Of each event.
   void keep_occurrences(std::size_t i, const std::vector<Trajectory>& found);
-  /// So many more trajectories were solved one at a time, though the others were not.
-  void add_alone(std::size_t count);
+  /// So many more trajectories were solved one at a time, though others were not.
+  void add_alone(const Left& left);
 
   std::size_t size, n, parts, m, n_t;
   std::vector<double> t, y_end;
@@ -70,7 +73,7 @@ class EnsembleResult {
   std::vector<std::int8_t> state;   ///< a State, or why it could not start
   std::vector<Occurrences> occurrences;
   std::vector<Failure> failures;
-  std::size_t alone = 0;  ///< of an ensemble in lanes: trajectories that were left to the code for one at a time
+  Left alone{};  ///< of an ensemble in lanes
 
  private:
   std::int64_t& count_of(std::size_t i, std::string_view name);

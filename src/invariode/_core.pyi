@@ -411,8 +411,10 @@ class EnsembleRun:
         """(trajectory, Run that tells why it ended) of those that failed."""
 
     @property
-    def alone(self) -> int:
-        """Trajectories that the lanes left to the code for one at a time."""
+    def alone(self) -> list[int]:
+        """
+        How many trajectories the lanes left to the code for one at a time: because something was not finite or a step too short, because of stability, the invariant, an event or output inside a step, max_steps, and because too many were left.
+        """
 
 def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None) -> EnsembleRun:
     """

@@ -18,7 +18,7 @@ import importlib
 import math
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import _core
@@ -34,6 +34,17 @@ __all__ = ["Lanes", "choose_lanes"]
 FEWEST = 1000
 #: The name of the instruction set to use; None: the best that this processor has.
 FORCED: str | None = None
+
+#: Why the core left trajectories, in its order.
+_LEFT = (
+    "where something was not finite or a step too short",
+    "that may be stiff",
+    "whose invariant asked for a closer look",
+    "where an event or an output did",
+    "where f jumps",
+    "that reached max_steps",
+    "after too many of these",
+)
 
 _ENTRY = "invariode_lanes"
 #: Attribute group of the entry; numba's own groups have small numbers.
@@ -52,11 +63,12 @@ class Lanes(NamedTuple):
         """What `integrate_all` takes."""
         return (self.instructions, [code.address for code in self.codes]) if self.codes else None
 
-    def described(self, alone: int = 0) -> str:
-        """In words, with the number of trajectories that were left to the code for one at a time."""
+    def described(self, alone: Sequence[int] = ()) -> str:
+        """In words; `alone`: how many trajectories were left to the code for one at a time, for each reason."""
         if not self.codes:
             return f"one at a time: {self.reason}"
-        left = f"; {alone} trajectories one at a time" if alone else ""
+        reasons = ", ".join(f"{count} {why}" for count, why in zip(alone, _LEFT, strict=False) if count)
+        left = f"; {sum(alone)} trajectories one at a time: {reasons}" if reasons else ""
         return f"{self.width} lanes, {self.instructions}{left}"
 
 

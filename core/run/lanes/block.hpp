@@ -125,6 +125,7 @@ class Block {
         held_(job, std::exchange(further, further + Held<W>::memory(job))),
         job_(job),
         host_(host),
+        beside_(job.invariant != nullptr || job.looks_inside() || job.max_steps < infinity),
         between_(job, extension, std::exchange(further, further + Between<W>::memory(job, extension))),
         watched_(job, further) {}
 
@@ -203,14 +204,18 @@ class Block {
     const P longest = smaller(P(job_.hmax), absolute(P(job_.tf) - t0));
     const P h = choose(P(1) < longest * reciprocal, P(1) / reciprocal, longest);
     ready_h_ = job_.first_step > 0 ? P(job_.first_step) : larger(h, smallest_step(t0));
-    M odd = ~(norm.value() < P(infinity));
-    if (holds()) odd = odd | held_.start(t0, ready_y_, ready_k_, job_.forward() * ready_h_, ready_p_);
-    if (watches()) odd = odd | watched_.start(t0, ready_y_, ready_p_);
-    const unsigned bad = bits(odd);
+    const M odd = ~(norm.value() < P(infinity));
+    const unsigned undefined = bits(odd);
+    unsigned doubted = 0, inside = 0;
+    if (holds()) doubted = bits(held_.start(t0, ready_y_, ready_k_, job_.forward() * ready_h_, ready_p_));
+    if (watches()) inside = bits(watched_.start(t0, ready_y_, ready_p_));
+    const unsigned bad = undefined | doubted | inside;
     int kept = 0;
     for (int l = 0; l < prepared_; ++l) {
       if (has(bad, l))
-        host_.leave(ready_trajectory_[l]);
+        host_.leave(ready_trajectory_[l], has(undefined, l) ? Why::undefined
+                                          : has(doubted, l) ? Why::invariant
+                                                            : Why::inside);
       else
         place_[kept++] = l;
     }
@@ -249,12 +254,21 @@ class Block {
     for (int l = 0; l < W; ++l) {
       if (has(ended | odd, l)) outputs_.leave(l);
       if (has(odd, l))
-        host_.leave(trajectory_[l]);
+        host_.leave(trajectory_[l], why(l));
       else if (has(ended, l))
         host_.keep(at_end(l));
     }
     occupied_ &= ~(ended | odd);
     return every_lane & ~occupied_;
+  }
+
+  /// It is left after the last attempt.
+  [[nodiscard]] Why why(int lane) const {
+    if (has(doubted_, lane)) return Why::invariant;
+    if (has(inside_, lane)) return Why::inside;
+    if (has(jumping_, lane)) return Why::jump;
+    if (limited_.lanes()[lane] >= limited_looks) return Why::stability;
+    return steps_.lanes()[lane] >= job_.max_steps ? Why::limit : Why::undefined;
   }
 
   [[nodiscard]] Ended at_end(int lane) const {
@@ -323,29 +337,55 @@ class Block {
                     });
     odd = odd | ~(error < P(infinity));
     M accepted = (error <= P(job_.rtol)) & ~odd;
-    const P* y1 = candidate_;
-    if (holds() && bits(accepted) != 0) {
-      odd = odd | held_.project(accepted, t1, y_, candidate_, p_);
-      accepted = accepted & ~odd;
-      y1 = held_.projected();
-    }
+    if (beside_) return decide({t_, t1, t1, y_, candidate_, p_, candidate_}, {accepted, odd, landing}, h, error, hmin);
     if constexpr (!T.last_in_error()) {
-      evaluate(job_.f, t1, y1, k_[last], p_);
+      evaluate(job_.f, t1, candidate_, k_[last], p_);
       const M undefined = accepted & not_finite(k_[last], job_.n);
       odd = odd | undefined;
       accepted = accepted & ~undefined;
     }
-    if (holds() && bits(accepted) != 0) odd = odd | judge(accepted, purified, h, t1);
-    accepted = accepted & ~odd;
-    cut_ = 0;
-    LaneStep<W> step{t_, t1, t1, y_, y1, p_, y1};
-    if (job_.looks_inside() && bits(accepted) != 0) odd = odd | look_inside(accepted, h, purified, step);
     control(accepted, error, length, hmin);
-    note_stability(accepted, purified, y1);
-    const unsigned jumping = note_failures(bits(accepted), h, t1, y1);
-    commit(accepted, step);
-    odd_ = jumping | bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
+    note_stability(accepted, purified, candidate_);
+    jumping_ = note_failures(bits(accepted), h, t1, candidate_);
+    commit(accepted, t1, candidate_);
+    odd_ = jumping_ | bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
+    reached_ = bits(accepted & landing);
+  }
+
+  /// What an attempt has come to so far.
+  struct Verdicts {
+    M accepted, odd, landing;
+  };
+
+  /// The rest of an attempt of signed size h, from the candidates on, where runs have something beside f.
+  INVARIODE_SHARED void decide(LaneStep<W> step, Verdicts verdicts, const P& h, const P& error, const P& hmin) {
+    auto& [accepted, odd, landing] = verdicts;
+    const P purified = step.t1 - step.t0, length = absolute(h);
+    M doubted = no_lane<W>(), inside = no_lane<W>();
+    if (holds() && bits(accepted) != 0) {
+      doubted = held_.project(accepted, step.t1, y_, candidate_, p_);
+      accepted = accepted & ~doubted;
+      step.y1 = step.reached_y = held_.projected();
+    }
+    if constexpr (!T.last_in_error()) {
+      evaluate(job_.f, step.t1, step.y1, k_[last], p_);
+      const M undefined = accepted & not_finite(k_[last], job_.n);
+      odd = odd | undefined;
+      accepted = accepted & ~undefined;
+    }
+    if (holds() && bits(accepted) != 0) doubted = doubted | judge(accepted, purified, h, step.t1);
+    accepted = accepted & ~doubted;
+    cut_ = 0;
+    if (job_.looks_inside() && bits(accepted) != 0) inside = look_inside(accepted, h, purified, step);
+    control(accepted, error, length, hmin);
+    note_stability(accepted, purified, step.y1);
+    jumping_ = note_failures(bits(accepted), h, step.t1, step.y1);
+    commit(accepted, step.reached_t, step.reached_y);
+    doubted_ = bits(doubted);
+    inside_ = bits(inside);
     reached_ = bits(accepted & landing) | cut_;
+    odd_ = jumping_ | bits(odd | doubted | inside | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
+    odd_ |= bits(P(job_.max_steps) <= steps_) & ~reached_;
   }
 
   /// Whether steps that are about to be accepted speak against the invariant.
@@ -359,7 +399,7 @@ class Block {
   }
 
   /// The events and the outputs of steps of size h that are about to be accepted. Returns those where these are odd.
-  M look_inside(const M& accepted, const P& h, const P& purified, LaneStep<W>& step) {
+  INVARIODE_SHARED M look_inside(const M& accepted, const P& h, const P& purified, LaneStep<W>& step) {
     const M inside = watches() ? accepted : outputs_.inside(outputs_.due(accepted, step.t1), step.t1);
     M odd = no_lane<W>();
     if (bits(inside) != 0) {
@@ -426,7 +466,7 @@ class Block {
   }
 
   /// |h| of the next attempt, as `Pair::accept` and `Pair::reject` choose it; and the counts.
-  void control(const M& accepted, const P& error, const P& length, const P& hmin) {
+  INVARIODE_SHARED void control(const M& accepted, const P& error, const P& length, const P& hmin) {
     const P rtol(job_.rtol), safety(runge_kutta::safety), most(runge_kutta::largest_growth);
     const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
     const P root = root_by_pow<T.order>(larger(P(smallest_ratio), ratio));
@@ -442,7 +482,7 @@ class Block {
 
   /// Looks at one step in 64 of each lane, as the `StiffnessDetector` of a single run does, with thresholds that find
   /// no fewer limited steps. So many of them may be a stiff problem: single runs find that out.
-  void note_stability(const M& accepted, const P& purified, const P* y1) {
+  INVARIODE_SHARED void note_stability(const M& accepted, const P& purified, const P* y1) {
     const M now = accepted & multiple_of(steps_, 64);
     if (bits(now) == 0) return;
     LaneNorm<W> slopes, arguments, changes;
@@ -496,10 +536,10 @@ class Block {
   }
   [[nodiscard]] double* latest(int lane) const { return from(lane) + job_.n; }
 
-  void commit(const M& accepted, const LaneStep<W>& step) {
-    t_ = choose(accepted, step.reached_t, t_);
+  void commit(const M& accepted, const P& t1, const P* y1) {
+    t_ = choose(accepted, t1, t_);
     for (std::size_t i = 0; i < job_.n; ++i) {
-      y_[i] = choose(accepted, step.reached_y[i], y_[i]);
+      y_[i] = choose(accepted, y1[i], y_[i]);
       k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
     }
   }
@@ -534,9 +574,11 @@ class Block {
   P *ready_y_, *ready_k_, *ready_p_, *reached_y_;
   double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
+  bool beside_;                  // runs have something beside f
   Between<W> between_;
   Watched<W> watched_;
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0, cut_ = 0;  // lanes
+  unsigned doubted_ = 0, inside_ = 0, jumping_ = 0;                        // why some are odd
   int prepared_ = 0, ready_ = 0;
   std::uint32_t trajectory_[W]{};
   std::uint32_t ready_trajectory_[W]{};

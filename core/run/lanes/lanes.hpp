@@ -35,7 +35,7 @@ struct Invariant {
   double (*time_increment)(double t, double h);  ///< of differences with respect to t
 };
 
-/// What is integrated, without anything that only some runs have: bounds, breakpoints, limits.
+/// What is integrated, without anything that only some runs have: bounds, breakpoints, other limits.
 struct Job {
   Called f;
   std::size_t n, parameters;
@@ -45,6 +45,7 @@ struct Job {
   double hmax;         ///< finite
   double first_step;   ///< 0: chosen by the method
   double rtol;
+  double max_steps;            ///< a trajectory that would need more is left
   double real_limit;           ///< of the pair's stability on the negative real axis
   const double* threshold;     ///< (n,)
   const double* scale;         ///< (n,), or null: all 1
@@ -127,6 +128,12 @@ struct Found {
   std::int64_t evaluations = 0, jacobians = 0;  ///< of the invariant, beside those of the step as it is
 };
 
+/// Why a trajectory is left: something is not finite, or a step falls to its minimum; stability may limit its steps;
+/// its invariant asks for a closer look; so does an event or an output inside a step; f jumps; it has too many steps;
+/// too many others were left.
+enum class Why { undefined, stability, invariant, inside, jump, limit, others };
+inline constexpr std::size_t whys = 7;
+
 /// Who hands out trajectories and takes them back. One for each thread.
 class Host {
  public:
@@ -143,7 +150,7 @@ class Host {
   virtual void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) = 0;
   virtual void keep(const Ended& ended) = 0;
   /// Something rare has happened to it: it is to be integrated from its start by the code that knows everything.
-  virtual void leave(std::uint32_t trajectory) = 0;
+  virtual void leave(std::uint32_t trajectory, Why why) = 0;
   /// It has too few neighbours left: it is to go on alone.
   virtual void go_on(const Suspended& suspended) = 0;
   /// Whether f jumps there; evaluations of f in search of it are added to `checks`.

@@ -16,7 +16,7 @@ inline constexpr double infinity = std::numeric_limits<double>::infinity();
 template <int W>
 class LaneNorm {
  public:
-  void add(const Pack<W>& a) {
+  INVARIODE_EACH void add(const Pack<W>& a) {
     const Pack<W> size = absolute(a);
     max_ = larger(max_, size);
     undefined_ += 0.0 * size;  // of infinity too, which no error test passes either
@@ -29,7 +29,7 @@ class LaneNorm {
 
 /// `Weights::at` of |y_i|
 template <int W>
-Pack<W> weight(const Job& job, std::size_t i, const Pack<W>& size) {
+INVARIODE_EACH Pack<W> weight(const Job& job, std::size_t i, const Pack<W>& size) {
   return larger(job.scale != nullptr ? job.scale[i] * size : size, Pack<W>(job.threshold[i]));
 }
 
@@ -40,19 +40,23 @@ Mask<W> no_lane() {
 
 /// Where one of n numbers is not finite: 0 · x is 0 where x is, and NaN where it is not.
 template <int W>
-Mask<W> not_finite(const Pack<W>* v, std::size_t n) {
+INVARIODE_EACH Mask<W> not_finite(const Pack<W>* v, std::size_t n) {
   Pack<W> sum(0);
   for (std::size_t i = 0; i < n; ++i) sum += 0.0 * v[i];
   return ~(sum <= Pack<W>(0));
 }
 
+template <int W>
+INVARIODE_SHARED void replace(const Mask<W>& where, Pack<W>* v, const Pack<W>* instead, std::size_t n) {
+  for (std::size_t i = 0; i < n; ++i) v[i] = choose(where, instead[i], v[i]);
+}
+
 /// Functions are never asked at points that are not finite: in such lanes the numbers of `instead` take their place.
 /// Returns which they are.
 template <int W>
-Mask<W> mend(Pack<W>* v, const Pack<W>* instead, std::size_t n) {
+INVARIODE_EACH Mask<W> mend(Pack<W>* v, const Pack<W>* instead, std::size_t n) {
   const Mask<W> odd = not_finite(v, n);
-  if (bits(odd) != 0)
-    for (std::size_t i = 0; i < n; ++i) v[i] = choose(odd, instead[i], v[i]);
+  if (bits(odd) != 0) replace(odd, v, instead, n);
   return odd;
 }
 
@@ -66,7 +70,7 @@ Mask<W> multiple_of(const Pack<W>& x, double power) {
 
 /// A function in all lanes.
 template <int W>
-void evaluate(const Called& f, const Pack<W>& t, const Pack<W>* y, Pack<W>* out, const Pack<W>* p) {
+INVARIODE_EACH void evaluate(const Called& f, const Pack<W>& t, const Pack<W>* y, Pack<W>* out, const Pack<W>* p) {
   f.function(f.context, t.lanes(), y->lanes(), out->lanes(), reinterpret_cast<const double*>(p));
 }
 

@@ -6,11 +6,14 @@
 #include <cmath>
 #include <cstdint>
 
-// A function that the kernels of all pairs share, rather than each having a copy.
+// Functions of which the kernels share one, and those that are a part of each: the compiler would take its decision for
+// both by their number.
 #if defined(__GNUC__)
 #define INVARIODE_SHARED [[gnu::noinline]]
+#define INVARIODE_EACH [[gnu::always_inline]] inline
 #else
 #define INVARIODE_SHARED
+#define INVARIODE_EACH inline
 #endif
 
 namespace invariode::lanes::INVARIODE_LANES {

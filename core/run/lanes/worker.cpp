@@ -94,6 +94,8 @@ lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, const lanes:
           .hmax = std::min(settings.hmax, huge),
           .first_step = settings.first_step,
           .rtol = weights.rtol(),
+          .max_steps = settings.max_steps == Settings::unlimited ? std::numeric_limits<double>::infinity()
+                                                                 : static_cast<double>(settings.max_steps),
           .real_limit = real_limit(solver.method().name, runge_kutta::Pairs()),
           .threshold = weights.threshold().data(),
           .scale = weights.scale().empty() ? nullptr : weights.scale().data(),
@@ -142,8 +144,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
   const std::size_t occurrences = problem.events.empty() ? 0 : plenty;
   const auto points = static_cast<std::int64_t>((settings.output_at_times ? settings.times.size() : 1) + occurrences);
   const auto bytes = static_cast<std::int64_t>((problem.n + 1) * sizeof(double));  // of a point that is kept
-  const bool limited = settings.max_steps != Settings::unlimited ||
-                       settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= points ||
+  const bool limited = settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= points ||
                        settings.max_bytes / bytes <= points;
   return limited ? "runs are limited" : nullptr;
 }
@@ -175,14 +176,14 @@ LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const Lan
 void LaneWorker::run() {
   if (!events_.empty()) search_.emplace(solver_, ensemble_);
   pair_.run(job_, *this, memory_.get());
-  result_.add_alone(left_);
+  result_.add_alone(left_why_);
 }
 
 bool LaneWorker::take(std::uint32_t& trajectory) {
   while (queue_.next(trajectory)) {
     const bool worth_it = left_ < trial || left_ < kept_;
     if (worth_it && all_finite(ensemble_.y0 + trajectory * ensemble_.n, ensemble_.n)) return true;
-    leave(trajectory);
+    leave(trajectory, worth_it ? lanes::Why::undefined : lanes::Why::others);
   }
   return false;
 }
@@ -213,10 +214,11 @@ void LaneWorker::set_parameters(std::uint32_t trajectory) {
   std::copy(row, row + ensemble_.parameters, solver_.problem().parameters.begin());
 }
 
-void LaneWorker::leave(std::uint32_t trajectory) {
+void LaneWorker::leave(std::uint32_t trajectory, lanes::Why why) {
   occurrences_.erase(trajectory);
   integrate_one(solver_, ensemble_, trajectory, queue_.cancelled(), result_);
   ++left_;
+  ++left_why_[static_cast<std::size_t>(why)];
   queue_.finish_one();
 }
 

@@ -36,7 +36,7 @@ class LaneWorker final : public lanes::Host {
     result_.put_out(trajectory, output, y, stride);
   }
   void keep(const lanes::Ended& ended) override;
-  void leave(std::uint32_t trajectory) override;
+  void leave(std::uint32_t trajectory, lanes::Why why) override;
   void go_on(const lanes::Suspended& suspended) override;
   bool jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) override;
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
@@ -74,6 +74,7 @@ class LaneWorker final : public lanes::Host {
   std::unordered_map<std::uint32_t, std::vector<Trajectory>> occurrences_;  // of trajectories that have not ended
   Memory memory_, memory_alone_;
   std::size_t kept_ = 0, left_ = 0;
+  EnsembleResult::Left left_why_{};
 };
 
 }  // namespace invariode
