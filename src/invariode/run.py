@@ -15,11 +15,11 @@ from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._bound_invariants import Jump, as_columns
 from ._calls import explain
+from ._identity import identity_of_run
 from ._interruption import stopped_by_interrupt
 from ._messages import MESSAGES, discontinuous, harmful_projection, limited_by_stability
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
-from ._run_identity import identity
 from ._types import MethodName
 from .checkpoint import Checkpoint
 from .compiled import CoreFunction, values_of
@@ -86,7 +86,7 @@ class RunOrigin:
         return _extended(self, sol, t_end, options)
 
     def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        about, arrays = identity(self.source.problem, self.source.method, self.source.options)
+        about, arrays = identity_of_run(self.source.problem, self.source.method, self.source.options)
         memory = np.frombuffer(self.memory, dtype=np.uint8)
         of_identity = {f"identity.{name}": one for name, one in arrays.items()}
         return (
@@ -163,7 +163,7 @@ def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) ->
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
         return None
-    who = identity(source.problem, source.method, source.options)
+    who = identity_of_run(source.problem, source.method, source.options)
     return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
 
 
