@@ -17,7 +17,8 @@ from .result import DiscontinuityWarning, StiffnessWarning, default_labels
 __all__ = ["Remarks", "solution"]
 
 #: Of the counts, those that make warnings.
-_WARNINGS = [_core.COUNTS.index(name) for name in ("dropped", "harmed", "stiff")]
+_WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
+assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")
 
 
 def solution(task: Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
@@ -60,12 +61,15 @@ class Remarks:
 
     def add(self, found: Outcomes) -> None:
         """Those of some more trajectories."""
+        jumps = ~np.isnan(found.discontinuity)
+        if jumps.any():
+            self._discontinuous += int(np.count_nonzero(jumps))
+        if not found.counts[:, _WARNINGS].any():
+            return
         dropped, harmed, stiff = found.counts[:, _WARNINGS].T
         self._dropped += int(np.count_nonzero(dropped))
         self._stiff += int(np.count_nonzero(stiff))
-        self._discontinuous += len(found) - int(np.count_nonzero(np.isnan(found.discontinuity)))
-        if harmed.any():
-            self._harmed.append(harmed[(found.status >= 0) & (harmed > 0)])
+        self._harmed.append(harmed[(found.status >= 0) & (harmed > 0)])
 
     def say(self, plan: Plan) -> None:
         """Of all that were added."""

@@ -114,7 +114,9 @@ def _parameters(task: Task, plan: Plan) -> Array:
     """The parameters of the native functions, one row for each trajectory."""
     size, p = len(task.y0), plan.functions.parameters
     if isinstance(task.args, tuple):
-        return np.ascontiguousarray(np.broadcast_to(p, (size, len(p))))
+        same = np.empty((size, len(p)))
+        same[:] = p
+        return same
     try:
         return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except ValueError:  # arguments of different shapes

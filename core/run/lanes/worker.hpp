@@ -5,8 +5,10 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <vector>
 
 #include "callback.hpp"
+#include "discontinuity.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/problem.hpp"
@@ -57,6 +59,8 @@ class LaneWorker final : public lanes::Host {
   Callback f_;                // for that
   lanes::Job job_, job_alone_;
   Memory memory_, memory_alone_;
+  JumpSearch search_;
+  std::vector<double> end_;  // of the way that it searches
   std::size_t left_ = 0;
 };
 
