@@ -17,32 +17,38 @@ constexpr double noise = 1000 * eps;  // of f, in units of its size: a smaller c
 }  // namespace
 
 JumpSearch::Result JumpSearch::search(double t0, const double* y0, double t1, const double* y1, double resolved) {
-  const std::size_t n = weights_.size();
-  weight_.resize(n);
+  calls_before_ = f_.calls();
   weights_.fill(y0, y1, weight_.data());
-  Point a{t0, {y0, y0 + n}, {}}, b{t1, {y1, y1 + n}, {}};
-  if (!evaluate(a) || !evaluate(b)) return stopped_ ? Result::stop : Result::none;
-  return narrow(a, b, resolved);
+  move_to(a_, t0, y0);
+  move_to(b_, t1, y1);
+  middle_ = a_;
+  if (!evaluate(a_) || !evaluate(b_)) return stopped_ ? Result::stop : Result::none;
+  return narrow(resolved);
+}
+
+void JumpSearch::move_to(Point& point, double t, const double* y) const {
+  point.t = t;
+  point.y.assign(y, y + weights_.size());
 }
 
 /// Goes on with the half in which f changes more, down to neighbouring doubles (of the larger |t|).
-JumpSearch::Result JumpSearch::narrow(Point& a, Point& b, double resolved) {
-  const double whole = change(a, b);
-  const double size = max_norm(weight_.size(), [&](std::size_t i) { return b.f[i] / weight_[i]; });
+JumpSearch::Result JumpSearch::narrow(double resolved) {
+  const double whole = change(a_, b_);
+  const double size = max_norm(weight_.size(), [&](std::size_t i) { return b_.f[i] / weight_[i]; });
   if (!(whole > noise * size)) return Result::none;
-  const double narrowest = ulp(std::max(std::abs(a.t), std::abs(b.t)));
+  const double narrowest = ulp(std::max(std::abs(a_.t), std::abs(b_.t)));
   for (bool beside_smooth = true;;) {
-    t1_ = b.t;
-    const double width = std::abs(b.t - a.t);
+    t1_ = b_.t;
+    const double width = std::abs(b_.t - a_.t);
     if (width <= narrowest) return beside_smooth ? Result::found : Result::none;
-    Point middle{std::midpoint(a.t, b.t), a.y, {}};
-    for (std::size_t i = 0; i < middle.y.size(); ++i) middle.y[i] = std::midpoint(a.y[i], b.y[i]);
-    if (!evaluate(middle)) return stopped_ ? Result::stop : Result::none;
-    const double before = change(a, middle), after = change(middle, b), larger = std::max(before, after);
+    middle_.t = std::midpoint(a_.t, b_.t);
+    for (std::size_t i = 0; i < middle_.y.size(); ++i) middle_.y[i] = std::midpoint(a_.y[i], b_.y[i]);
+    if (!evaluate(middle_)) return stopped_ ? Result::stop : Result::none;
+    const double before = change(a_, middle_), after = change(middle_, b_), larger = std::max(before, after);
     beside_smooth = std::min(before, after) <= kept * larger;  // which a pole is not
     if (!(larger <= grown * whole)) return Result::none;
     if (larger < kept * whole) return width <= sharp * resolved ? Result::found : Result::none;
-    (before > after ? b : a) = std::move(middle);
+    std::swap(before > after ? b_ : a_, middle_);
   }
 }
 
@@ -80,10 +86,10 @@ Status DiscontinuityDetector::gave_up(double t0, const double* y0, const double*
 
 Status DiscontinuityDetector::search(double t0, const double* y0, double t1, const double* y1, double resolved) {
   if (found_.size() >= most) return Status::ok;
-  JumpSearch search(f_, weights_);
-  const JumpSearch::Result result = search.search(t0, y0, t1, y1, resolved);
-  evaluations_ += search.evaluations();
-  if (result == JumpSearch::Result::found) found_.push_back(search.t());
+  if (!search_) search_.emplace(f_, weights_);
+  const JumpSearch::Result result = search_->search(t0, y0, t1, y1, resolved);
+  evaluations_ += search_->evaluations();
+  if (result == JumpSearch::Result::found) found_.push_back(search_->t());
   return result == JumpSearch::Result::stop ? Status::stop : Status::ok;
 }
 

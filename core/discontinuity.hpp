@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "callback.hpp"
@@ -18,27 +19,30 @@ class JumpSearch {
  public:
   enum class Result { none, found, stop };
 
-  JumpSearch(Callback f, const Weights& weights) : f_(f), weights_(weights), calls_before_(f.calls()) {}
+  JumpSearch(Callback f, const Weights& weights) : f_(f), weights_(weights), weight_(weights.size()) {}
 
   /// `resolved`: |h| of a step that would resolve f if it were smooth.
   Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
   /// Where the jump is: the first of the times with the new f.
   [[nodiscard]] double t() const { return t1_; }
+  /// Of f, in the latest search.
   [[nodiscard]] std::int64_t evaluations() const { return f_.calls() - calls_before_; }
 
  private:
   struct Point {
-    double t;
+    double t = 0;
     std::vector<double> y, f;
   };
-  Result narrow(Point& a, Point& b, double resolved);
+  void move_to(Point& point, double t, const double* y) const;
+  Result narrow(double resolved);
   [[nodiscard]] double change(const Point& a, const Point& b) const;
   [[nodiscard]] bool evaluate(Point& point);
 
   Callback f_;
   const Weights& weights_;
-  std::int64_t calls_before_;
+  std::int64_t calls_before_ = 0;
   std::vector<double> weight_;
+  Point a_, b_, middle_;  // kept, for the memory
   double t1_ = 0;
   bool stopped_ = false;
 };
@@ -85,6 +89,7 @@ class DiscontinuityDetector {
   Callback f_;
   const Weights& weights_;
   FailedSeries<void> series_;
+  std::optional<JumpSearch> search_;   // once there was one
   std::vector<double> from_, latest_;  // of the series; empty: it has not needed them yet
   std::vector<double> found_;
   std::int64_t evaluations_ = 0;

@@ -1,4 +1,5 @@
-"""What tells one problem from another, in text and numbers: for files that go on with a problem."""
+"""What tells one problem or run from another, as data: a file that goes on with one is refused to any other, and the
+difference is named."""
 
 from __future__ import annotations
 
@@ -6,21 +7,42 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from types import CodeType, FunctionType
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from ._arguments import call_name
-from .compiled import CompiledFunction
+from ._arguments import Array, call_name
+from ._options import Options
+from ._types import MethodName
+from .breakpoints import to_breakpoints
+from .compiled import CompiledFunction, is_native, values_of
+from .description import Description
+from .inputs import fed
+from .methods import find_method
 
-__all__ = ["identity"]
+__all__ = ["Identity", "identity_of_run", "in_words", "options_of", "require_same"]
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
 
+#: Options of who looks at a run, which it goes on without.
+_OF_THE_SESSION = frozenset({"progress", "on_interrupt", "checkpoint"})
 
-def identity(value: Any) -> Any:
-    """What `value` is, as JSON can hold it: equal for what is written alike, in another process too."""
+#: Values of f that differ by less, relative to the largest component, are the same: another machine rounds otherwise.
+_SAME = 1e-9
+
+
+def _array(value: Array) -> str:
+    return f"array {value.shape} {_digest(_parts(value))}"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Values and code
+
+
+def in_words(value: Any) -> Any:
+    """What `value` is, as JSON can hold it: equal for what is written alike, in another process too. Of a function its
+    code."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, (int, float, np.number)):
@@ -29,19 +51,18 @@ def identity(value: Any) -> Any:
             number if isinstance(number, int) or (isinstance(number, float) and math.isfinite(number)) else repr(number)
         )
     if isinstance(value, np.ndarray):
-        listed = value.size <= _FEW and value.dtype != object
-        return identity(value.tolist()) if listed else f"array {value.shape} {_digest(_parts(value))}"
+        return in_words(value.tolist()) if value.size <= _FEW and value.dtype != object else _array(value)
     if isinstance(value, (list, tuple)):
-        return [identity(one) for one in value]
+        return [in_words(one) for one in value]
     if isinstance(value, Mapping):
-        return {str(name): identity(one) for name, one in value.items()}
+        return {str(name): in_words(one) for name, one in value.items()}
     function = _function(value)
     if function is not None:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
         return f"{call_name(value, 'function')} ({_digest(_code(function, set()))}{', libm' * libm})"
     own = getattr(value, "__dict__", None)
     if type(value).__module__.startswith("invariode.") and own is not None:
-        about = {name: identity(one) for name, one in own.items() if not name.startswith("_")}
+        about = {name: in_words(one) for name, one in own.items() if not name.startswith("_")}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
 
@@ -99,3 +120,152 @@ def _instructions(code: CodeType) -> Iterator[bytes]:
             yield from _instructions(one)
         else:
             yield repr(one).encode()
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# A run
+
+
+class Identity(NamedTuple):
+    """In JSON's types, and arrays by name."""
+
+    about: dict[str, Any]
+    arrays: dict[str, Array]
+
+
+def identity_of_run(problem: Description, method: MethodName, options: Mapping[str, Any]) -> Identity:
+    """That of a run. Evaluates f at the start."""
+    about: dict[str, Any] = {"method": find_method(method)[0].name, "options": {}, "arrays": [], "functions": []}
+    arrays: dict[str, Array] = {"y0": problem.y0, "f0": _slope(problem)}
+    for name, value in options.items():
+        if value is None or name in _OF_THE_SESSION:
+            continue
+        if isinstance(value, np.generic):
+            value = value.item()
+        if name == "breakpoints":
+            arrays[name] = _times(value)
+            if any(point.action is not None for point in to_breakpoints(name, value)):
+                about["functions"].append(name)
+            else:
+                about["arrays"].append(name)
+        elif callable(value):
+            about["functions"].append(name)
+        elif isinstance(value, (bool, int, float, str)):
+            about["options"][name] = value
+        else:
+            about["arrays"].append(name)
+            arrays[name] = np.asarray(value)
+    about["bdf"] = bool(find_method(method)[1].get("bdf"))  # which a name of SciPy's implies
+    about["problem"] = _described(problem)
+    return Identity(about, arrays)
+
+
+def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
+    """The options of the run of a file. `given`: those with functions, which are not in the file, and others, which
+    must agree with those in it."""
+    about, arrays = stored
+    options: dict[str, Any] = {**about["options"], **{name: arrays[name] for name in about["arrays"]}}
+    if about["bdf"]:
+        options["bdf"] = True
+    for name, value in given.items():
+        if name in about["functions"] or name in _OF_THE_SESSION:
+            options[name] = value
+        elif not _equal(options.get(name), value):
+            was = _told(options.get(name))
+            raise ValueError(f"{name} is {value!r} here, and {was} in the file: leave it out, or load another file")
+    for name in about["functions"]:
+        if name not in given:
+            raise ValueError(f"the run has {name} with functions, which are not in the file: give {name}=... too")
+    if "breakpoints" in about["functions"]:
+        here, there = _times(given["breakpoints"]), arrays["breakpoints"]
+        if not _equal(there, here):
+            raise ValueError(
+                f"breakpoints are at {_told(here)} here, and at {_told(there)} in the file: give those of the run"
+            )
+    return cast("Options", options)
+
+
+def require_same(stored: Identity, problem: Description) -> None:
+    """Raises a ValueError that names what differs, if it is another problem."""
+    now = identity_of_run(problem, stored.about["method"], {})
+    here, there = now.about["problem"], stored.about["problem"]
+    pairs = [(what, here.get(what), was) for what, was in there.items() if here.get(what) != was]
+    if not pairs:
+        pairs = [
+            (what, _told(now.arrays[name]), _told(stored.arrays[name]))
+            for name, what in (("y0", "y0"), ("f0", "fun at the start"))
+            if not _close(now.arrays[name], stored.arrays[name])
+        ]
+    for what, value, was in pairs:
+        raise ValueError(
+            f"the file is of another problem: {what}: {value} here, {was} in the file. Give the problem of the run"
+        )
+
+
+def _described(problem: Description) -> dict[str, Any]:
+    """What is compared, by the words for it."""
+    of_events = [
+        [
+            event.__name__,
+            getattr(event, "terminal", False),
+            getattr(event, "direction", 0),
+            getattr(event, "samples", None),
+        ]
+        for event in problem.events
+    ]
+    return {
+        "components": len(problem.y0),
+        "complex": problem.y0.dtype.kind == "c",
+        "t0": problem.t_span[0],
+        "events (name, terminal, direction, samples)": [[_told(one) for one in event] for event in of_events],
+        "invariants": [{name: _told(one) for name, one in vars(law).items()} for law in problem.invariants],
+        "args": [_told(one) for one in problem.args],
+        "bounds": None if problem.limits is None else [_told(one) for one in problem.limits],
+        "inputs": [{name: _told(one) for name, one in vars(one).items()} for one in problem.inputs],
+        **{name: _told(one) for name, one in vars(problem.matrices).items()},
+    }
+
+
+def _told(value: Any) -> Any:
+    """A value in JSON's types, the same for equal ones. Of a function only that it is one."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if callable(value):
+        return "function"
+    if hasattr(value, "tocsc"):
+        value = value.tocsc()
+        return [_told(part) for part in (value.indptr, value.indices, value.data)]
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged
+        return type(value).__name__
+    if array.dtype.kind not in "biufc":
+        return [_told(one) for one in value] if isinstance(value, (list, tuple)) else type(value).__name__
+    if array.size <= _FEW and array.dtype.kind != "c":
+        return array.tolist()
+    return _array(array)
+
+
+def _slope(problem: Description) -> Array:
+    """f at the start; nothing where native code wants inputs, which only the core can call."""
+    if problem.inputs and is_native(problem.fun):
+        return np.zeros(0)
+    fun = fed(problem.fun, problem.inputs)
+    return values_of(fun, np.array([problem.t_span[0]]), problem.y0[:, None], problem.args)[:, 0]
+
+
+def _times(breakpoints: Any) -> Array:
+    return np.array([point.t for point in to_breakpoints("breakpoints", breakpoints)])
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if a is None or b is None:
+        return a is b
+    return np.shape(a) == np.shape(b) and bool(np.all(np.asarray(a) == np.asarray(b)))
+
+
+def _close(a: Array, b: Array) -> bool:
+    if a.shape != b.shape:
+        return False
+    size = float(np.abs(b[np.isfinite(b)]).max(initial=0))
+    return bool(np.allclose(a, b, rtol=0, atol=_SAME * size, equal_nan=True))

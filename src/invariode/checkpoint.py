@@ -18,7 +18,7 @@ import numpy as np
 from ._arguments import Array
 from ._core import Dense
 from ._files import PathLike, about_of, arrays_in, read_arrays, unreadable
-from ._run_identity import Identity
+from ._identity import Identity
 from .export import PLAIN, write_arrays
 from .result import Result
 

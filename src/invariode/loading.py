@@ -15,8 +15,8 @@ from ._arguments import Array, extra_arguments, reals, shown, tolerances, warn
 from ._bound_invariants import BoundInvariants, Jump, bind
 from ._core import MEMORY_VERSION, Dense
 from ._files import PathLike, about_of, read_arrays, unreadable
+from ._identity import Identity, options_of, require_same
 from ._options import ExtensionOptions, Options
-from ._run_identity import Identity, options_of, require_same
 from .checkpoint import CHECKPOINT, CHECKPOINT_VERSION, Stored, dense_of, read_checkpoint
 from .description import Description
 from .export import FORMAT, PLAIN, VERSION

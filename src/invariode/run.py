@@ -16,6 +16,7 @@ from ._arguments import Array, kept, number, output_times, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._bound_invariants import Jump, as_columns
 from ._calls import explain
+from ._identity import identity_of_run
 from ._interruption import stopped_by_interrupt
 from ._messages import (
     MESSAGES,
@@ -27,7 +28,6 @@ from ._messages import (
 )
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
-from ._run_identity import identity
 from ._types import MethodName
 from .checkpoint import Checkpoint
 from .compiled import CoreFunction, values_of
@@ -94,7 +94,7 @@ class RunOrigin:
         return _extended(self, sol, t_end, options)
 
     def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        about, arrays = identity(self.source.problem, self.source.method, self.source.options)
+        about, arrays = identity_of_run(self.source.problem, self.source.method, self.source.options)
         memory = np.frombuffer(self.memory, dtype=np.uint8)
         of_identity = {f"identity.{name}": one for name, one in arrays.items()}
         return (
@@ -173,7 +173,7 @@ def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) ->
         if "checkpoint_every" in source.options:
             warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
-    who = identity(source.problem, source.method, source.options)
+    who = identity_of_run(source.problem, source.method, source.options)
     return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
 
 

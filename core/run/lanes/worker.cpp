@@ -4,9 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <string_view>
-#include <vector>
 
-#include "discontinuity.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/invariants.hpp"
 #include "methods/runge_kutta.hpp"
@@ -171,7 +169,9 @@ LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const Lan
       job_(make_job(solver, ensemble, form.f, invariant_, events_)),
       job_alone_(make_job(solver, ensemble, alone(f_), invariant_alone_, events_alone_)),
       memory_(pair_.memory(job_)),
-      memory_alone_(alone_.memory(job_alone_)) {}
+      memory_alone_(alone_.memory(job_alone_)),
+      jump_search_(f_, solver.weights()),
+      end_(ensemble.n) {}
 
 void LaneWorker::run() {
   if (!events_.empty()) search_.emplace(solver_, ensemble_);
@@ -230,14 +230,11 @@ void LaneWorker::go_on(const lanes::Suspended& suspended) {
 
 bool LaneWorker::jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) {
   if (!DiscontinuityDetector::may_search(suspicion.attempts, checks)) return false;
-  const double* row = ensemble_.rows + suspicion.trajectory * ensemble_.parameters;
-  std::copy(row, row + ensemble_.parameters, solver_.problem().parameters.begin());
-  std::vector<double> y1(ensemble_.n);
-  for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = suspicion.y1[i * suspicion.stride];
-  JumpSearch search(f_, solver_.weights());
+  set_parameters(suspicion.trajectory);
+  for (std::size_t i = 0; i < end_.size(); ++i) end_[i] = suspicion.y1[i * suspicion.stride];
   const JumpSearch::Result result =
-      search.search(suspicion.t0, suspicion.y0, suspicion.t1, y1.data(), suspicion.latest);
-  checks += search.evaluations();
+      jump_search_.search(suspicion.t0, suspicion.y0, suspicion.t1, end_.data(), suspicion.latest);
+  checks += jump_search_.evaluations();
   return result != JumpSearch::Result::none;
 }
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "discontinuity.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/search.hpp"
@@ -75,6 +76,8 @@ class LaneWorker final : public lanes::Host {
   Memory memory_, memory_alone_;
   std::size_t kept_ = 0, left_ = 0;
   EnsembleResult::Left left_why_{};
+  JumpSearch jump_search_;
+  std::vector<double> end_;  // of the way that it searches
 };
 
 }  // namespace invariode
