@@ -10,6 +10,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from statistics import median
+from time import process_time
 from typing import Any
 
 from measure import Times, interleaved, machine, ratio, run, table
@@ -39,7 +40,7 @@ def solve(p: StiffProblem, method: str, fun: Any, **given: Any) -> Any:
 def row(p: StiffProblem, method: str, fun: Any, label: str, repetitions: int) -> list[str]:
     """Steps and evaluations of f with the one and the other, and their times."""
     sols = [solve(p, method, fun, jac=jac) for jac in WAYS]
-    times = interleaved({jac: partial(solve, p, method, fun, jac=jac) for jac in WAYS}, repetitions)
+    times = interleaved({jac: partial(solve, p, method, fun, jac=jac) for jac in WAYS}, repetitions, process_time)
     counts = [f"{s.stats.steps} + {s.stats.failed}, {s.nfev}, {s.njev}" for s in sols]
     return [p.name, method, label, *counts, *_compared(times)]
 
@@ -76,7 +77,9 @@ def patterns(repetitions: int) -> str:
     forms: dict[str, dict[str, Any]] = {"given": {"jac_sparsity": true != 0}, "detected": {}}
     sols = {label: solve(p, "ode15s", p.fun, **given) for label, given in forms.items()}
     times = interleaved(
-        {label: partial(solve, p, "ode15s", p.fun, **given) for label, given in forms.items()}, repetitions
+        {label: partial(solve, p, "ode15s", p.fun, **given) for label, given in forms.items()},
+        repetitions,
+        process_time,
     )
     rows = [
         [
@@ -94,7 +97,7 @@ def patterns(repetitions: int) -> str:
 
 def report(repetitions: int) -> str:
     """Both tables."""
-    head = f"{machine('numpy', 'scipy', 'numba')}. rtol = {RTOL:.0e}, medians of {repetitions}."
+    head = f"{machine('numpy', 'scipy', 'numba')}. rtol = {RTOL:.0e}, CPU times, medians of {repetitions}."
     return "\n\n".join([head, ways(repetitions), patterns(max(repetitions // 2, 1))])
 
 

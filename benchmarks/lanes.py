@@ -1,7 +1,8 @@
 """Ensembles side by side in vector registers against one at a time: ``python benchmarks/lanes.py [--write]``.
 
-Final states only, one thread, ode45, rtol = atol = 1e-6; the times are of the process's CPU clock, ``lanes=1`` and
-each instruction set in turn. Before anything is timed all results must be the same bits. Compilation is not timed.
+Final states unless the case says more, one thread, ode45, rtol = atol = 1e-6; the times are of the process's CPU clock,
+``lanes=1`` and each instruction set in turn. Before anything is timed all results must be the same bits. Compilation is
+not timed.
 """
 
 from __future__ import annotations
@@ -84,6 +85,15 @@ def kepler(t: float, y: Any, p: Any) -> Any:
     return y[2], y[3], -pull * y[0], -pull * y[1]
 
 
+def throw(t: float, y: Any, p: Any) -> Any:
+    """Height and speed, with the drag of the air."""
+    return y[1], -9.81 - 0.02 * p[0] * y[1] * abs(y[1])
+
+
+def height(t: float, y: Any, p: Any) -> Any:
+    return y[0]
+
+
 def pendulum(t: float, y: Any, p: Any) -> Any:
     return y[1], -p[0] * math.sin(y[0])
 
@@ -113,13 +123,20 @@ class Case:
     size: int
     elementary: Literal["own", "libm"] = "own"
     held: tuple[Callable[..., Any], Callable[..., Any]] | None = None  # an invariant, and its Jacobian
+    outputs: int = 0  # times at which y is put out
+    ends: Callable[..., Any] | None = None  # a terminal event
 
     def options(self) -> dict[str, Any]:
         """Of the solve."""
-        if self.held is None:
-            return {}
-        fun, jac = self.held
-        return {"invariants": iv.Invariants(iv.compile(fun), iv.compile(jac), names="held")}
+        options: dict[str, Any] = {}
+        if self.held is not None:
+            fun, jac = self.held
+            options["invariants"] = iv.Invariants(iv.compile(fun), iv.compile(jac), names="held")
+        if self.outputs:
+            options["t_eval"] = np.linspace(0, self.span, self.outputs)
+        if self.ends is not None:
+            options["events"] = iv.Event(iv.compile(self.ends), terminal=True)
+        return options
 
 
 def populations(size: int) -> tuple[Array, Array]:
@@ -169,6 +186,25 @@ CASES = [
         5000,
         held=(first_integral, first_integral_slope),
     ),
+    Case("Lotka–Volterra, 101 output times", lotka_volterra, 10.0, populations, 5000, outputs=101),
+    Case(
+        "Hénon–Heiles, energy held, 101 output times",
+        henon_heiles,
+        20.0,
+        partial(around, [0.1, 0.1, 0.3, 0.1], 0.05),
+        2000,
+        held=(energy, energy_slope),
+        outputs=101,
+    ),
+    Case("a throw to the ground, terminal event", throw, 5.0, partial(around, [1.0, 10.0], 0.5), 10000, ends=height),
+    Case(
+        "Hénon–Heiles to x = 0, terminal event",
+        henon_heiles,
+        20.0,
+        partial(around, [0.1, 0.1, 0.3, 0.1], 0.05),
+        5000,
+        ends=height,
+    ),
 ]
 
 
@@ -189,7 +225,11 @@ def measured(case: Case, repetitions: int) -> list[str]:
         found = in_lanes(name)
         if not found.stats.lanes.startswith(f"{width} lanes"):
             raise SystemExit(f"not timed: {case.name} was solved {found.stats.lanes}")
-        if not np.array_equal(found.y_end, alone.y_end) or not alone.success.all():
+        if (
+            not np.array_equal(found.y_end, alone.y_end)
+            or not np.array_equal(found.y, alone.y)
+            or not alone.success.all()
+        ):
             raise SystemExit(f"not timed: the results of {case.name} are not the same")
         contestants[name] = partial(in_lanes, name)
     times = interleaved(contestants, repetitions, process_time)

@@ -108,6 +108,9 @@ std::tuple<Indices, Indices, Vector> jacobian(double t, const ConstVector& y, co
   const Matrix J = unlocked(bound, [&] { return jacobian_at(bound.problem(), weights, t, y.data()); });
   std::vector<int> rows, columns;
   std::vector<double> values;
+  rows.reserve(J.size());
+  columns.reserve(J.size());
+  values.reserve(J.size());
   J.for_each([&](std::size_t i, std::size_t j, double value) {
     rows.push_back(static_cast<int>(i));
     columns.push_back(static_cast<int>(j));

@@ -74,7 +74,7 @@ InvariantBlock make_block(const InvariantSpec& spec, Functions& functions) {
   block.derivative = choose(substitutes, substitute, "kind of derivative");
   if (block.derivative != Derivative::complex_step) return block;
   nb::object at_complex = spec.fun;
-  if (substitute == choose_derivative)
+  if (substitute == choose_derivative || nb::isinstance<Native>(spec.fun))
     at_complex = nb::module_::import_("invariode._bound_invariants").attr("at_complex")(spec.fun, spec.m);
   block.complex_g = functions.complex_vector(at_complex, name, spec.m);
   return block;

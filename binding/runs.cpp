@@ -359,17 +359,25 @@ class Stepper {
 };
 
 /// The name of an instruction set, and where the code of the functions is in its lanes: of f, and of an invariant that
-/// is held g and its Jacobian.
+/// is held g and its Jacobian, and of events.
 using LaneCodes = std::pair<std::string, std::vector<std::uintptr_t>>;
 
-LaneForm lane_form(const LaneCodes& codes) {
+LaneForm lane_form(const LaneCodes& codes, bool holds) {
   const auto& [name, addresses] = codes;
-  const auto called = [&](std::size_t i) {
+  std::size_t next = 0;
+  const auto called = [&addresses = addresses, &next] {
+    const std::size_t i = next++;
     return lanes::Called{i < addresses.size() ? reinterpret_cast<lanes::Function*>(addresses[i]) : nullptr, nullptr};
   };
+  LaneForm form;
   for (const lanes::Instructions* one : lanes::instructions())
-    if (one->name == name) return {one, called(0), called(1), called(2)};
-  throw std::invalid_argument("this processor has no instructions named " + name);
+    if (one->name == name) form.instructions = one;
+  if (form.instructions == nullptr) throw std::invalid_argument("this processor has no instructions named " + name);
+  form.f = called();
+  if (holds) form.g = called();
+  if (holds) form.jacobian = called();
+  while (next < addresses.size()) form.events.push_back(called());
+  return form;
 }
 
 /// Integrates from each row of y0, with the row of `parameters` of the same number, on as many threads as there are
@@ -401,7 +409,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
   };
   const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };
   std::optional<LaneForm> form;
-  if (lanes) form = lane_form(*lanes);
+  if (lanes) form = lane_form(*lanes, !solvers.front()->problem().invariants.empty());
   std::unique_ptr<EnsembleResult> result;
   {
     const Unlocked released;
@@ -588,7 +596,8 @@ void define_ensemble(nb::module_& module) {
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
       nb::arg("progress").none(), nb::arg("lanes") = nb::none(),
       "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
-      "set and where the code of the functions is in its lanes: of f, and of an invariant its g and its Jacobian.");
+      "set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of "
+      "events.");
   std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
   for (const lanes::Instructions* one : lanes::instructions())
     sets.emplace_back(std::string(one->name), one->lanes, one->bits);
@@ -676,6 +685,7 @@ void define_stepper(nb::module_& module) {
           "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); },
           "Where f jumps, as far as it was seen.")
       .def_prop_ro("nfev", &Stepper::evaluations)
+      .def_prop_ro("nfev_searching", [](Stepper& s) { return s.integration().discontinuities().evaluations(); })
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
 }

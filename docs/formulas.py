@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 #: The pages with formulas as text.
-PAGES = ("algorithms",)
+PAGES = ("algorithms", "benchmarks/stiff")
 
 #: What stays as it is: code, formulas in dollars, targets of links.
 KEPT = re.compile(r"(`[^`]*`|\$[^$]*\$|\]\([^)]*\))")

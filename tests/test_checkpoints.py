@@ -155,7 +155,7 @@ def test_the_file_of_another_problem_is_refused_by_what_differs(kind, what, tmp_
     sol = problem().solve(checkpoint=tmp_path / "checkpoint")
     sol.save(tmp_path / "saved")
     changes, message = OTHER[what]
-    with pytest.raises(ValueError, match=rf"{kind} cannot go on here: the file is of another problem: {message}"):
+    with pytest.raises(ValueError, match=rf"{kind} cannot go on here: the file belongs to another problem: {message}"):
         iv.load(tmp_path / kind, problem(**changes))
 
 

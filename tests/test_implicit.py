@@ -91,6 +91,7 @@ def test_jacobian_function_is_called_as_often_as_counted(code):
     assert not np.array_equal(calls[0][1], calls[1][1])
 
 
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
 def test_sparsity_that_grows_during_the_run_is_followed(code):
     """A sparse Jacobian may leave out entries that are zero where it is evaluated."""
 

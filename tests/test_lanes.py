@@ -97,6 +97,9 @@ def same(a, b):
     for name in a.stats:
         np.testing.assert_array_equal(a.stats[name], b.stats[name], err_msg=name)
     assert a.messages == b.messages
+    for one, other in zip(a.events, b.events, strict=True):
+        for name in ("trajectory", "t", "y"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
 @pytest.mark.parametrize(
@@ -144,6 +147,31 @@ def test_output_at_times_is_that_of_single_solves(method, invariants, interpolat
         np.testing.assert_array_equal(found.y[i], one.y)
         for count in ("steps", "nfev", "ng", "ngjac", "nfev_check", "projections"):
             assert found.stats[count][i] == one.stats[count]
+
+
+FALLING = iv.Event(iv.compile(lambda t, y, p: y[0]), direction=-1)
+THIRD = iv.Event(iv.compile(lambda t, y, p: y[1] - p[0]), terminal=3)
+
+
+@pytest.mark.parametrize("method", PAIRS)
+@pytest.mark.parametrize("invariants", [None, ENERGY])
+def test_events_are_those_of_single_solves(method, invariants):
+    options = {"events": [FALLING, THIRD], "t_eval": np.linspace(0, 9, 28), "invariants": invariants}
+    y0, p = rows()
+    found, alone = (
+        iv.solve_ensemble(COMPILED["quartic"], (0, 9), y0, method, args=p, workers=2, **options, **how)
+        for how in ({}, {"lanes": 1})
+    )
+    same(found, alone)
+    assert "lanes, " in found.stats.lanes
+    assert set(found.status) == {0, 1}
+    for i in range(0, SIZE, 11):
+        one = iv.solve_ivp(COMPILED["quartic"], (0, 9), y0[i], method, args=tuple(p[i]), **options)
+        assert one.status == found.status[i]
+        np.testing.assert_array_equal(found.y[i, :, : len(one.t)], one.y)
+        for event, t, y in zip(found.events, one.t_events, one.y_events, strict=True):
+            np.testing.assert_array_equal(event.t[event.trajectory == i], t)
+            np.testing.assert_array_equal(event.y[event.trajectory == i], y)
 
 
 @pytest.fixture(scope="module", params=["Henon-Heiles", "rigid body"])
@@ -206,7 +234,7 @@ def test_failures_are_told_as_without_lanes():
     [
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
         ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
-        ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]))}, "events"),
+        ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
         ({"max_steps": 10**6}, "limited"),
         ({"nonnegative": True}, "bounds"),
         ({"invariants": iv.Invariants(iv.compile(energy), names="energy")}, "give jac"),

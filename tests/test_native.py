@@ -144,10 +144,24 @@ def test_native_jacobians_of_stiff_problems():
         np.testing.assert_allclose(sol.y[:, -1], expected.y[:, -1], atol=1e-6)
 
 
-def test_a_native_function_takes_no_complex_steps():
-    held = iv.Invariants(iv.compile(integrals), "complex-step", names=["energy", "momentum"])
-    with pytest.raises(ValueError, match=r'invariant integrals: jac="complex-step" is not for native functions'):
+def test_gradients_of_a_compiled_invariant_are_exact():
+    """As those of the Python function are, in the same evaluations; other machine code takes no complex y."""
+    python = iv.solve_ivp(kepler, (0, 10), ORBIT, invariants=iv.Invariants(integrals, names=["energy", "momentum"]))
+    for jac in (None, "complex-step"):
+        held = iv.Invariants(iv.compile(integrals), jac, names=["energy", "momentum"])
+        sol = iv.solve_ivp(kepler, (0, 10), ORBIT, invariants=held)
+        assert sol.stats.derivatives == "complex step"
+        assert sol.stats.ngdiff == python.stats.ngdiff - 3  # the choice counts calls of Python only
+        np.testing.assert_allclose(sol.y, python.y, rtol=1e-12, atol=1e-12)
+    held = iv.Invariants(kepler_code, "complex-step", value=np.zeros(4))
+    with pytest.raises(ValueError, match=r'jac="complex-step" is not for native functions'):
         iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
+
+
+def test_a_compiled_invariant_that_is_not_analytic_has_differences():
+    held = iv.Invariants(iv.compile(lambda t, y: abs(y[0] * y[3] - y[1] * y[2])), names=["momentum"])
+    sol = iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
+    assert sol.stats.derivatives == "central differences"
 
 
 def test_copies_and_pickles_of_solutions():

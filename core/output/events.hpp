@@ -51,6 +51,19 @@ class Events {
   /// Takes the signs after a jump at t to y. The events that have just occurred sleep until they have left zero.
   Outcome restart(double t, const double* y);
 
+  /// What is known of an event between two steps.
+  struct Watch {
+    double last;               ///< its value
+    int sign;                  ///< where it was last not zero; 0: asleep
+    std::int64_t occurrences;  ///< so far
+  };
+  [[nodiscard]] Watch watch(std::size_t event) const { return {last_[event], sign_[event], times_seen_[event]}; }
+  void go_on_from(std::size_t event, const Watch& watch) {
+    last_[event] = watch.last;
+    sign_[event] = watch.sign;
+    times_seen_[event] = watch.occurrences;
+  }
+
   void state(Archive& archive);
   /// Continues at (t, y) after the occurrences of the last search, which may have ended a run: the count that did so
   /// starts again.

@@ -145,9 +145,9 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
 
 void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
   const std::size_t i = ended.trajectory;
-  t[i] = solver.settings().tf;
+  t[i] = ended.t;
   for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = ended.y[c * ended.stride];
-  state[i] = static_cast<std::int8_t>(State::reached_end);
+  state[i] = static_cast<std::int8_t>(ended.by_event ? State::terminal_event : State::reached_end);
   count_of(i, "steps") = ended.steps;
   count_of(i, "failed") = ended.failed;
   count_of(i, "nfev") = ended.evaluations;
@@ -220,15 +220,21 @@ void EnsembleResult::measure_drift(std::size_t i, const RunResult& run, Invarian
 
 void EnsembleResult::keep_happenings(std::size_t i, const RunResult& run) {
   const bool failure = failed(run.state);
-  const bool happened = std::ranges::any_of(run.occurrences, [](const Trajectory& one) { return !one.t.empty(); });
-  if (!failure && !happened) return;
+  if (failure) {
+    const std::scoped_lock lock(shared_);
+    failures.push_back({i, run.state, run.report});
+  }
+  keep_occurrences(i, run.occurrences);
+}
+
+void EnsembleResult::keep_occurrences(std::size_t i, const std::vector<Trajectory>& found) {
+  if (std::ranges::all_of(found, [](const Trajectory& one) { return one.t.empty(); })) return;
   const std::scoped_lock lock(shared_);
-  if (failure) failures.push_back({i, run.state, run.report});
-  for (std::size_t e = 0; e < run.occurrences.size(); ++e) {
-    const Trajectory& found = run.occurrences[e];
-    occurrences[e].trajectory.insert(occurrences[e].trajectory.end(), found.t.size(), static_cast<std::int64_t>(i));
-    occurrences[e].points.t.append(found.t.data(), found.t.size());
-    occurrences[e].points.y.append(found.y.data(), found.y.size());
+  for (std::size_t e = 0; e < found.size(); ++e) {
+    const auto& [t_of, y_of] = found[e];
+    occurrences[e].trajectory.insert(occurrences[e].trajectory.end(), t_of.size(), static_cast<std::int64_t>(i));
+    occurrences[e].points.t.append(t_of.data(), t_of.size());
+    occurrences[e].points.y.append(y_of.data(), y_of.size());
   }
 }
 
@@ -245,7 +251,8 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
   const bool complete = form && form->f.function != nullptr &&
                         (solvers.front()->problem().invariants.empty() ||
-                         (form->g.function != nullptr && form->jacobian.function != nullptr));
+                         (form->g.function != nullptr && form->jacobian.function != nullptr)) &&
+                        form->events.size() == solvers.front()->problem().events.size();
   const bool in_lanes = complete && obstacle_to_lanes(*solvers.front()) == nullptr;
   const std::size_t first = in_lanes ? 0 : integrate_few(*solvers.front(), ensemble, *result);
   const auto told = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };

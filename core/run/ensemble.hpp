@@ -51,8 +51,10 @@ class EnsembleResult {
     for (std::size_t c = 0; c < n; ++c)
       y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = row[c * stride];
   }
-  /// What one that has reached tf in a lane did, but for its outputs.
+  /// What one that has ended in a lane did, but for its outputs.
   void keep(const lanes::Ended& ended, const Solver& solver);
+  /// Of each event.
+  void keep_occurrences(std::size_t i, const std::vector<Trajectory>& found);
   /// So many more trajectories were solved one at a time, though the others were not.
   void add_alone(std::size_t count);
 
@@ -89,10 +91,11 @@ struct Ensemble {
 };
 
 /// The functions of a problem in the lanes of an instruction set: f, and of an invariant that is held g and its
-/// Jacobian.
+/// Jacobian, and the events.
 struct LaneForm {
-  const lanes::Instructions* instructions;
+  const lanes::Instructions* instructions = nullptr;
   lanes::Called f, g, jacobian;
+  std::vector<lanes::Called> events;
 };
 
 /// Trajectory i, on a thread that has the solver to itself.

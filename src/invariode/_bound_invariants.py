@@ -23,7 +23,7 @@ from ._arguments import (
     reals,
     tolerances,
 )
-from .compiled import CoreFunction, is_native, native_parameters, to_native
+from .compiled import CoreFunction, complex_form, in_both_forms, is_native, native_parameters, to_native
 from .invariants import Invariants
 
 __all__ = ["BoundInvariants", "InvariantSpec", "Jump", "as_columns", "bind"]
@@ -258,14 +258,21 @@ def bind(
         kind = one.jac
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
-        if kind == "complex-step" and is_native(one.fun):
-            raise ValueError(f'invariant {name}: jac="complex-step" is not for native functions, which take real y')
-        if kind is None and is_native(one.fun):
+        forms = one.fun
+        if kind in (None, "complex-step") and is_native(one.fun):
+            code = None if np.iscomplexobj(y) else complex_form(fun)
+            forms = None if code is None else in_both_forms(fun, code, m, p)
+        if kind == "complex-step" and forms is None:
+            raise ValueError(
+                f'invariant {name}: jac="complex-step" is not for native functions, which take real y, except those of '
+                "invariode.compile that numba compiles for complex y"
+            )
+        if kind is None and forms is None:
             kind = "3-point"
         elif kind is None:
-            probe = _Probe(one.fun, t, y, args, threshold, at_start)
+            probe = _Probe(forms, t, y, () if is_native(one.fun) else args, threshold, at_start)
             kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
-            evaluations += probe.evaluations
+            evaluations += 0 if is_native(one.fun) else probe.evaluations
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
@@ -436,8 +443,10 @@ class _Probe:
         return np.atleast_1d(np.asarray(self._fun(self._t, y, *self._args), dtype=y.dtype))
 
 
-def at_complex(fun: Callable[..., Any], m: int) -> Callable[..., Any]:
+def at_complex(fun: Any, m: int) -> Any:
     """g for complex y; NaN where it cannot be evaluated there, so that the core switches to differences."""
+    if isinstance(fun, _core.Native):
+        return complex_form(fun)
 
     def evaluate(t: float, y: Array, *args: Any) -> Any:
         try:

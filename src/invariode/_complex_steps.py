@@ -13,7 +13,7 @@ from . import _core
 from ._arguments import EPS, Array
 from ._bound_invariants import at_complex
 from ._derivatives import somewhere
-from .compiled import CompiledFunction, NativeWithInputs, is_native
+from .compiled import CompiledFunction, NativeWithInputs, complex_form, is_native
 
 __all__ = ["compiled_at_complex", "python_at_complex"]
 
@@ -29,20 +29,14 @@ _INSTEAD = 'or use jac="differences"'
 
 def compiled_at_complex(fun: Any, n: int, parameters: int) -> _core.Native | None:
     """Machine code of a compiled f for complex y. None: it is not made by `compile`, or not for complex numbers."""
-    inputs = fun.inputs if isinstance(fun, NativeWithInputs) else []
-    size = fun.size if isinstance(fun, NativeWithInputs) else 0
-    compiled = fun.fun if isinstance(fun, NativeWithInputs) else fun
-    if not isinstance(compiled, CompiledFunction):
-        return None
-    try:
-        code = compiled.complex_native(n, n, parameters + size, real_time=True)
-    except Exception:  # whatever numba meets there: it has compiled the function for real numbers
-        return None
-    return _core.Native(address=code.address, event=False, owner=code, inputs=inputs) if inputs else code
+    if isinstance(fun, NativeWithInputs):
+        code = compiled_at_complex(fun.fun, n, parameters + fun.size)
+        return code and _core.Native(address=code.address, event=False, owner=code, inputs=fun.inputs)
+    return complex_form(fun.native(n, n, parameters, event=False)) if isinstance(fun, CompiledFunction) else None
 
 
 def python_at_complex(fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...]) -> Callable[..., Any]:
-    """A Python f for complex y; NaN where it cannot be evaluated there, so that the core goes over to differences.
+    """A Python f for complex y; NaN where it cannot be evaluated there, so that the core switches to differences.
 
     Raises
     ------
@@ -57,7 +51,8 @@ def python_at_complex(fun: Callable[..., Any], t: float, y: Array, args: tuple[A
     for part in _BESIDE:
         if _compared(fun, t, y + part * somewhere(y), args):
             break
-    return at_complex(fun, len(y))
+    form: Callable[..., Any] = at_complex(fun, len(y))
+    return form
 
 
 def _compared(fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...]) -> bool:

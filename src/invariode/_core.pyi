@@ -416,7 +416,7 @@ class EnsembleRun:
 
 def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None) -> EnsembleRun:
     """
-    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant its g and its Jacobian.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of events.
     """
 
 LANES: list = ...
@@ -516,6 +516,9 @@ class Stepper:
 
     @property
     def nfev(self) -> int: ...
+
+    @property
+    def nfev_searching(self) -> int: ...
 
     @property
     def njev(self) -> int: ...

@@ -34,7 +34,9 @@ __all__ = [
     "Compiled",
     "CompiledFunction",
     "compile",
+    "complex_form",
     "event_value",
+    "in_both_forms",
     "is_native",
     "made_by_compile",
     "to_native",
@@ -475,6 +477,32 @@ def made_by_compile(fun: Any) -> Compiled | None:
     compiled, shape = fun.made_of
     known = _Shape(shape.n, shape.size, shape.parameters, shape.event)
     return Compiled(compiled, known.n, known.size, known.parameters, known.event) if shape == known else None
+
+
+def complex_form(fun: Any) -> _core.Native | None:
+    """Machine code that `compile` made, for complex y and real t. None: it has not made it, or cannot."""
+    if not isinstance(fun, _Native) or fun.made_of is None:
+        return None
+    compiled, shape = fun.made_of
+    try:
+        made: _core.Native = compiled.complex_native(shape.n, shape.size, shape.parameters, real_time=True)
+    except Exception:  # whatever numba meets there: it has compiled the function for real numbers
+        return None
+    return made
+
+
+def in_both_forms(fun: _core.Native, at_complex: _core.Native, size: int, p: Array) -> Callable[[float, Array], Array]:
+    """Machine code for real and for complex y as one Python function."""
+    signature = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.c_void_p] * 3)
+    codes = {"f": signature(fun.address), "c": signature(at_complex.address)}
+
+    def evaluate(t: float, y: Array) -> Array:
+        values = np.empty(size, y.dtype)
+        y = np.ascontiguousarray(y)
+        codes[y.dtype.kind](t, y.ctypes.data, values.ctypes.data, p.ctypes.data if len(p) else None)
+        return values
+
+    return evaluate
 
 
 def event_value(fun: Any, t: float, y: Array, p: Array) -> float:

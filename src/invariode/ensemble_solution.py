@@ -34,7 +34,7 @@ _FORMAT = "invariode ensemble"
 
 @dataclasses.dataclass
 class Trajectories:
-    """What the results of single trajectories need beside the numbers. It does not travel in pickles: functions."""
+    """What results of single trajectories need besides the numbers. It has functions, so pickles leave it out."""
 
     name: str
     events: list[str]
@@ -46,7 +46,7 @@ class Trajectories:
 
     @classmethod
     def unknown(cls, events: int, invariants: int) -> Trajectories:
-        """Of a result without its functions."""
+        """For a result without its functions."""
         laws = [f"g{i}" for i in range(invariants)]
         return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), 1e-3, 1e-6)
 
@@ -57,7 +57,7 @@ class Trajectories:
         return self
 
     def invariants(self, i: int, value: Array) -> BoundInvariants:
-        """Those of a trajectory, at its values."""
+        """The invariants of a trajectory, at its values."""
         if self.bound is None or not np.isfinite(value).all():
             return BoundInvariants([], np.zeros(0), [], (), np.zeros(0), None)
         args = self.args if isinstance(self.args, tuple) else tuple(self.args[i])
@@ -160,15 +160,16 @@ class EnsembleSolution:
     stats : EnsembleStats
         Counts of each trajectory.
     value : ndarray, (N, m)
-        At what the invariants were held (at first, if events with actions changed it). NaN where there was no start.
+        The values at which the invariants were held (the first ones, if events with actions changed them). NaN for
+        trajectories that did not start.
     residual_before : ndarray, (N, m)
         Largest ``|g - value|`` of the accepted candidates before projection.
     residual_after : ndarray, (N, m)
         The same at the outputs and the end.
     correction : ndarray, (N,)
-        Largest correction by projection of a step, in units of rtol.
+        Largest correction of a step by projection, in units of rtol.
     attempt : ndarray of int, (N,)
-        Whose result each trajectory is: 0 of the method and options given, k of the k-th of `retry`.
+        Which attempt gave each result: 0, with the method and options given; k, with the k-th of `retry`.
     """
 
     t: Array
@@ -354,7 +355,7 @@ class EnsembleSolution:
         Parameters
         ----------
         path : str or path-like
-            The file, under just this name; conventionally it ends in ``.npz``. One that is there is replaced.
+            The file, by exactly this name; conventionally it ends in ``.npz``. An existing file is replaced.
 
         Raises
         ------

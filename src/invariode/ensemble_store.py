@@ -62,7 +62,7 @@ class Layout:
     dtype : dtype
         Of y.
     times : bool
-        Whether these were asked for; else only the final states are kept.
+        Whether `t_eval` was given; otherwise only the final states are kept.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Layout:
         self.about, self.names, self.t, self.dtype, self.times = about, names, t, dtype, times
 
     def arrays(self) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any], Any]]:
-        """Each array: its name, its shape without the trajectories, its type, what it holds where nothing is solved."""
+        """Each array: its name, its shape without the trajectories, its type, its value for unsolved ones."""
         sizes = {name: len(these) for name, these in self.names.items()} | {
             "t": len(self.t),
             "count": len(_core.COUNTS),
@@ -90,14 +90,14 @@ class Layout:
 
 
 class StoreWriter:
-    """A store that is being filled. A part is there when its digest is, which is written last.
+    """A store that is being filled. A part is complete when its digest is there, which is written last.
 
     Raises
     ------
     FileExistsError
         There is a store, and it is not to be resumed.
     ValueError
-        It is of another problem, or no store of an ensemble.
+        It belongs to another problem, or is not a store of an ensemble.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class StoreWriter:
         else:
             if not resume:
                 raise FileExistsError(
-                    f"{_shown(path)} is there already: go on with it by resume=True, remove it, or give another name"
+                    f"{_shown(path)} exists already: continue it with resume=True, remove it, or give another name"
                 )
             _require_same(group, layout, size, seed)
         self._group = group
@@ -152,12 +152,12 @@ class StoreWriter:
         return group
 
     def missing(self, parts: Iterator[Part]) -> Iterator[Part]:
-        """The parts that are not there.
+        """The parts that are missing.
 
         Raises
         ------
         ValueError
-            One that is there is of other rows.
+            A part that is there belongs to other rows.
         """
         for part in parts:
             there = int(self._known[part.number]) if part.number < len(self._known) else 0
@@ -186,7 +186,7 @@ class StoreWriter:
         self._digests[part.number : part.number + 1] = np.array([digest(part)], dtype=np.uint64)
 
     def _write_apart(self, part: Part, found: Outcomes) -> None:
-        """What few trajectories have: messages and events, in a group of the part."""
+        """What only some trajectories have: messages and events, in a group of the part."""
         happened = [(e, one) for e, one in enumerate(found.events) if len(one.t)]
         if not found.messages and not happened:
             return
@@ -204,17 +204,17 @@ class StoreWriter:
         self._digests.resize((-(-rows // self.length),))
 
     def finish(self, size: int) -> None:
-        """All rows are solved, so many."""
+        """All rows are solved: this many."""
         if size < self._arrays["status"].shape[0]:
             self._grow(size)
         self._group.attrs["size"] = size
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that not every reader knows it
+            warnings.simplefilter("ignore")  # the warning that not every reader knows it
             _zarr().consolidate_metadata(self.path, zarr_format=_ZARR_FORMAT)
 
 
 class EnsembleStore:
-    """An ensemble in a Zarr store: what `solve_ensemble` with `store` returns. Nothing is in memory until asked for.
+    """An ensemble in a Zarr store: what `solve_ensemble` with `store` returns. Nothing is read before it is used.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ class EnsembleStore:
     path : str, path-like or a store of Zarr
         The same.
     attributes : dict
-        What the store says of its problem, its options and its seed.
+        What the store says about its problem, its options and its seed.
 
     Raises
     ------
@@ -240,7 +240,7 @@ class EnsembleStore:
         self.path = path
         group = _opened(path, "r")
         if group is None or group.attrs.get("format") != _FORMAT:
-            raise ValueError(f"{_shown(path)} is no store of an ensemble; make one with solve_ensemble(store=...)")
+            raise ValueError(f"{_shown(path)} is not a store of an ensemble: make one with solve_ensemble(store=...)")
         self._group = group
         self.attributes: dict[str, Any] = dict(group.attrs)
 
@@ -299,7 +299,7 @@ class EnsembleStore:
         )
 
     def to_xarray(self) -> xarray.Dataset:
-        """The store as a data set of xarray, which reads what is used of it.
+        """The store as a data set of xarray, which reads only what is used.
 
         Returns
         -------
@@ -321,7 +321,7 @@ class EnsembleStore:
         return data
 
     def load(self) -> EnsembleSolution:
-        """All of it in memory, as `solve_ensemble` without `store` returns it, but for the functions.
+        """All of it in memory, as `solve_ensemble` without `store` returns it, except for the functions.
 
         Returns
         -------
@@ -351,10 +351,10 @@ class EnsembleStore:
 
 
 def _require_same(group: Any, layout: Layout, size: int | None, seed: Any) -> None:
-    """That a store is of this problem."""
+    """Refuses a store that belongs to another problem."""
     held = dict(group.attrs)
     if held.get("format") != _FORMAT:
-        raise ValueError("the store is there, and no store of an ensemble: give another name")
+        raise ValueError("something else is there, not a store of an ensemble: give another name")
     theirs, ours = _flat(held["problem"]), _flat(layout.about)
     differing = [key for key in {**theirs, **ours} if theirs.get(key) != ours.get(key)]
     if size is not None and held["size"] not in (None, size):
@@ -365,7 +365,7 @@ def _require_same(group: Any, layout: Layout, size: int | None, seed: Any) -> No
         theirs["seed"], ours["seed"] = held["seed"], seed
     if differing:
         told = "; ".join(f"{key} is {theirs.get(key)!r} there and {ours.get(key)!r} now" for key in differing)
-        raise ValueError(f"the store is of another problem: {told}. Solve the same one, or give another name")
+        raise ValueError(f"the store belongs to another problem: {told}. Solve the same one, or give another name")
 
 
 def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
@@ -379,7 +379,7 @@ def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def parameter_names(fun: Any, args: Any) -> list[str]:
-    """Names of the numbers in args: those of the arguments of `fun`, where each is one. Empty: they are no numbers."""
+    """Names of the numbers in args: those of the arguments of `fun`, if each is one. Empty: they are not numbers."""
     try:
         numbers = np.asarray(args, dtype=float)
     except (TypeError, ValueError):
@@ -407,7 +407,7 @@ def _zarr() -> Any:
 
 
 def _opened(path: Any, mode: str) -> Any:
-    """The group, or None where nothing is."""
+    """The group; None if nothing is there."""
     zarr = _zarr()
     try:
         return zarr.open_group(path, mode=mode, zarr_format=_ZARR_FORMAT, use_consolidated=False)

@@ -280,6 +280,7 @@ def _run(
         t0, tf = float(times[0]), float(times[-1])
         y0 = parts[-1].y[:, -1] if parts else problem.y0
         now = cast("Options", {**options, "t_eval": times, "keep": "all", "callback": counter.callback})
+        now["breakpoints"] = [t for t in (t0, tf) if t not in (pieces[0][0], pieces[-1][-1])]
         if h0:
             now["first_step"] = min(h0, abs(tf - t0)) or None
         parts.append(problem.replace(t_span=(t0, tf), y0=y0).solve(method, **now))

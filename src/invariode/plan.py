@@ -105,11 +105,11 @@ class Functions(NamedTuple):
     limits: Limits | None  # of y
 
     def in_lanes(self) -> dict[str, Any]:
-        """What is evaluated in each step, by how messages call it: f, and g and its Jacobian of the first invariant."""
+        """What is evaluated in each step, as messages call it: f, the first invariant and its Jacobian, events."""
         functions = {"f": self.fun}
         for invariant in self.invariants[:1]:
             functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
-        return functions
+        return functions | {f"event {event.name} ({k})": event.fun for k, event in enumerate(self.events, 1)}
 
 
 class Plan(NamedTuple):

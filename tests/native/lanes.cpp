@@ -57,6 +57,13 @@ void slope_of_energy(double, const double* y, double* out, const double* p, std:
   out[2 * stride] = 0;
 }
 
+void position(double, const double* y, double* out, const double*, std::size_t) { out[0] = y[0]; }
+
+/// Undefined for some after a while, as the third component is.
+void speed(double t, const double* y, double* out, const double* p, std::size_t stride) {
+  out[0] = y[stride] * y[stride] - 0.3 + (p[2 * stride] < 2 ? std::sqrt(0.9 * p[2 * stride] - t) : 0);
+}
+
 using Law = void(double t, const double* y, double* out, const double* p, std::size_t stride);
 
 template <Law& one>
@@ -65,16 +72,25 @@ Status evaluated_alone(void* context, double t, const double* y, double* out) {
   return Status::ok;
 }
 
+/// What runs have beside f: an invariant; events, which may be terminal.
+struct Beside {
+  bool invariant = false;
+  bool events = false;
+  std::int64_t terminal[2] = {0, 0};
+};
+
 struct InLanes {
   std::size_t lanes;
   std::atomic<bool> finite = true;  // all points at which any thread asked it
 
-  [[nodiscard]] LaneForm form(const lanes::Instructions* instructions, bool holds = false) {
-    if (!holds) return {.instructions = instructions, .f = {called<law>, this}, .g = {}, .jacobian = {}};
-    return {.instructions = instructions,
-            .f = {called<free_law>, this},
-            .g = {called<energy>, this},
-            .jacobian = {called<slope_of_energy>, this}};
+  [[nodiscard]] LaneForm form(const lanes::Instructions* instructions, const Beside& beside = {}) {
+    LaneForm form;
+    form.instructions = instructions;
+    form.f = {beside.invariant ? called<free_law> : called<law>, this};
+    if (beside.invariant) form.g = {called<energy>, this};
+    if (beside.invariant) form.jacobian = {called<slope_of_energy>, this};
+    if (beside.events) form.events = {{called<position>, this}, {called<speed>, this}};
+    return form;
   }
 
   template <Law& one>
@@ -106,13 +122,13 @@ struct Rows {
 class Solvers {
  public:
   Solvers(const Method& method, std::size_t workers, const Weights& weights, const Settings& settings,
-          bool holds = false) {
+          const Beside& beside = {}) {
     for (std::size_t w = 0; w < workers; ++w) {
       auto& place = places_.emplace_back(parameters, 1.0);
       Problem problem;
       problem.n = 3;
-      problem.f = {holds ? evaluated_alone<free_law> : evaluated_alone<law>, place.data()};
-      if (holds) {
+      problem.f = {beside.invariant ? evaluated_alone<free_law> : evaluated_alone<law>, place.data()};
+      if (beside.invariant) {
         InvariantBlock block;
         block.g = {evaluated_alone<energy>, place.data()};
         block.jacobian = {evaluated_alone<slope_of_energy>, place.data()};
@@ -120,6 +136,12 @@ class Solvers {
         block.held = true;
         problem.invariants.push_back(block);
         problem.value.push_back(0);
+      }
+      if (beside.events) {
+        problem.events.resize(2);
+        problem.events[0] = {.function = {evaluated_alone<position>, place.data()}, .terminal = beside.terminal[0]};
+        problem.events[1] = {
+            .function = {evaluated_alone<speed>, place.data()}, .terminal = beside.terminal[1], .direction = 1};
       }
       problem.parameters = place;
       solvers_.push_back(std::make_unique<Solver>(method, problem, weights, settings, MethodOptions{}));
@@ -138,6 +160,18 @@ bool same_numbers(const std::vector<double>& a, const std::vector<double>& b) {
   return std::ranges::equal(a, b, [](double x, double y) { return x == y || (std::isnan(x) && std::isnan(y)); });
 }
 
+/// (trajectory, t, y) of an event, in the order of trajectories.
+std::vector<std::vector<double>> in_order(const EnsembleResult::Occurrences& event) {
+  std::vector<std::vector<double>> rows;
+  for (std::size_t k = 0; k < event.trajectory.size(); ++k) {
+    std::vector<double>& row = rows.emplace_back();
+    row = {static_cast<double>(event.trajectory[k]), event.points.t[k]};
+    for (std::size_t c = 0; c < 3; ++c) row.push_back(event.points.y[3 * k + c]);
+  }
+  std::ranges::sort(rows);
+  return rows;
+}
+
 void check_same(const EnsembleResult& a, const EnsembleResult& b) {
   CHECK(same_numbers(a.t, b.t));
   CHECK(same_numbers(a.y_end, b.y_end) && same_numbers(a.y, b.y));
@@ -146,12 +180,15 @@ void check_same(const EnsembleResult& a, const EnsembleResult& b) {
   CHECK(same_numbers(a.value, b.value) && same_numbers(a.before, b.before));
   CHECK(same_numbers(a.after, b.after) && same_numbers(a.correction, b.correction));
   CHECK(a.failures.size() == b.failures.size());
+  for (std::size_t e = 0; e < a.occurrences.size(); ++e)
+    CHECK(in_order(a.occurrences[e]) == in_order(b.occurrences[e]));
 }
 
 struct Case {
   std::size_t size;
   Settings settings;
   Weights weights;
+  Beside beside;
 };
 
 /// Output times, among them the ends, two in a row, and any interpolation.
@@ -182,7 +219,9 @@ std::vector<Case> random_cases(std::mt19937_64& random) {
     settings.record = false;
     if (settings.output_at_times) settings.times = random_times(settings, random);
     const std::vector<double> scale = vector ? std::vector{1.0, 10.0, 3.0} : std::vector<double>{};
-    cases.push_back({size, settings, Weights(rtol, {1e-3, 1e-3, 1.0}, scale)});
+    Beside beside{.events = between(0, 1) < 0.5};
+    if (between(0, 1) < 0.5) beside.terminal[random() % 2] = 1 + static_cast<std::int64_t>(random() % 3);
+    cases.push_back({size, settings, Weights(rtol, {1e-3, 1e-3, 1.0}, scale), beside});
   }
   return cases;
 }
@@ -196,16 +235,16 @@ TEST(lanes_are_the_single_runs_to_the_bit_in_every_instruction_set) {
     if (lanes::instructions().back()->pair(method.name) == nullptr) continue;
     for (const Case& one : random_cases(random)) {
       const Rows rows(one.size, random);
-      Solvers solvers(method, 1, one.weights, one.settings);
+      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
       CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
       const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
       for (const lanes::Instructions* instructions : lanes::instructions())
         for (const std::size_t workers : {1, 3}) {
           const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows, ", workers,
                                   " workers");
-          Solvers crew(method, workers, one.weights, one.settings);
+          Solvers crew(method, workers, one.weights, one.settings, one.beside);
           InLanes form{instructions->lanes};
-          const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions));
+          const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
           check_same(*found, *alone);
           CHECK(form.finite);
           beside_others += one.size - found->alone;
@@ -224,17 +263,18 @@ TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
       // Of some the energy is told with a mistake, of others it changes with time.
       const double far = one.size % 3 == 0 ? 1000 : one.size % 3 == 1 ? 500 : 2000;
       const Rows rows(one.size, random, far);
+      one.beside.invariant = true;
       one.settings.iterations = method.iterations;
       one.settings.check = one.size != 17;
-      Solvers solvers(method, 1, one.weights, one.settings, true);
+      Solvers solvers(method, 1, one.weights, one.settings, one.beside);
       CHECK(obstacle_to_lanes(*solvers.all()[0]) == nullptr);
       const auto alone = integrate_all(solvers.all(), rows.ensemble(), go_on);
       refused += alone->failures.size();
       for (const lanes::Instructions* instructions : lanes::instructions()) {
         const check::Case label(method.name, ", ", instructions->name, ", ", one.size, " rows");
-        Solvers crew(method, 2, one.weights, one.settings, true);
+        Solvers crew(method, 2, one.weights, one.settings, one.beside);
         InLanes form{instructions->lanes};
-        const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, true));
+        const auto found = integrate_all(crew.all(), rows.ensemble(), go_on, form.form(instructions, one.beside));
         check_same(*found, *alone);
         CHECK(form.finite);
         beside_others += one.size - found->alone;

@@ -10,11 +10,12 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// The step that lanes have made: from (t0, y0) to (t1, y1), with parameters p.
+/// The step that lanes have made: from (t0, y0) to (t1, y1), with parameters p; and the point of it that they have
+/// reached: its end, unless an event cuts it.
 template <int W>
 struct LaneStep {
-  Pack<W> t0, t1;
-  const Pack<W>*y0, *y1, *p;
+  Pack<W> t0, t1, reached_t;
+  const Pack<W>*y0, *y1, *p, *reached_y;
 };
 
 /// What the extension of a pair is made of: its weights B (stages, degree).
@@ -37,9 +38,10 @@ class Between {
         coefficients_(memory),
         lack_(memory + extension.degree * (job.looks_inside() ? job.n : 0)) {}
 
+  [[nodiscard]] std::size_t degree() const { return extension_.degree; }
+
   /// Takes the steps of signed size h with the slopes k. (They are those of `LaneStep` until the next attempt.)
-  template <class Slopes>
-  void take(const LaneStep<W>& step, const P& h, const Slopes& k) {
+  INVARIODE_SHARED void take(const LaneStep<W>& step, const P& h, P* const* k) {
     const std::size_t n = job_.n;
     y0_ = step.y0;
     for (std::size_t d = 0; d < extension_.degree; ++d)
@@ -55,7 +57,7 @@ class Between {
   }
 
   /// The value at θ, not projected. (At the start the extension has the value of the step: nothing is to be corrected.)
-  void corrected(const P& theta, P* out) const {
+  INVARIODE_SHARED void corrected(const P& theta, P* out) const {
     raw(theta, out);
     if (!job_.corrects) return;
     const P at1 = theta * theta * (P(3) - 2 * theta);

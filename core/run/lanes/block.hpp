@@ -18,6 +18,7 @@
 #include "run/lanes/outputs.hpp"
 #include "run/lanes/pack.hpp"
 #include "run/lanes/power.hpp"
+#include "run/lanes/watched.hpp"
 
 namespace invariode::lanes::INVARIODE_LANES {
 
@@ -43,8 +44,8 @@ class Block {
  public:
   /// How many packs a block needs, and their size.
   static std::size_t memory(const Job& job) {
-    return sizeof(P) *
-           (own_memory(job) + Held<W>::memory(job) + Between<W>::memory(job, extension) + Outputs<W>::memory(job));
+    return sizeof(P) * (own_memory(job) + Held<W>::memory(job) + Between<W>::memory(job, extension) +
+                        Outputs<W>::memory(job) + Watched<W>::memory(job));
   }
 
   Block(const Job& job, Host& host, void* memory)
@@ -60,6 +61,7 @@ class Block {
     ready_k_ = take(job.n);
     ready_p_ = take(job.parameters);
     points_ = take(Series::points * job.n)->lanes();
+    reached_y_ = take(job.n);
   }
 
   /// Until there is nothing left to take.
@@ -93,6 +95,7 @@ class Block {
     }
     for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[0] = from.p[i * from.stride];
     if (holds()) held_.go_on(from);
+    if (watches()) watched_.go_on(from);
     if (job_.output_at_times()) outputs_.go_on(0, from.trajectory, from.output);
     looked_.lanes()[0] = from.looked;
     checks_[0] = from.checks;
@@ -115,16 +118,18 @@ class Block {
   static constexpr Extension extension{T.all_stages, T.degree, T.B.front().data()};
   static constexpr std::size_t extra = T.all_stages - T.stages;
   static std::size_t own_memory(const Job& job) {
-    return job.n * ((job.looks_inside() ? T.all_stages : T.stages) + 5 + Series::points) + 2 * job.parameters;
+    return job.n * ((job.looks_inside() ? T.all_stages : T.stages) + 6 + Series::points) + 2 * job.parameters;
   }
   Block(const Job& job, Host& host, void* /*own*/, P* further)
-      : job_(job),
-        host_(host),
+      : outputs_(job, host, std::exchange(further, further + Outputs<W>::memory(job))),
         held_(job, std::exchange(further, further + Held<W>::memory(job))),
+        job_(job),
+        host_(host),
         between_(job, extension, std::exchange(further, further + Between<W>::memory(job, extension))),
-        outputs_(job, host, further) {}
+        watched_(job, further) {}
 
   [[nodiscard]] bool holds() const { return job_.invariant != nullptr; }
+  [[nodiscard]] bool watches() const { return job_.count_of_events > 0; }
   static int count(unsigned set) {
     int n = 0;
     for (; set != 0; set &= set - 1) ++n;
@@ -160,6 +165,7 @@ class Block {
       }
       for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[l] = p_[i].lanes()[from];
       if (holds()) held_.copy(l, from);
+      if (watches()) watched_.copy(l, from);
     }
     defined_ = every_lane;
   }
@@ -199,6 +205,7 @@ class Block {
     ready_h_ = job_.first_step > 0 ? P(job_.first_step) : larger(h, smallest_step(t0));
     M odd = ~(norm.value() < P(infinity));
     if (holds()) odd = odd | held_.start(t0, ready_y_, ready_k_, job_.forward() * ready_h_, ready_p_);
+    if (watches()) odd = odd | watched_.start(t0, ready_y_, ready_p_);
     const unsigned bad = bits(odd);
     int kept = 0;
     for (int l = 0; l < prepared_; ++l) {
@@ -227,6 +234,7 @@ class Block {
     }
     for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[lane] = ready_p_[i].lanes()[from];
     if (holds()) held_.adopt(lane, from);
+    if (watches()) watched_.adopt(lane, from);
     looked_.lanes()[lane] = 0;
     if (job_.output_at_times()) outputs_.adopt(lane, trajectory_[lane], ready_y_->lanes() + from);
     occupied_ |= one_lane(lane);
@@ -252,6 +260,8 @@ class Block {
   [[nodiscard]] Ended at_end(int lane) const {
     const double steps = steps_.lanes()[lane];
     return {.trajectory = trajectory_[lane],
+            .t = t_.lanes()[lane],
+            .by_event = has(cut_, lane),
             .y = y_[0].lanes() + lane,
             .stride = W,
             .steps = static_cast<std::int64_t>(steps),
@@ -283,6 +293,7 @@ class Block {
             .k = k_[0][0].lanes() + lane,
             .p = job_.parameters > 0 ? p_[0].lanes() + lane : nullptr,
             .held = holds() ? held_.suspended(lane) : nullptr,
+            .watched = watches() ? watched_.suspended(lane) : nullptr,
             .stride = W,
             .looked = looked_.lanes()[lane],
             .output = outputs_.number(lane),
@@ -326,13 +337,15 @@ class Block {
     }
     if (holds() && bits(accepted) != 0) odd = odd | judge(accepted, purified, h, t1);
     accepted = accepted & ~odd;
-    if (job_.looks_inside() && bits(accepted) != 0) odd = odd | put_out(accepted, purified, {t_, t1, y_, y1, p_});
+    cut_ = 0;
+    LaneStep<W> step{t_, t1, t1, y_, y1, p_, y1};
+    if (job_.looks_inside() && bits(accepted) != 0) odd = odd | look_inside(accepted, h, purified, step);
     control(accepted, error, length, hmin);
     note_stability(accepted, purified, y1);
     const unsigned jumping = note_failures(bits(accepted), h, t1, y1);
-    commit(accepted, t1, y1);
+    commit(accepted, step);
     odd_ = jumping | bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
-    reached_ = bits(accepted & landing);
+    reached_ = bits(accepted & landing) | cut_;
   }
 
   /// Whether steps that are about to be accepted speak against the invariant.
@@ -345,17 +358,51 @@ class Block {
     return held_.judge(accepted, t1, h, k_[last], steps_ + P(1), p_);
   }
 
-  /// The outputs of steps that are about to be accepted. Returns those where these are odd.
-  M put_out(const M& accepted, const P& h, const LaneStep<W>& step) {
-    const M due = outputs_.due(accepted, step.t1), inside = outputs_.inside(due, step.t1);
+  /// The events and the outputs of steps of size h that are about to be accepted. Returns those where these are odd.
+  M look_inside(const M& accepted, const P& h, const P& purified, LaneStep<W>& step) {
+    const M inside = watches() ? accepted : outputs_.inside(outputs_.due(accepted, step.t1), step.t1);
     M odd = no_lane<W>();
     if (bits(inside) != 0) {
-      if constexpr (extra > 0) odd = inside & further_stages(h, step);
-      between_.take(step, h, k_);
+      if constexpr (extra > 0) odd = inside & further_stages(purified, step);
+      between_.take(step, purified, k_.data());
       looked_ += choose(inside, P(1), P(0));
     }
     if (holds()) held_.look_inside(accepted, inside, step);
+    if (watches()) odd = odd | find_events(accepted & ~odd, h, step);
+    const M due = outputs_.due(accepted & ~odd, step.reached_t);
     return bits(due) != 0 ? odd | outputs_.put_out(due, step, between_, holds() ? &held_ : nullptr) : odd;
+  }
+
+  /// A terminal event cuts the step. Returns the lanes where something is odd.
+  M find_events(const M& accepted, const P& h, LaneStep<W>& step) {
+    M odd = no_lane<W>();
+    unsigned crossing = bits(watched_.scan(accepted, step, between_, odd)) & occupied_;
+    for (int l = 0; crossing != 0 && l < W; ++l) {
+      if (!has(crossing, l)) continue;
+      const Found found = host_.search({.trajectory = trajectory_[l],
+                                        .t0 = step.t0.lanes()[l],
+                                        .t1 = step.t1.lanes()[l],
+                                        .h = h.lanes()[l],
+                                        .y0 = y_->lanes() + l,
+                                        .k = k_[0]->lanes() + l,
+                                        .y1 = step.y1->lanes() + l,
+                                        .watched = watched_.state(l),
+                                        .stride = W});
+      if (!found.sound) odd = odd | to_mask<W>(one_lane(l));
+      if (holds()) held_.count_search(l, found);
+      if (found.terminal) cut(l, found, step);
+    }
+    return odd;
+  }
+
+  /// The trajectory ends in the step.
+  void cut(int lane, const Found& found, LaneStep<W>& step) {
+    if (cut_ == 0)
+      for (std::size_t i = 0; i < job_.n; ++i) reached_y_[i] = step.y1[i];
+    cut_ |= one_lane(lane);
+    step.reached_t.lanes()[lane] = found.t;
+    for (std::size_t i = 0; i < job_.n; ++i) reached_y_[i].lanes()[lane] = found.y[i];
+    step.reached_y = reached_y_;
   }
 
   /// Those of the extension, as `Pair::extension` evaluates them. Returns where they are not sound.
@@ -449,10 +496,10 @@ class Block {
   }
   [[nodiscard]] double* latest(int lane) const { return from(lane) + job_.n; }
 
-  void commit(const M& accepted, const P& t1, const P* y1) {
-    t_ = choose(accepted, t1, t_);
+  void commit(const M& accepted, const LaneStep<W>& step) {
+    t_ = choose(accepted, step.reached_t, t_);
     for (std::size_t i = 0; i < job_.n; ++i) {
-      y_[i] = choose(accepted, y1[i], y_[i]);
+      y_[i] = choose(accepted, step.reached_y[i], y_[i]);
       k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
     }
   }
@@ -477,18 +524,19 @@ class Block {
   P t_{0}, h_{0}, steps_{0}, failed_{0};
   P looked_{0};   // steps that were looked into
   P limited_{0};  // looks at steps that stability limits
-  M retries_ = to_mask<W>(0);
   P ready_h_{0};  // of those that are ready to take the place of such as end
+  Outputs<W> outputs_;
+  Held<W> held_;
+  M retries_ = to_mask<W>(0);
   const Job& job_;
   Host& host_;
   P *y_, *stage_, *candidate_, *p_;
-  P *ready_y_, *ready_k_, *ready_p_;
-  Held<W> held_;
-  Between<W> between_;
-  Outputs<W> outputs_;
+  P *ready_y_, *ready_k_, *ready_p_, *reached_y_;
   double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
-  unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0;  // lanes
+  Between<W> between_;
+  Watched<W> watched_;
+  unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0, cut_ = 0;  // lanes
   int prepared_ = 0, ready_ = 0;
   std::uint32_t trajectory_[W]{};
   std::uint32_t ready_trajectory_[W]{};

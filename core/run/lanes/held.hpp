@@ -81,7 +81,7 @@ class Held {
   // start
 
   /// The tests of the start for the trajectories that are to be made ready: h is signed. Returns the odd ones.
-  M start(const P& t, const P* y, const P* f, const P& h, const P* p) {
+  INVARIODE_SHARED M start(const P& t, const P* y, const P* f, const P& h, const P* p) {
     for (std::size_t i = 0; i < size_of_state(job_); ++i) ready_[i] = P(0);
     P g;
     evaluate(invariant().g, t, y, &g, p);
@@ -102,7 +102,7 @@ class Held {
   // ----------------------------------------------------------------------------------------------------------- a step
 
   /// y₁ from the candidates at t of steps from `from`, into `projected`. Returns the odd ones among those that are due.
-  M project(const M& due, const P& t, const P* from, const P* candidate, const P* p) {
+  INVARIODE_SHARED M project(const M& due, const P& t, const P* from, const P* candidate, const P* p) {
     for (std::size_t i = 0; i < job_.n; ++i) {
       w_[i] = weight(job_, i, larger(absolute(from[i]), absolute(candidate[i])));
       y1_[i] = candidate[i];
@@ -136,7 +136,7 @@ class Held {
     return invariant().tested ? due & multiple_of(steps, harm_period) : no_lane<W>();
   }
   /// Of accepted steps: the estimated errors of the candidates.
-  void note_harm(const M& noted, const P* error, const P* candidate) {
+  INVARIODE_SHARED void note_harm(const M& noted, const P* error, const P* candidate) {
     P *errors = now_ + rows, *corrections = errors + job_.n;
     for (std::size_t i = 0; i < job_.n; ++i) {
       errors[i] += choose(noted, absolute(error[i]) / w_[i], P(0));
@@ -146,7 +146,7 @@ class Held {
 
   /// After accepted steps, `steps` of them by now, to t with the signed size h, f being the slope there. Returns those
   /// that are suspicious.
-  M judge(const M& due, const P& t, const P& h, const P* f, const P& steps, const P* p) {
+  INVARIODE_SHARED M judge(const M& due, const P& t, const P& h, const P* f, const P& steps, const P* p) {
     note_drift(due);
     if (!invariant().tested) return no_lane<W>();
     M odd = P(suspicious_correction * job_.rtol) < moved_;
@@ -162,7 +162,7 @@ class Held {
   // ------------------------------------------------------------------------------------------------------- the outputs
 
   /// Of accepted steps, some of which are looked into: g at both ends of these, as `StepInterpolant` asks for it.
-  void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
+  INVARIODE_SHARED void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
     P start = now_[end], g;
     const M known_at_start = P(0) < now_[known], asked = looked & ~known_at_start;
     if (job_.projects && bits(asked) != 0) {
@@ -179,7 +179,7 @@ class Held {
   }
 
   /// Values between the ends of steps, at θ: onto g = (1−θ) g₀ + θ g₁. Returns the odd ones.
-  M onto(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* y) {
+  INVARIODE_SHARED M onto(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* y) {
     const P target = (P(1) - theta) * start_ + theta * now_[end] - now_[value];
     M odd = no_lane<W>(), open = due & (P(0) < theta) & (theta < P(1));
     for (int iteration = 0; iteration < interpolation_iterations && bits(open) != 0; ++iteration) {
@@ -203,8 +203,14 @@ class Held {
     return odd;
   }
 
+  /// What a search for events has cost.
+  void count_search(int lane, const Found& found) {
+    now_[evaluations].lanes()[lane] += static_cast<double>(found.evaluations);
+    now_[jacobians].lanes()[lane] += static_cast<double>(found.jacobians);
+  }
+
   /// The residual at outputs, and at the end.
-  void measure(const M& due, const P& t, const P* y, const P* p) {
+  INVARIODE_SHARED void measure(const M& due, const P& t, const P* y, const P* p) {
     P g;
     evaluate(invariant().g, t, y, &g, p);
     const P residual = absolute(g - now_[value]);

@@ -35,7 +35,7 @@ struct Invariant {
   double (*time_increment)(double t, double h);  ///< of differences with respect to t
 };
 
-/// What is integrated, without anything that only some runs have: events, limits.
+/// What is integrated, without anything that only some runs have: bounds, breakpoints, limits.
 struct Job {
   Called f;
   std::size_t n, parameters;
@@ -53,10 +53,12 @@ struct Job {
   const double* times;  ///< in the order of integration
   std::size_t count_of_times;
   bool corrects, projects;  ///< the extension at the ends of a step; values between them
+  const Called* events;     ///< (1, lanes) each
+  std::size_t count_of_events;
 
   [[nodiscard]] double forward() const { return tf >= t0 ? 1 : -1; }
   [[nodiscard]] bool output_at_times() const { return count_of_times > 0; }
-  [[nodiscard]] bool looks_inside() const { return output_at_times(); }
+  [[nodiscard]] bool looks_inside() const { return output_at_times() || count_of_events > 0; }
 };
 
 /// What holding the invariant came to: its value, the largest residuals of candidates and at the end, the largest
@@ -68,9 +70,11 @@ struct HeldToEnd {
   const double *errors, *corrections;
 };
 
-/// A trajectory that has reached tf: y (n,) with that stride.
+/// A trajectory that has reached tf, or a terminal event: y (n,) with that stride.
 struct Ended {
   std::uint32_t trajectory;
+  double t;
+  bool by_event;
   const double* y;
   std::size_t stride;
   std::int64_t steps, failed, evaluations;
@@ -85,7 +89,7 @@ struct Suspended {
   double t, h;
   bool retries;
   double steps, failed, limited;
-  const double *y, *k, *p, *held;
+  const double *y, *k, *p, *held, *watched;
   std::size_t stride;
   double looked;       ///< into so many steps
   std::size_t output;  ///< the number of the next one
@@ -104,6 +108,25 @@ struct Suspicion {
   std::int64_t attempts;
 };
 
+/// A step in which the sign of an event changes: from (t0, y0), where the slope is k, with the signed size h to
+/// (t1, y1). `watched`: of each event its value and sign at t0, and how often it has occurred; at t1 when it has been
+/// searched. y0, k, y1 and `watched` have that stride.
+struct Crossed {
+  std::uint32_t trajectory;
+  double t0, t1, h;
+  const double *y0, *k, *y1;
+  double* watched;
+  std::size_t stride;
+};
+
+/// What a search has found. Unless it is sound the trajectory is to be left. `terminal`: it ends at (t, y), y (n,).
+struct Found {
+  bool sound = false, terminal = false;
+  double t = 0;
+  const double* y = nullptr;
+  std::int64_t evaluations = 0, jacobians = 0;  ///< of the invariant, beside those of the step as it is
+};
+
 /// Who hands out trajectories and takes them back. One for each thread.
 class Host {
  public:
@@ -114,6 +137,8 @@ class Host {
 
   /// The next trajectory, whose initial value is finite; false: there are no more.
   virtual bool take(std::uint32_t& trajectory) = 0;
+  /// Searches the step, and keeps the events of the trajectory that it finds.
+  virtual Found search(const Crossed& step) = 0;
   /// y (n,) with that stride, at output time number `output`.
   virtual void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) = 0;
   virtual void keep(const Ended& ended) = 0;

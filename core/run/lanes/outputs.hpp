@@ -21,10 +21,10 @@ class Outputs {
  public:
   static std::size_t memory(const Job& job) { return job.output_at_times() ? job.n : 0; }
   Outputs(const Job& job, Host& host, P* memory)
-      : job_(job), host_(host), value_(memory), next_time_(forward() * infinity) {}
+      : next_time_(job.forward() * infinity), job_(job), host_(host), value_(memory) {}
 
   /// The trajectory comes into the lane at t0, with that y.
-  void adopt(int lane, std::uint32_t trajectory, const double* y) {
+  INVARIODE_SHARED void adopt(int lane, std::uint32_t trajectory, const double* y) {
     trajectory_[lane] = trajectory;
     number_[lane] = 0;
     for (; number_[lane] < job_.count_of_times && job_.times[number_[lane]] == job_.t0; ++number_[lane])
@@ -40,26 +40,28 @@ class Outputs {
   void leave(int lane) { next_time_.lanes()[lane] = forward() * infinity; }
   [[nodiscard]] std::size_t number(int lane) const { return number_[lane]; }
 
-  /// Which steps to t1 contain output times, the end included.
-  [[nodiscard]] M due(const M& accepted, const P& t1) const {
-    return accepted & (forward() * next_time_ <= forward() * t1);
+  /// Which steps contain output times up to the point reached, included.
+  [[nodiscard]] M due(const M& accepted, const P& reached) const {
+    return accepted & (forward() * next_time_ <= forward() * reached);
   }
-  /// And in which of these is one before the end.
-  [[nodiscard]] M inside(const M& due, const P& t1) const { return due & (forward() * next_time_ < forward() * t1); }
+  /// And in which of these is one before it.
+  [[nodiscard]] M inside(const M& due, const P& reached) const {
+    return due & (forward() * next_time_ < forward() * reached);
+  }
 
   /// Puts out what steps contain that are due. Returns those where that is odd.
-  M put_out(M due, const LaneStep<W>& step, const Between<W>& between, Held<W>* held) {
+  INVARIODE_SHARED M put_out(M due, const LaneStep<W>& step, const Between<W>& between, Held<W>* held) {
     M odd = no_lane<W>();
-    for (; bits(due) != 0; due = this->due(due, step.t1)) {
-      const P at = choose(due, next_time_, step.t1);
-      const M before_end = inside(due, step.t1);
+    for (; bits(due) != 0; due = this->due(due, step.reached_t)) {
+      const P at = choose(due, next_time_, step.reached_t);
+      const M before_end = inside(due, step.reached_t);
       if (bits(before_end) != 0) {
         const P theta = choose(before_end, (at - step.t0) / (step.t1 - step.t0), P(1));
         between.corrected(theta, value_);
         if (held != nullptr) odd = odd | (before_end & mend(value_, step.y1, job_.n));
         if (held != nullptr && job_.projects) odd = odd | held->onto(before_end, at, theta, step, value_);
       }
-      for (std::size_t i = 0; i < job_.n; ++i) value_[i] = choose(before_end, value_[i], step.y1[i]);
+      for (std::size_t i = 0; i < job_.n; ++i) value_[i] = choose(before_end, value_[i], step.reached_y[i]);
       if (held != nullptr) held->measure(due, at, value_, step.p);
       hand_out(bits(due));
     }
@@ -80,12 +82,12 @@ class Outputs {
   }
   [[nodiscard]] double forward() const { return job_.forward(); }
 
+  P next_time_;
   const Job& job_;
   Host& host_;
   P* value_;
-  P next_time_;
-  std::uint32_t trajectory_[W]{};
   std::size_t number_[W]{};
+  std::uint32_t trajectory_[W]{};
 };
 
 }  // namespace invariode::lanes::INVARIODE_LANES

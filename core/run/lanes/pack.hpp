@@ -6,6 +6,13 @@
 #include <cmath>
 #include <cstdint>
 
+// A function that the kernels of all pairs share, rather than each having a copy.
+#if defined(__GNUC__)
+#define INVARIODE_SHARED [[gnu::noinline]]
+#else
+#define INVARIODE_SHARED
+#endif
+
 namespace invariode::lanes::INVARIODE_LANES {
 
 // Doubles in a vector register; 1: the compiler knows no vectors, or the target has none.
@@ -71,8 +78,9 @@ struct Mask : Layout<W> {
   [[nodiscard]] const std::int64_t* lanes() const { return reinterpret_cast<const std::int64_t*>(v); }
 };
 
+/// Aligned as functions in lanes are promised, wherever it is.
 template <int W>
-struct Pack : Layout<W> {
+struct alignas(W < 8 ? W * sizeof(double) : 64) Pack : Layout<W> {
   NumbersOf<W> v[Layout<W>::registers];
 
   Pack() = default;

@@ -28,6 +28,9 @@ void evaluate_alone(void* context, const double* t, const double* y, double* out
 
 lanes::Called alone(Callback& function) { return {evaluate_alone, &function}; }
 
+/// So many occurrences of events may a trajectory have at least, wherever the limit is.
+constexpr std::size_t plenty = 100000;
+
 const lanes::Pair& pair_of(const lanes::Instructions& instructions, const Solver& solver) {
   return *instructions.pair(solver.method().name);
 }
@@ -64,8 +67,21 @@ lanes::Invariant make_invariant(const Solver& solver, const lanes::Called& g, co
           .time_increment = Invariants::time_increment};
 }
 
+std::vector<Callback> events_of(const Solver& solver) {
+  const std::vector<EventFunction>& events = solver.problem().events;
+  std::vector<Callback> functions(events.size());
+  std::ranges::transform(events, functions.begin(), &EventFunction::function);
+  return functions;
+}
+
+std::vector<lanes::Called> all_alone(std::vector<Callback>& functions) {
+  std::vector<lanes::Called> called(functions.size());
+  std::ranges::transform(functions, called.begin(), alone);
+  return called;
+}
+
 lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, const lanes::Called& f,
-                    const lanes::Invariant& invariant) {
+                    const lanes::Invariant& invariant, const std::vector<lanes::Called>& events) {
   const Settings& settings = solver.settings();
   const Weights& weights = solver.weights();
   return {.f = f,
@@ -85,7 +101,9 @@ lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, const lanes:
           .times = settings.times.data(),
           .count_of_times = settings.output_at_times ? settings.times.size() : 0,
           .corrects = settings.interpolation != Interpolation::raw,
-          .projects = settings.interpolation == Interpolation::projected && invariant.g.function != nullptr};
+          .projects = settings.interpolation == Interpolation::projected && invariant.g.function != nullptr,
+          .events = events.data(),
+          .count_of_events = events.size()};
 }
 
 const lanes::Instructions& of_every_processor() { return *lanes::instructions().back(); }
@@ -112,13 +130,17 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (of_every_processor().pair(solver.method().name) == nullptr) return "the method is no explicit Runge-Kutta pair";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
   if (problem.bounds) return "there are bounds";
-  if (!problem.events.empty()) return "there are events";
+  for (const EventFunction& event : problem.events) {
+    if (event.action) return "events have actions";
+    if (event.samples != 0) return "events have samples of their own";
+  }
   if (!problem.breakpoints.empty()) return "there are breakpoints";
   if (problem.callback) return "there is a callback";
   if (settings.output_at_times && settings.record) return "steps are recorded";
   if (problem.n == 0 || settings.t0 == settings.tf) return "there is nothing to integrate";
   if (!std::isfinite(settings.tf)) return "the interval is infinite";
-  const auto points = static_cast<std::int64_t>(settings.output_at_times ? settings.times.size() : 1);
+  const std::size_t occurrences = problem.events.empty() ? 0 : plenty;
+  const auto points = static_cast<std::int64_t>((settings.output_at_times ? settings.times.size() : 1) + occurrences);
   const auto bytes = static_cast<std::int64_t>((problem.n + 1) * sizeof(double));  // of a point that is kept
   const bool limited = settings.max_steps != Settings::unlimited ||
                        settings.time_limit < std::numeric_limits<double>::infinity() || settings.max_points <= points ||
@@ -139,15 +161,19 @@ LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const Lan
       f_(solver.problem().f),
       g_(solver.problem().invariants.empty() ? Callback() : solver.problem().invariants.front().g),
       jacobian_(g_ ? solver.problem().invariants.front().jacobian : Callback()),
+      watched_(events_of(solver)),
       direction_(directions(ensemble.n)),
       invariant_(make_invariant(solver, form.g, form.jacobian, direction_)),
       invariant_alone_(make_invariant(solver, alone(g_), alone(jacobian_), direction_)),
-      job_(make_job(solver, ensemble, form.f, invariant_)),
-      job_alone_(make_job(solver, ensemble, alone(f_), invariant_alone_)),
+      events_(form.events),
+      events_alone_(all_alone(watched_)),
+      job_(make_job(solver, ensemble, form.f, invariant_, events_)),
+      job_alone_(make_job(solver, ensemble, alone(f_), invariant_alone_, events_alone_)),
       memory_(pair_.memory(job_)),
       memory_alone_(alone_.memory(job_alone_)) {}
 
 void LaneWorker::run() {
+  if (!events_.empty()) search_.emplace(solver_, ensemble_);
   pair_.run(job_, *this, memory_.get());
   result_.add_alone(left_);
 }
@@ -161,13 +187,34 @@ bool LaneWorker::take(std::uint32_t& trajectory) {
   return false;
 }
 
+lanes::Found LaneWorker::search(const lanes::Crossed& step) {
+  set_parameters(step.trajectory);
+  const auto [place, is_new] = occurrences_.try_emplace(step.trajectory);
+  std::vector<Trajectory>& found = place->second;
+  if (is_new) found.resize(events_.size());
+  lanes::Found result = search_->search(step, found);
+  std::size_t count = 0;
+  for (const Trajectory& one : found) count += one.t.size();
+  result.sound = result.sound && count < plenty;
+  return result;
+}
+
 void LaneWorker::keep(const lanes::Ended& ended) {
   result_.keep(ended, solver_);
+  if (const auto found = occurrences_.extract(ended.trajectory); !found.empty())
+    result_.keep_occurrences(ended.trajectory, found.mapped());
   ++kept_;
   queue_.finish_one();
 }
 
+/// The functions look for these where the solver has its parameters.
+void LaneWorker::set_parameters(std::uint32_t trajectory) {
+  const double* row = ensemble_.rows + trajectory * ensemble_.parameters;
+  std::copy(row, row + ensemble_.parameters, solver_.problem().parameters.begin());
+}
+
 void LaneWorker::leave(std::uint32_t trajectory) {
+  occurrences_.erase(trajectory);
   integrate_one(solver_, ensemble_, trajectory, queue_.cancelled(), result_);
   ++left_;
   queue_.finish_one();
@@ -175,8 +222,7 @@ void LaneWorker::leave(std::uint32_t trajectory) {
 
 void LaneWorker::go_on(const lanes::Suspended& suspended) {
   if (cancelled()) return;
-  const std::span<double> parameters = solver_.problem().parameters;
-  for (std::size_t i = 0; i < parameters.size(); ++i) parameters[i] = suspended.p[i * suspended.stride];
+  set_parameters(suspended.trajectory);
   alone_.go_on(job_alone_, suspended, *this, memory_alone_.get());
 }
 

@@ -5,11 +5,14 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <optional>
+#include <unordered_map>
 #include <vector>
 
 #include "callback.hpp"
 #include "run/ensemble.hpp"
 #include "run/lanes/lanes.hpp"
+#include "run/lanes/search.hpp"
 #include "run/problem.hpp"
 #include "run/threads.hpp"
 
@@ -28,6 +31,7 @@ class LaneWorker final : public lanes::Host {
   void run();
 
   bool take(std::uint32_t& trajectory) override;
+  lanes::Found search(const lanes::Crossed& step) override;
   void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) override {
     result_.put_out(trajectory, output, y, stride);
   }
@@ -38,6 +42,8 @@ class LaneWorker final : public lanes::Host {
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
 
  private:
+  void set_parameters(std::uint32_t trajectory);
+
   /// Memory of a kernel, aligned as it needs it.
   class Memory {
    public:
@@ -59,9 +65,13 @@ class LaneWorker final : public lanes::Host {
   const lanes::Pair& pair_;
   const lanes::Pair& alone_;   // with one lane
   Callback f_, g_, jacobian_;  // for that
+  std::vector<Callback> watched_;
   std::vector<double> direction_;
   lanes::Invariant invariant_, invariant_alone_;
+  std::vector<lanes::Called> events_, events_alone_;
   lanes::Job job_, job_alone_;
+  std::optional<EventSearch> search_;
+  std::unordered_map<std::uint32_t, std::vector<Trajectory>> occurrences_;  // of trajectories that have not ended
   Memory memory_, memory_alone_;
   std::size_t kept_ = 0, left_ = 0;
 };
