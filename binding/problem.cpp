@@ -129,8 +129,12 @@ Lapack read_lapack(const nb::object& capsules) {
 }
 
 LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
-  LinearTerms linear{
-      .kind = spec.kind, .jacobian = Matrix::without_values(spec.structure), .function = {}, .mass = {}, .lapack = {}};
+  LinearTerms linear{.kind = spec.kind,
+                     .jacobian = Matrix::without_values(spec.structure),
+                     .function = {},
+                     .mass = {},
+                     .lapack = {},
+                     .krylov = {}};
   nb::object known = spec.jacobian;  // values or pattern
   if (spec.kind == Jacobian::Kind::function) {
     nb::object code = std::exchange(known, nb::none());
@@ -139,6 +143,12 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
   }
   if (!known.is_none()) read_matrix(known, linear.jacobian);
   if (!spec.lapack.is_none()) linear.lapack = read_lapack(spec.lapack);
+  if (spec.kind == Jacobian::Kind::products) {
+    KrylovTerms& krylov = linear.krylov.emplace();
+    if (!spec.product.is_none()) krylov.product = functions.product(spec.product, "jac_product(t, y, v)");
+    if (!spec.preconditioner.is_none()) krylov.preconditioner = functions.preconditioner(spec.preconditioner);
+    krylov.dimension = spec.dimension;
+  }
   if (spec.mass.is_none()) return linear;
   Matrix mass(spec.structure);
   MatrixFunction function;
@@ -186,7 +196,7 @@ int visit(const InvariantSpec& s, visitproc visit, void* arg) {
 int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
 int visit(const BreakpointSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.action}); }
 int visit(const LinearSpec& s, visitproc visit, void* arg) {
-  return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack});
+  return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack, s.product, s.preconditioner});
 }
 int visit(const ProblemSpec& s, visitproc visitor, void* arg) {
   int stop = visit_all(visitor, arg, {s.fun, s.args, s.callback});
@@ -244,16 +254,22 @@ void define_linear(nb::module_& module) {
       .def(
           "__init__",
           [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
-             const std::string& kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack) {
+             const std::string& kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack,
+             nb::object product, nb::object preconditioner, std::size_t dimension) {
             new (self) LinearSpec{{choose(structure_names, structure, "structure"), n, lower, upper},
                                   choose(jacobian_names, kind, "kind of Jacobian"),
                                   std::move(jacobian),
                                   std::move(mass),
                                   std::move(null_basis),
-                                  std::move(lapack)};
+                                  std::move(lapack),
+                                  std::move(product),
+                                  std::move(preconditioner),
+                                  dimension};
           },
           nb::kw_only(), nb::arg("structure"), nb::arg("n"), nb::arg("lower"), nb::arg("upper"), nb::arg("kind"),
-          nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none())
+          nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none(),
+          nb::arg("product").none() = nb::none(), nb::arg("preconditioner").none() = nb::none(),
+          nb::arg("dimension") = 0)
       .def_prop_ro(
           "algebraic", [](const LinearSpec& l) { return nb::len(nb::object(l.null_basis[0])) - 1; },
           "Number of algebraic equations: the dimension of the left null space of M.");

@@ -56,8 +56,10 @@ struct LinearSpec {
   Jacobian::Kind kind;
   nb::object jacobian;  // its values, its function (with its pattern if native), or for sparse differences its pattern
   nb::object mass;      // None, the values of a constant one, or M(t)
-  nb::object null_basis;  // (starts, rows, values) of Z
-  nb::object lapack;      // None, or capsules by name
+  nb::object null_basis;                                         // (starts, rows, values) of Z
+  nb::object lapack;                                             // None, or capsules by name
+  nb::object product = nb::none(), preconditioner = nb::none();  // of the kind `products`: functions, or None
+  std::size_t dimension = 0;                                     // and of its Krylov space
 };
 
 struct ProblemSpec {

@@ -18,7 +18,8 @@ namespace invariode {
 /// differenced together (Curtis, Powell and Reid, 1974).
 class Jacobian {
  public:
-  enum class Kind { constant, function, differences };
+  /// Of `products` there is no matrix (linear/matrix_free.hpp): its entries are none.
+  enum class Kind { constant, function, differences, products };
 
   /// `matrix`: the values of a constant one, else the structure. `function` is needed for that kind only. A copy keeps
   /// increments of its own.

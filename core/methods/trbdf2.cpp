@@ -91,7 +91,7 @@ Step::Attempt TrBdf2::attempt(double h, double t1) {
   predict_second();
   if (const Newton::Result result = solve_stage(t1, candidate_.data(), z2_.data()); result != Newton::Result::converged)
     return ended(result);
-  estimate();
+  if (const Newton::Result result = estimate(); result != Newton::Result::converged) return ended(result);
   return {Outcome::ok, error_, candidate_.data()};
 }
 
@@ -131,10 +131,12 @@ Newton::Result TrBdf2::solve_stage(double t, double* y, double* z) {
 }
 
 /// Σ e_i z_i, damped by (M − d h J)⁻¹ M: of stiff components it would say too much.
-void TrBdf2::estimate() {
+Newton::Result TrBdf2::estimate() {
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = e[0] * z0_[i] + e[1] * z1_[i] + e[2] * z2_[i];
-  newton_.damp(error_vector_.data());
+  if (const Newton::Result result = newton_.damp(error_vector_.data()); result != Newton::Result::converged)
+    return result;
   error_ = max_norm(n(), [this](std::size_t i) { return error_vector_[i] / weights_.at(i, y_[i], candidate_[i]); });
+  return Newton::Result::converged;
 }
 
 bool TrBdf2::errors(double* out) const {

@@ -28,6 +28,7 @@ class TrBdf2 final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return 3; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void end_attempts() override { newton_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override { return two_hermite_cubics; }
@@ -46,7 +47,7 @@ class TrBdf2 final : public Step {
   Newton::Result solve_stage(double t, double* y, double* z);
   void predict_first();
   void predict_second();
-  void estimate();
+  Newton::Result estimate();
 
   Newton newton_;
   InitialSlopes initial_;

@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from . import _core
 from ._arguments import EPS, Array, as_array, shown, warn
+from ._krylov import Krylov, is_operator
 from .compiled import is_native, to_native
 from .description import Matrices
 
@@ -75,9 +76,20 @@ class _Storage:
         return self.values("mass", packed)
 
 
-def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Array) -> _core.Linear:
-    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns."""
-    storage, kind, jacobian = _jacobian(given, t0, y0, args, p)
+def prepare(
+    given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Array, matrix_free: Krylov | None = None
+) -> _core.Linear:
+    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns.
+
+    With `matrix_free` there is no Jacobian, and the mass matrix is sparse.
+    """
+    if matrix_free is None:
+        storage, kind, jacobian = _jacobian(given, t0, y0, args, p)
+    else:
+        stored = (
+            "banded" if given.mass is None else "sparse"
+        )  # that of the mass matrix; bands of nothing take no memory
+        storage, kind, jacobian = _Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None
     mass = None if given.mass is None else _mass(given.mass, storage, args)
     reals = 2 if storage.complex else 1
     banded = storage.kind == "banded"
@@ -92,6 +104,7 @@ def prepare(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Arr
         mass=mass,
         null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, t0)),
         lapack=_lapack(),
+        **({} if matrix_free is None else vars(matrix_free)),
     )
 
 
@@ -111,7 +124,7 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: A
             return _Storage("banded", n, is_complex, *bands)
         return _Storage("sparse" if is_sparse else "dense", n, is_complex)
 
-    if callable(given.jac):
+    if callable(given.jac) and not is_operator(given.jac):
         first = given.jac(t0, y0.copy(), *args)
         held = storage(sp.issparse(first))
         return held, "function", _JacobianFunction(given.jac, args, held, t0, y0, first)
@@ -242,6 +255,10 @@ def _regular(A: sp.csc_array) -> bool:
 
 def _matrix(name: str, given: Any, is_complex: bool) -> Any:
     """A 2-d array or sparse matrix of numbers of the right kind, its values not checked."""
+    if is_operator(given):
+        raise TypeError(
+            f"{name} is a LinearOperator, whose entries are not known: give linear_solver='gmres' (ode15s and ode23tb)"
+        )
     matrix: Any = _sound(name, given) if sp.issparse(given) else as_array(name, given)
     if matrix.ndim == 0 and not sp.issparse(matrix):  # one component
         matrix = matrix.reshape(1, 1)

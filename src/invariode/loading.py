@@ -289,7 +289,7 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         y_events=None if events is None else [arrays[f"y_events.{i}"] for i in range(events)],
         **{name: about[name] for name in PLAIN},
         t_end=about["t_end"] if about["version"] > 1 else _last_time(arrays, dense),
-        stats=Stats(**{"switches": 0, **about["stats"]}),
+        stats=Stats(**{"switches": 0, "products": 0, "linear_iterations": 0, **about["stats"]}),
         steps=_steps(arrays["steps"], about.get("methods", [""])) if "steps" in arrays else None,
         _invariants=g,
         _rtol=arrays["rtol"].tolist(),

@@ -70,7 +70,7 @@ class Stats(Record):
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
-        Factorisations.
+        Factorisations; with ``linear_solver="gmres"`` set-ups of the preconditioner.
     nsolve : int
         Solutions of linear systems.
     projections : int
@@ -87,6 +87,11 @@ class Stats(Record):
         Those of `ng` that served Jacobians: complex steps and differences, and the choice between them at the start.
     switches : int
         How often ``method="auto"`` continued with its other method.
+    products : int
+        Products of the Jacobian of f with a vector, with ``linear_solver="gmres"``. By differences each of them is one
+        of `nfev`.
+    linear_iterations : int
+        Iterations of GMRES.
     derivatives : str or None
         How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
         differences', several of these, or None.
@@ -118,6 +123,8 @@ class Stats(Record):
     ngjac: int
     ngdiff: int
     switches: int
+    products: int
+    linear_iterations: int
     derivatives: str | None
     projected_start: bool
     clipped_amount: float = 0.0
