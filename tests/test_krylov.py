@@ -3,6 +3,8 @@ refused."""
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -253,6 +255,18 @@ def test_systems_that_are_not_solved_are_a_failure_with_advice():
     assert "give a better preconditioner, or a larger krylov_dimension" in sol.message
 
 
+def test_native_products():
+    """y and v one behind the other, as machine code gets them: the bits of the Python function."""
+    address = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
+
+    @address
+    def native(t, yv, out, p):
+        y, v = (np.ctypeslib.as_array(yv, (2 * N,))[k * N : (k + 1) * N] for k in (0, 1))
+        np.ctypeslib.as_array(out, (N,))[:] = product(t, y, v)
+
+    np.testing.assert_array_equal(solve(jac_product=native).y, solve(jac_product=product).y)
+
+
 def test_exceptions_come_out_unchanged():
     class UsersError(Exception):
         pass
@@ -274,6 +288,7 @@ def test_exceptions_come_out_unchanged():
     ("options", "error", "match"),
     [
         ({"jac_product": lambda t, y, v: v[:-1]}, ValueError, r"jac_product\(t, y, v\) returned shape \(143,\)"),
+        ({"jac_product": 3.0}, TypeError, "jac_product must be a function"),
         ({"jac_product": product, "jac": jacobian}, ValueError, "jac and jac_product say the same"),
         ({"jac": lambda t, y: np.eye(3)}, ValueError, r"jac\(t, y\) has shape \(3, 3\), expected shape \(144, 144\)"),
         ({"preconditioner": lambda t, y, c: 3.0}, TypeError, "expected an object with solve"),

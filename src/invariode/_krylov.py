@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator
 
-from ._arguments import Array, as_array, shown, warn
+from ._arguments import Array, as_array, function, shown, warn
 from .compiled import is_native, to_native
 from .description import Matrices
 
@@ -68,6 +68,8 @@ def _product(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array) -> Any
     if given.jac_product is not None:
         if given.jac is not None:
             raise ValueError("jac and jac_product say the same: give one of them")
+        if not is_native(given.jac_product):
+            function("jac_product", given.jac_product, "jac_product(t, y, v)")
         n = y0.view(float).size
         return to_native("jac_product", given.jac_product, 2 * n, n, p, second=n)
     if given.jac is None:
