@@ -9,8 +9,9 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(shell find core binding -ty
 CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o -name '*.cpp')
 # What `make stubs` makes, and `make lint` compares.
 STUBS := _core.pyi ode_functions.pyi scipy.pyi
-# Warnings are errors where nobody but us is bothered by them.
-INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON)
+PIP := $(BIN)/python -m pip -q --disable-pip-version-check
+CTEST := $(BIN)/ctest --output-on-failure -j 2
+WHEEL := build/wheel
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
@@ -34,13 +35,13 @@ test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at 
 native: $(VENV)/.installed-test
 	$(CMAKE) -S . -B $(NATIVE) -DINVARIODE_CORE_LIBRARY=$$(ls -t $(CURDIR)/build/cp*/libinvariode_core.a | head -n 1)
 	$(BIN)/cmake --build $(NATIVE)
-	$(BIN)/ctest --test-dir $(NATIVE) --output-on-failure
+	$(CTEST) --test-dir $(NATIVE)
 
 # $(call native_with,NAME,OPTIONS): the native tests in a build directory of their own.
 define native_with
 	$(CMAKE) -S . -B $(NATIVE)-$(1) $(2)
 	$(BIN)/cmake --build $(NATIVE)-$(1)
-	$(BIN)/ctest --test-dir $(NATIVE)-$(1) --output-on-failure
+	$(CTEST) --test-dir $(NATIVE)-$(1)
 endef
 
 ifeq ($(shell command -v $(CLANG)),)
@@ -60,13 +61,16 @@ native-aarch64: $(VENV)/.installed-test  ## the core's tests, cross-compiled for
 	  -DCMAKE_CXX_COMPILER=$(AARCH64)-g++ "-DCMAKE_CROSSCOMPILING_EMULATOR=qemu-aarch64;-L;/usr/$(AARCH64)")
 endif
 
+# Line tables are what the reports need of -g.
+LINES := -DCMAKE_CXX_FLAGS_DEBUG=-g1
+
 sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
-	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=address,undefined
+	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug $(LINES) -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
-	$(BIN)/ctest --test-dir $(NATIVE)-sanitize --output-on-failure
-	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug -DINVARIODE_SANITIZE=thread
+	$(CTEST) --test-dir $(NATIVE)-sanitize
+	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug $(LINES) -DINVARIODE_SANITIZE=thread
 	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble native_lanes
-	$(BIN)/ctest --test-dir $(NATIVE)-threads --output-on-failure -R '^native_(threads|run|ensemble|lanes)$$'
+	$(CTEST) --test-dir $(NATIVE)-threads -R '^native_(threads|run|ensemble|lanes)$$'
 
 # So many random cases of each kind; `make fuzz N=100000 SEED=7`.
 N := 10000
@@ -79,7 +83,7 @@ fuzz: $(VENV)/.installed-test  ## random calls, runs and files: nothing may cras
 
 fuzz-sanitize: $(VENV)/.installed-test  ## the same with the extension built under ASan and UBSan (gcc)
 	rm -rf $(SANITIZED)
-	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --target $(SANITIZED) \
+	$(PIP) install --no-deps --target $(SANITIZED) \
 	  -C cmake.build-type=Debug -C cmake.define.INVARIODE_SANITIZE=address,undefined .
 	LD_PRELOAD="$(foreach lib,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(lib).so))" PYTHONMALLOC=malloc \
 	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONPATH=$(SANITIZED) $(BIN)/python $(FUZZ)
@@ -109,6 +113,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/overhead.py --write
 	$(BIN)/python benchmarks/multistep.py --write
 	$(BIN)/python benchmarks/implicit.py --write
+	$(BIN)/python benchmarks/jacobians.py --write
 	$(BIN)/python benchmarks/precision.py --write
 	$(BIN)/python benchmarks/mechanics.py --write
 	$(BIN)/python benchmarks/links.py --write
@@ -127,7 +132,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist
-	$(BIN)/python -m pip install -q --disable-pip-version-check build twine
+	$(PIP) install build twine
 	$(BIN)/python -m build
 	$(BIN)/python -m twine check --strict dist/*
 
@@ -140,10 +145,17 @@ clean:
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-# .installed-a-b: the package as it is now, with the extras a and b.
+# The package as it is now, built once. Warnings are errors where nobody but us is bothered by them.
+$(WHEEL)/.built: $(VENV)/bin/python $(SOURCES)
+	rm -rf $(WHEEL)
+	$(PIP) wheel --no-deps -w $(WHEEL) $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
+	$(PIP) install --force-reinstall --no-deps $(WHEEL)/invariode-*.whl
+	@touch $@
+
+# .installed-a-b: that package, with the extras a and b.
 comma := ,
-$(VENV)/.installed-%: $(VENV)/bin/python $(SOURCES)
-	$(INSTALL) ".[$(subst -,$(comma),$*)]"
+$(VENV)/.installed-%: $(WHEEL)/.built
+	$(PIP) install "$$(echo $(WHEEL)/invariode-*.whl)[$(subst -,$(comma),$*)]"
 	@touch $@
 
 # Built against the lowest build requirements, installed with the lowest requirements; then the tests run from the sources.

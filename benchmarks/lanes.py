@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from statistics import median
 from time import process_time
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from measure import interleaved, machine, ratio, run, table
@@ -30,12 +30,31 @@ def lotka_volterra(t: float, y: Any, p: Any) -> Any:
     return p[0] * y[0] - y[0] * y[1], y[0] * y[1] - y[1]
 
 
+def first_integral(t: float, y: Any, p: Any) -> Any:
+    """Of `lotka_volterra`."""
+    return y[0] - math.log(y[0]) + y[1] - p[0] * math.log(y[1])
+
+
+def first_integral_slope(t: float, y: Any, p: Any) -> Any:
+    return 1.0 - 1.0 / y[0], 1.0 - p[0] / y[1]
+
+
 def slowed(t: float, y: Any, p: Any) -> Any:
     return p[1] * (p[0] * y[0] - y[0] * y[1]), p[1] * (y[0] * y[1] - y[1])
 
 
 def henon_heiles(t: float, y: Any, p: Any) -> Any:
     return y[2], y[3], -y[0] - 2.0 * p[0] * y[0] * y[1], -y[1] - p[0] * (y[0] * y[0] - y[1] * y[1])
+
+
+def energy(t: float, y: Any, p: Any) -> Any:
+    """Of `henon_heiles`."""
+    quadratic = 0.5 * (y[2] * y[2] + y[3] * y[3] + y[0] * y[0] + y[1] * y[1])
+    return quadratic + p[0] * y[1] * (y[0] * y[0] - y[1] * y[1] / 3.0)
+
+
+def energy_slope(t: float, y: Any, p: Any) -> Any:
+    return y[0] + 2.0 * p[0] * y[0] * y[1], y[1] + p[0] * (y[0] * y[0] - y[1] * y[1]), y[2], y[3]
 
 
 def three_bodies(t: float, y: Any, p: Any) -> Any:
@@ -60,8 +79,27 @@ def three_bodies(t: float, y: Any, p: Any) -> Any:
     )
 
 
+def kepler(t: float, y: Any, p: Any) -> Any:
+    pull = p[0] * (y[0] * y[0] + y[1] * y[1]) ** -1.5
+    return y[2], y[3], -pull * y[0], -pull * y[1]
+
+
 def pendulum(t: float, y: Any, p: Any) -> Any:
     return y[1], -p[0] * math.sin(y[0])
+
+
+def axon(t: float, y: Any, p: Any) -> Any:
+    """Hodgkin and Huxley's, with the current p[0]: voltage in mV, gates m, h and n."""
+    v, m, h, n = y[0], y[1], y[2], y[3]
+    rising_m, falling_m = 0.1 * (v + 40.0) / (1.0 - math.exp(-(v + 40.0) / 10.0)), 4.0 * math.exp(-(v + 65.0) / 18.0)
+    rising_h, falling_h = 0.07 * math.exp(-(v + 65.0) / 20.0), 1.0 / (1.0 + math.exp(-(v + 35.0) / 10.0))
+    rising_n, falling_n = 0.01 * (v + 55.0) / (1.0 - math.exp(-(v + 55.0) / 10.0)), 0.125 * math.exp(-(v + 65.0) / 80.0)
+    return (
+        p[0] - 120.0 * m * m * m * h * (v - 50.0) - 36.0 * n * n * n * n * (v + 77.0) - 0.3 * (v + 54.4),
+        rising_m * (1.0 - m) - falling_m * m,
+        rising_h * (1.0 - h) - falling_h * h,
+        rising_n * (1.0 - n) - falling_n * n,
+    )
 
 
 @dataclass(frozen=True)
@@ -73,6 +111,15 @@ class Case:
     span: float
     rows: Callable[[int], tuple[Array, Array]]
     size: int
+    elementary: Literal["own", "libm"] = "own"
+    held: tuple[Callable[..., Any], Callable[..., Any]] | None = None  # an invariant, and its Jacobian
+
+    def options(self) -> dict[str, Any]:
+        """Of the solve."""
+        if self.held is None:
+            return {}
+        fun, jac = self.held
+        return {"invariants": iv.Invariants(iv.compile(fun), iv.compile(jac), names="held")}
 
 
 def populations(size: int) -> tuple[Array, Array]:
@@ -90,22 +137,47 @@ def around(point: list[float], spread: float, size: int) -> tuple[Array, Array]:
     return np.array(point) + random.uniform(-spread, spread, (size, len(point))), random.uniform(0.9, 1.1, (size, 1))
 
 
+def currents(size: int) -> tuple[Array, Array]:
+    return np.tile([-65.0, 0.05, 0.6, 0.32], (size, 1)), np.linspace(5.0, 15.0, size)[:, None]
+
+
 BODIES = [1.0, 0.0, -0.5, 0.9, -0.5, -0.9, 0.0, 0.7, -0.6, -0.35, 0.6, -0.35]
 CASES = [
     Case("Lotka–Volterra", lotka_volterra, 10.0, populations, 10000),
     Case(f"the same, costs unequal by {LONGEST:.0f}", slowed, 10.0, unequal, 1000),
     Case("Hénon–Heiles", henon_heiles, 20.0, partial(around, [0.1, 0.1, 0.3, 0.1], 0.05), 5000),
     Case("three bodies, n = 12", three_bodies, 5.0, partial(around, BODIES, 0.02), 2000),
-    Case("pendulum, libm's sin", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000),
+    Case("Kepler (x^-1.5)", kepler, 10.0, partial(around, [1.0, 0.0, 0.0, 0.9], 0.1), 5000),
+    Case("the same, libm's pow", kepler, 10.0, partial(around, [1.0, 0.0, 0.0, 0.9], 0.1), 5000, "libm"),
+    Case("pendulum (sin)", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000),
+    Case("the same, libm's sin", pendulum, 20.0, partial(around, [1.0, 0.5], 0.4), 5000, "libm"),
+    Case("Hodgkin–Huxley (six exp)", axon, 20.0, currents, 2000),
+    Case("the same, libm's exp", axon, 20.0, currents, 2000, "libm"),
+    Case(
+        "Hénon–Heiles, energy held",
+        henon_heiles,
+        20.0,
+        partial(around, [0.1, 0.1, 0.3, 0.1], 0.05),
+        3000,
+        held=(energy, energy_slope),
+    ),
+    Case(
+        "Lotka–Volterra, first integral held (log)",
+        lotka_volterra,
+        10.0,
+        populations,
+        5000,
+        held=(first_integral, first_integral_slope),
+    ),
 ]
 
 
 def measured(case: Case, repetitions: int) -> list[str]:
     """A row of the table: rate one at a time, and how many times that each instruction set gives."""
     y0, p = case.rows(case.size)
-    solve = partial(
-        iv.solve_ensemble, iv.compile(case.fun), (0, case.span), y0, args=p, rtol=TOLERANCE, atol=TOLERANCE, workers=1
-    )
+    fun = iv.compile(case.fun, elementary=case.elementary)
+    options = {"args": p, "rtol": TOLERANCE, "atol": TOLERANCE, "workers": 1, **case.options()}
+    solve = partial(iv.solve_ensemble, fun, (0, case.span), y0, **options)
     alone = solve(lanes=1)
 
     def in_lanes(name: str) -> iv.EnsembleSolution:

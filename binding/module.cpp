@@ -100,6 +100,40 @@ std::pair<Vector, const char*> find_consistent_start(double t0, const ConstVecto
   return {to_array<Vector>(std::move(start.y0), problem.n), name_of(start.verdict)};
 }
 
+std::tuple<Indices, Indices, Vector> jacobian(double t, const ConstVector& y, const ProblemSpec& problem,
+                                              const Tolerances& tolerances) {
+  const BoundProblem bound(problem);
+  const Weights weights = tolerances.for_size(problem.n);
+  require_point(y, problem);
+  const Matrix J = unlocked(bound, [&] { return jacobian_at(bound.problem(), weights, t, y.data()); });
+  std::vector<int> rows, columns;
+  std::vector<double> values;
+  J.for_each([&](std::size_t i, std::size_t j, double value) {
+    rows.push_back(static_cast<int>(i));
+    columns.push_back(static_cast<int>(j));
+    values.push_back(value);
+  });
+  const std::size_t count = values.size();
+  return {to_array<Indices>(std::move(rows), count), to_array<Indices>(std::move(columns), count),
+          to_array<Vector>(std::move(values), count)};
+}
+
+std::tuple<std::optional<std::pair<Indices, Indices>>, std::int64_t, std::size_t> find_sparsity(
+    double t, const ConstVector& y, const ProblemSpec& problem, std::int64_t most_calls, bool sparse_only) {
+  const BoundProblem bound(problem);
+  require_point(y, problem);
+  FoundPattern found = unlocked(bound, [&] {
+    return sparsity(bound.problem(), t, y.data(), {.most_calls = most_calls, .sparse_only = sparse_only});
+  });
+  std::optional<std::pair<Indices, Indices>> pattern;
+  if (found.pattern) {
+    const std::size_t starts = found.pattern->starts.size(), rows = found.pattern->rows.size();
+    pattern.emplace(to_array<Indices>(std::move(found.pattern->starts), starts),
+                    to_array<Indices>(std::move(found.pattern->rows), rows));
+  }
+  return {std::move(pattern), found.calls, found.groups};
+}
+
 template <class Member>
 void column(nb::class_<PointExamination>& examination, const char* name, Member member, const char* what) {
   examination.def_prop_ro(
@@ -146,6 +180,13 @@ void define_points(nb::module_& module) {
   module.def("consistent_start", &find_consistent_start, nb::arg("t0"), nb::arg("y0"), nb::arg("problem"),
              nb::arg("tolerances"),
              "y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.");
+  module.def("jacobian", &jacobian, nb::arg("t"), nb::arg("y"), nb::arg("problem"), nb::arg("tolerances"),
+             "The Jacobian of f at a point, as an implicit method begins with it: (rows, columns, values).");
+  module.def(
+      "sparsity", &find_sparsity, nb::arg("t"), nb::arg("y"), nb::arg("problem"), nb::arg("most_calls"),
+      nb::arg("sparse_only"),
+      "(starts, rows) of the pattern of the Jacobian of f near a point, or None if it is not sparse or f may not "
+      "be evaluated more often; the evaluations of f; those that differences take with it.");
 }
 
 std::optional<int> unless_zero(int count) { return count > 0 ? std::optional(count) : std::nullopt; }

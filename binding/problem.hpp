@@ -54,12 +54,14 @@ struct BreakpointSpec {
 struct LinearSpec {
   Structure structure;
   Jacobian::Kind kind;
-  nb::object jacobian;  // its values, its function (with its pattern if native), or for sparse differences its pattern
-  nb::object mass;      // None, the values of a constant one, or M(t)
-  nb::object null_basis;                                         // (starts, rows, values) of Z
-  nb::object lapack;                                             // None, or capsules by name
-  nb::object product = nb::none(), preconditioner = nb::none();  // of the kind `products`: functions, or None
-  std::size_t dimension = 0;                                     // and of its Krylov space
+  nb::object jacobian;    // its values; its function, of complex steps f at complex y (either with the pattern of a
+                          // sparse one); or for sparse differences the pattern
+  nb::object mass;        // None, the values of a constant one, or M(t)
+  nb::object null_basis;  // (starts, rows, values) of Z
+  nb::object lapack;      // None, or capsules by name
+  std::int64_t found_pattern;          // evaluations of f that found the pattern; 0: it was given
+  nb::object product, preconditioner;  // of the kind `products`: functions, or None
+  std::size_t dimension;               // of its Krylov space
 };
 
 struct ProblemSpec {

@@ -359,18 +359,25 @@ class Stepper {
   bool accepted_ = false;
 };
 
-/// Code of f in the lanes of an instruction set, by its name.
-LaneForm lane_form(const std::pair<std::string, std::uintptr_t>& code) {
+/// The name of an instruction set, and where the code of the functions is in its lanes: of f, and of an invariant that
+/// is held g and its Jacobian.
+using LaneCodes = std::pair<std::string, std::vector<std::uintptr_t>>;
+
+LaneForm lane_form(const LaneCodes& codes) {
+  const auto& [name, addresses] = codes;
+  const auto called = [&](std::size_t i) {
+    return lanes::Called{i < addresses.size() ? reinterpret_cast<lanes::Function*>(addresses[i]) : nullptr, nullptr};
+  };
   for (const lanes::Instructions* one : lanes::instructions())
-    if (one->name == code.first) return {one, reinterpret_cast<lanes::Function*>(code.second), nullptr};
-  throw std::invalid_argument("this processor has no instructions named " + code.first);
+    if (one->name == name) return {one, called(0), called(1), called(2)};
+  throw std::invalid_argument("this processor has no instructions named " + name);
 }
 
 /// Integrates from each row of y0, with the row of `parameters` of the same number, on as many threads as there are
 /// solvers, all of the same problem and native. `progress(done)` is called now and then.
 std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& all, const ConstMatrix& y0,
                                                const ConstMatrix& parameters, const nb::object& progress,
-                                               const std::optional<std::pair<std::string, std::uintptr_t>>& lanes) {
+                                               const std::optional<LaneCodes>& lanes) {
   std::vector<Solver*> solvers;
   for (BoundSolver* one : all) {
     if (!one->bound.native()) throw std::invalid_argument("functions of an ensemble on threads must be native");
@@ -526,12 +533,17 @@ void define_summary_of_run(RunClass& run) {
     for (const Derivative one : r.derivatives) names.push_back(name_of(one));
     return names;
   });
+  property(run, "left_complex_steps", [](const RunResult& r) { return r.linear.left_complex_steps; });
+  property(run, "enlargements", [](const RunResult& r) { return r.linear.enlargements; });
+  property(run, "pattern", [](const RunResult& r) { return std::make_pair(r.linear.entries, r.linear.groups); });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });
   property(run, "harmed", [](const RunResult& r) { return r.harm.component; });
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
   property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
+  property(run, "remarkable", [](const RunResult& r) { return r.stiffness.found || !r.discontinuities.empty(); });
+  property(run, "discontinuities", [](const RunResult& r) { return r.discontinuities; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
   run.def_prop_ro(
@@ -553,6 +565,13 @@ void define_ensemble(nb::module_& module) {
                  to_array<Table>(std::move(r.after), r.size, r.m), to_array<Vector>(std::move(r.correction), r.size));
            })
       .def("take_clipped", [](Result& r) { return to_array<Vector>(std::move(r.clipped), r.size); })
+      .def(
+          "take_remarks",
+          [](Result& r) {
+            return std::make_tuple(to_array<Vector>(std::move(r.stiff_since), r.size),
+                                   to_array<Vector>(std::move(r.discontinuity), r.size));
+          },
+          "From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.")
       .def("take_counts", [](Result& r) { return to_array<IntegerTable>(std::move(r.count), r.size, Result::counts); })
       .def("take_states", [](Result& r) { return to_array<Bytes>(std::move(r.state), r.size); })
       .def("take_events",
@@ -571,7 +590,7 @@ void define_ensemble(nb::module_& module) {
       "integrate_all", &integrate_rows, nb::arg("solvers"), nb::arg("y0"), nb::arg("parameters"),
       nb::arg("progress").none(), nb::arg("lanes") = nb::none(),
       "Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction "
-      "set and the address of f in its lanes.");
+      "set and where the code of the functions is in its lanes: of f, and of an invariant its g and its Jacobian.");
   std::vector<std::tuple<std::string, std::size_t, std::size_t>> sets;
   for (const lanes::Instructions* one : lanes::instructions())
     sets.emplace_back(std::string(one->name), one->lanes, one->bits);
@@ -655,6 +674,9 @@ void define_stepper(nb::module_& module) {
             return stiffness.found ? std::optional(stiffness.since) : std::nullopt;
           },
           "From which t on stability limits the steps; None: it does not.")
+      .def_prop_ro(
+          "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); },
+          "Where f jumps, as far as it was seen.")
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });

@@ -12,8 +12,8 @@ namespace invariode {
 /// fails.
 enum class [[nodiscard]] Status { ok, stop };
 
-/// A user function `out = function(t, y)`: a pointer, its context, and how often it was called. It may throw, for want
-/// of memory, as the rest of the core does.
+/// A user function `out = function(t, y)`: a pointer, its context, and how often it was called. It may throw if
+/// memory runs out, as the rest of the core may.
 class Callback {
  public:
   using Function = Status(void* context, double t, const double* y, double* out);

@@ -6,20 +6,20 @@
 #include <stdexcept>
 #include <utility>
 
+#include "manifold/thresholds.hpp"
+
 namespace invariode {
 namespace {
 
-constexpr double hmin_ulps = 16;  // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
-constexpr double stretch = 1.1;   // a step that comes this close to tf lands on it
-constexpr double largest_correction =
-    100;                                 // in units of rtol; right invariants stay below (docs/algorithms.md, 'Guard')
+constexpr double hmin_ulps = 16;         // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
+constexpr double stretch = 1.1;          // a step that comes this close to tf lands on it
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
 constexpr int start_iterations = 5;      // of the projection of the start within bounds: Newton's is at roundoff then
 constexpr int patience = 3;              // corrections refused in a step before the invariant is looked at
 
 }  // namespace
 
-Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
+Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, Callback f, const Manifold& manifold,
                          std::vector<EventFunction> events, Breaks breaks, Callback callback, Settings settings)
     : step_(std::move(step)),
       weights_(weights),
@@ -32,6 +32,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       n_(weights.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
       stiffness_(weights),
+      discontinuities_(f, weights),
       events_(std::move(events), n_, step_->max_degree()),
       breaks_(std::move(breaks)) {
   pass_breakpoints(0);
@@ -147,6 +148,7 @@ bool Integration::project_start_within_bounds() {
 /// Builds the method's memory at (t, y), at the start and after a jump.
 bool Integration::start_memory(double t, const double* y) {
   left_ = false;
+  discontinuities_.restart();
   switch (step_->start(t, y, {target_, settings_.hmax, hmin_ulps * ulp(t)})) {
     case Outcome::ok: return true;
     case Outcome::stop: return end(State::interrupted);
@@ -194,8 +196,7 @@ State Integration::advance() {
   if (!std::exchange(in_step_, false) && !begin_step()) return state_;
   for (;;) {
     if (!std::isfinite(attempt_.t1)) {
-      explain_failure(Cause::not_finite);
-      end(State::step_failed);
+      if (explain_failure(Cause::not_finite)) end(State::step_failed);
       return state_;
     }
     switch (attempt()) {
@@ -215,12 +216,12 @@ State Integration::advance() {
 /// exactly.
 bool Integration::begin_step() {
   if (bounded_slope_ && !meet_bounds()) return false;
-  const double t = step_->t();
-  if (step_->hand_over({target_, settings_.hmax, hmin_ulps * ulp(t)}) == Outcome::stop) return end(State::interrupted);
+  const double t = step_->t(), hmin = hmin_ulps * ulp(t);
+  if (step_->hand_over({target_, settings_.hmax, hmin}) == Outcome::stop) return end(State::interrupted);
   interpolant_->start_at(t, step_->y());
-  attempt_ = {.hmin = hmin_ulps * ulp(t)};
+  attempt_ = {.hmin = hmin};
   constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
-  const double size = std::max(attempt_.hmin, std::min({settings_.hmax, huge, step_->h()}));
+  const double size = std::max(hmin, std::min({settings_.hmax, huge, step_->h()}));
   attempt_.landing = stretch * size >= std::abs(target_ - t);
   attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
   attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
@@ -325,17 +326,16 @@ Integration::Verdict Integration::oversized(const double* candidate) {
 
 Integration::Verdict Integration::reject(Cause cause) {
   ++counts_.failed;
-  if (!step_->reject(cause, attempt_.hmin)) {
-    explain_failure(cause);
-    return ended(State::step_failed);
-  }
+  discontinuities_.failed(cause, attempt_.t1, attempt_.h);
+  if (!step_->reject(cause, attempt_.hmin)) return ended(explain_failure(cause) ? State::step_failed : state_);
   attempt_.landing = attempt_.landing && step_->h() >= std::abs(attempt_.h);
   if (!attempt_.landing) attempt_.h = forward_ * step_->h();
   attempt_.t1 = attempt_.landing ? target_ : interpolant_->start_t() + attempt_.h;
   return Verdict::rejected;
 }
 
-void Integration::explain_failure(Cause cause) {
+/// False: a user function has stopped the run, and that is why it ends.
+bool Integration::explain_failure(Cause cause) {
   report_.t = interpolant_->start_t();
   report_.h = attempt_.h;
   report_.cause = cause;
@@ -344,12 +344,16 @@ void Integration::explain_failure(Cause cause) {
   if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
   if (cause == Cause::bounds) report_.component = outside_.component;
-  if (cause != Cause::error) return;
+  if (cause != Cause::error && cause != Cause::newton) return true;
+  if (discontinuities_.gave_up(report_.t, interpolant_->start_y(), step_->slope(), attempt_.t1) == Status::stop)
+    return end(State::interrupted);
+  if (cause != Cause::error) return true;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && interpolant_->start_y()[i] == 0) {
       report_.pure_relative = true;
       report_.component = static_cast<int>(i);
     }
+  return true;
 }
 
 // ------------------------------------------------------------------------------------------------- after the
@@ -361,7 +365,12 @@ State Integration::finish_step() {
   note_drift();
   if (!judge_invariants()) return state_;
   if (one_sided_) one_sided_->commit();
-  stiffness_.note(*step_, ++counts_.steps, interpolant_->start_t(), interpolant_->start_y());
+  const double t0 = interpolant_->start_t(), *y0 = interpolant_->start_y();
+  stiffness_.note(*step_, ++counts_.steps, t0, y0);
+  if (discontinuities_.accepted(t0, y0, step_->t(), step_->y(), counts_.steps + counts_.failed) == Status::stop) {
+    end(State::interrupted);
+    return state_;
+  }
   interpolant_->accept();
   if (find_events() && record() && emit(settings_.output_at_times && jumps_here()) && conclude() &&
       counts_.steps >= next_look_)
@@ -644,6 +653,7 @@ void Integration::state(Archive& archive) {
   if (restoration_) restoration_->state(archive);
   if (harm_) harm_->state(archive);
   stiffness_.state(archive);
+  discontinuities_.state(archive);
   events_.state(archive);
   interpolant_->state(archive);
   if (!archive.whole()) anew_ = true;

@@ -9,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include "discontinuity.hpp"
 #include "linear/mass.hpp"
 #include "manifold/active_set.hpp"
 #include "manifold/bounds.hpp"
@@ -59,8 +60,9 @@ class Integration {
     std::function<Consistency(double t, double* y)> consistent;
   };
 
-  /// The manifold and the callbacks belong to the caller and outlive this. `callback` may be empty.
-  Integration(std::unique_ptr<Step> step, const Weights& weights, const Manifold& manifold,
+  /// The manifold and the callbacks belong to the caller and outlive this. `f`: what jumps are looked for in.
+  /// `callback` may be empty.
+  Integration(std::unique_ptr<Step> step, const Weights& weights, Callback f, const Manifold& manifold,
               std::vector<EventFunction> events, Breaks breaks, Callback callback, Settings settings);
 
   /// Ends the run after the first accepted step that finds the request true: whoever makes it keeps it meanwhile.
@@ -93,6 +95,7 @@ class Integration {
   /// What projections have done to the components of y, so far.
   [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
   [[nodiscard]] Stiffness stiffness() const { return stiffness_.found(); }
+  [[nodiscard]] const DiscontinuityDetector& discontinuities() const { return discontinuities_; }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
 
   /// The results, to be moved out when the run has ended.
@@ -150,7 +153,7 @@ class Integration {
   Verdict oversized(const double* candidate);
   Verdict reject(Cause cause);
   Verdict ended(State state);
-  void explain_failure(Cause cause);
+  bool explain_failure(Cause cause);
   [[nodiscard]] double roundoff_of_correction() const;
   /// The correction belongs to the bounds as well: it tells nothing of the invariants.
   [[nodiscard]] bool at_bounds() const { return active_set_ && active_set_->active(); }
@@ -208,6 +211,7 @@ class Integration {
   std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;
   StiffnessDetector stiffness_;
+  DiscontinuityDetector discontinuities_;
   Events events_;
   std::optional<StepInterpolant> interpolant_;
 

@@ -26,9 +26,9 @@ enum class State {
   step_failed,           ///< an attempt failed at hmin
   invariant_refused,     ///< at the start; see the finding
   invariant_convicted,   ///< during the run
-  start_out_of_bounds,   ///< y0 is outside of the bounds by more than the tolerance
+  start_out_of_bounds,   ///< y0 is outside the bounds by more than the tolerance
   start_contradicts,     ///< there is no point near y0 within the bounds on which the invariants have their values
-  action_out_of_bounds   ///< an action returned a point outside of the bounds by more than the tolerance
+  action_out_of_bounds   ///< an action returned a point outside the bounds by more than the tolerance
 };
 
 /// What may end a run early (settings.hpp).
@@ -51,11 +51,11 @@ struct Report {
 
 struct Counts {
   std::int64_t steps = 0, failed = 0, projections = 0, skipped = 0;
-  std::int64_t clipped = 0;  ///< steps that ended outside of the bounds, by less than the tolerance
+  std::int64_t clipped = 0;  ///< steps that ended outside the bounds, by less than the tolerance
 };
 
-/// What projection met in the accepted steps: of each invariant the largest residual before it, and as a distance in
-/// units of rtol; of all together the largest correction, in units of rtol.
+/// What projection met in the accepted steps: for each invariant the largest residual before it, also as a distance in
+/// units of rtol; for all together the largest correction, in units of rtol.
 struct Drift {
   std::vector<double> residual, distance;
   double correction = 0;
@@ -74,7 +74,7 @@ struct Stiffness {
   double since = 0;
 };
 
-/// A jump of the solution: from which row of the output on it holds, and the values that invariants have from there.
+/// A jump of the solution: the first row of the output after it, and the values of the invariants from there on.
 struct Jump {
   std::size_t row;
   double t;

@@ -1,5 +1,5 @@
 #pragma once
-// What a run is asked for, beyond the problem and the method.
+// What a run is to do, beyond the problem and the method.
 
 #include <cstdint>
 #include <limits>

@@ -15,9 +15,9 @@ class Slope {
   Slope& operator=(const Slope&) = delete;
   virtual ~Slope() = default;
 
-  /// y'(t, y) into out; NaN where it is not defined. h: a step of the run, which tells the scale of t.
+  /// y'(t, y) into out; NaN where it is not defined. h: a step of the run, which gives the scale of t.
   virtual Status evaluate(double t, const double* y, double h, double* out) = 0;
-  /// What it is good to, relative to its size; 0: to roundoff.
+  /// Its accuracy, relative to its size; 0: roundoff.
   [[nodiscard]] virtual double relative_error() const { return 0; }
   /// Evaluations of f so far.
   [[nodiscard]] virtual std::int64_t evaluations() const = 0;

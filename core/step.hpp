@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "archive.hpp"
@@ -25,6 +26,10 @@ enum class [[nodiscard]] Outcome { ok, not_finite, stop };
 struct LinearWork {
   std::int64_t jacobians = 0, factorizations = 0, solves = 0, products = 0, iterations = 0;
   bool unsolved = false;
+  std::int64_t complex_calls = 0;                                        ///< of f at complex y, for Jacobians
+  double left_complex_steps = std::numeric_limits<double>::quiet_NaN();  ///< t at which differences replaced them
+  std::int64_t enlargements = 0;                                         ///< of a sparsity pattern that was found,
+  std::int64_t entries = 0, groups = 0;  ///< its entries, and the evaluations of f that differences take with it
   bool singular = false;
   bool undefined_jacobian = false;
   bool undefined_mass = false;

@@ -9,8 +9,8 @@
 
 namespace invariode {
 
-/// How an explicit step looks: is |h λ| at the limit of the formula's stability, and what has the step changed, in the
-/// weights? `known` is false where it cannot tell.
+/// What an explicit step shows: whether |h λ| is at the limit of the formula's stability, and how far the step has
+/// moved y, in the weights. `known` is false if it cannot tell.
 struct StepLook {
   bool known = false;
   bool at_limit = false;
@@ -20,7 +20,7 @@ struct StepLook {
   [[nodiscard]] bool limited() const { return at_limit && moved < slow; }
 };
 
-/// At the step from y0 that the method has accepted just now.
+/// Of the step from y0 that the method has just accepted.
 StepLook look_at(const Step& method, const Weights& weights, const double* y0);
 
 /// Watches explicit steps. Where |h λ| stays at the limit of the formula while the solution hardly changes in a step, λ

@@ -12,7 +12,7 @@ namespace invariode {
 
 inline constexpr double eps = std::numeric_limits<double>::epsilon();
 
-/// |y_i| and tolerances below this tell no scale for increments: 1e-40 of it, a complex step, must not underflow.
+/// |y_i| and tolerances below this give no scale for increments: 1e-40 of it, a complex step, must not underflow.
 inline constexpr double smallest_scale = 1e-250;
 
 /// Spacing of doubles at |t|.
@@ -21,7 +21,7 @@ inline double ulp(double t) {
   return std::nextafter(a, std::numeric_limits<double>::infinity()) - a;
 }
 
-/// True where every one of the n values is finite: 0 · x is 0 for those, NaN for the others. (Four sums, so that none
+/// Whether all n values are finite: 0 · x is 0 for those, NaN for the others. (Four sums, so that none
 /// waits for the one before.)
 inline bool all_finite(const double* v, std::size_t n) {
   double sum[4] = {0, 0, 0, 0};

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import invariode
 
-sys.path.insert(0, str(Path(__file__).parent))  # for our own extension
+sys.path.insert(0, str(Path(__file__).parent))  # for our own extensions
 
 project = "invariode"
 author = copyright = "The invariode developers"
@@ -22,6 +22,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "mathml",
+    "formulas",
 ]
 html_math_renderer = "mathml"
 exclude_patterns = ["**.ipynb", "gallery/*.py", "gallery/*.zip", "gallery/*.json", "_templates"]
@@ -85,7 +86,7 @@ html_theme_options = {
     "show_toc_level": 2,
     "header_links_before_dropdown": 6,
 }
-html_sidebars = {"index": [], "tutorial": [], "benchmarks": [], "gallery/*": []}
+html_sidebars = {"index": [], "tutorial": [], "benchmarks": [], "benchmarks/*": [], "gallery/*": []}  # room for tables
 
 
 RESULTS = (

@@ -60,9 +60,24 @@ def test_each_frame_shows_the_points_of_its_time(films):
         assert film.figure.axes[0].texts[0].get_text() == f"$t$ = {t:.2f}"
 
 
-def test_backwards_and_without_dense_output_frames_are_the_nearest_outputs(films):
+def test_backwards_and_without_dense_output_frames_follow_the_curve_of_the_steps(films):
+    for end in (6, -6):
+        film = films(iv.ode45(lambda t, y: [-y[1], y[0]], (0, end), [1.0, 0.0], rtol=1e-6, refine=1), [[0, 1]])
+        turned = np.column_stack([np.cos(film.times), np.sin(film.times)])
+        np.testing.assert_allclose(film.points[:, 0], turned, rtol=0, atol=1e-3)  # the chords of the steps: 0.02
+
+
+def test_a_jump_is_not_smoothed(films):
+    """Frames before the jump and after it show the states there, without dense output too."""
+    jump = iv.Event(lambda t, y: t - 1, action=lambda t, y: [y[0] + 5, y[1]])
+    film = films(iv.ode45(lambda t, y: [0, 1], (0, 2), [0.0, 0.0], events=jump), [[0, 1]], trace=[0])
+    assert set(film.points[:, 0, 0]) == {0, 5}
+    assert set(film._shown.paths[:, 0, 0]) == {0, 5}
+
+
+def test_backwards_too_frames_show_the_nearest_of_the_times_in_t_eval(films):
     for t_span in ((0, 6), (0, -6)):
-        sol = iv.ode45(lambda t, y: [-y[1], y[0]], t_span, [1.0, 0.0], refine=1)
+        sol = iv.ode45(lambda t, y: [-y[1], y[0]], t_span, [1.0, 0.0], t_eval=np.linspace(*t_span, 25))
         film = films(sol, [[0, 1]])
         for t, (point,) in zip(film.times, film.points, strict=True):
             nearest = np.abs(sol.t - t)
@@ -211,3 +226,22 @@ def test_a_mechanical_system_shows_its_own_points():
 def test_nothing_moves_in_one_point():
     with pytest.raises(ValueError, match="nothing moves"):
         turning(keep="end", dense_output=False).animate(hand)
+
+
+def test_the_clock_stands_inside_the_figure_and_clear_of_the_title(films):
+    """Also of a film whose axes are narrower than the two, and of one without a title."""
+    for name in ("A narrow film", None):
+        film = films(iv.Problem(lambda t, y: [1], (0, 9), [0.0], name=name).solve(), lambda t, y: [[0, y[0]]])
+        film.figure.canvas.draw()
+        ax = film.figure.axes[0]
+        clock = ax.texts[0].get_window_extent()
+        assert clock.y1 <= film.figure.bbox.y1
+        assert not (ax.get_title() and clock.overlaps(ax.title.get_window_extent()))
+
+
+def test_numbers_of_a_thin_axis_in_space_do_not_run_together(films):
+    sol = iv.ode45(lambda t, y: [1, 1e-6, 1], (0, 1), [0.0, 0.0, 0.0])
+    ax = films(sol, [0, 1, 2]).figure.axes[0]
+    for axis, most in ((ax.xaxis, 6), (ax.yaxis, 3), (ax.zaxis, 6)):
+        low, high = axis.get_view_interval()
+        assert sum(low <= place <= high for place in axis.get_majorticklocs()) <= most

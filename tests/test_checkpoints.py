@@ -32,6 +32,7 @@ def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
     assert not differences(whole, go_on(case, tmp_path / "run.npz"))
 
 
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # of random problems without breakpoints
 def test_in_another_process(tmp_path):
     methods = {SEED + 100 + k: name for k, name in enumerate(iv.METHODS)}
     cases = {seed: random_case(seed, name) for seed, name in methods.items()}
@@ -58,6 +59,15 @@ def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
     assert not differences(whole, iv.load(path, case.problem(), **case.functions))
 
 
+def test_where_no_checkpoint_can_be(tmp_path):
+    case = random_case(SEED, "ode45")
+    with pytest.raises(FileNotFoundError, match=r"checkpoint: there is no folder .*nowhere: make it"):
+        case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
+    with pytest.warns(UserWarning, match="checkpoint_every has no effect without checkpoint"):
+        case.solve(checkpoint_every=10.0)
+
+
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
 def test_between_two_attempts_of_a_step(method):
     """The limit of time is looked at after each attempt, also one that failed."""
 

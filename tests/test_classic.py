@@ -30,7 +30,7 @@ def states(problem: iv.Problem, count: int = 20) -> list[np.ndarray]:
 
 
 def test_the_rate_of_each_invariant_is_zero(problem):
-    """J f = 0 to the round-off of its terms."""
+    """J f = 0 to the roundoff of its terms."""
     (held,) = problem.invariants
     for y in states(problem):
         J, f = np.atleast_2d(held.jac(0.0, y)), np.array(problem.fun(0.0, y))

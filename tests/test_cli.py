@@ -356,7 +356,7 @@ def test_missing_package_is_named_before_the_work(option, file, package, extra, 
     monkeypatch.setattr("invariode.cli.session.find_spec", lambda name: None if name == package else object())
     outcome = invariode("solve", "faulty.py:raising", option, file)
     assert outcome.exit_code == 1
-    assert outcome.output == f"{option} needs {package}: pip install invariode[{extra}]\n"
+    assert outcome.output == f'{option} needs {package}: pip install "invariode[{extra}]"\n'
 
 
 @pytest.mark.parametrize("ending", list(OUTPUTS))
@@ -397,6 +397,20 @@ def test_solve_draws(ending, magic):
     path = Path(f"plot{ending}")
     assert invariode("solve", "pendulum.py", "--plot", path).exit_code == 0
     assert path.read_bytes().startswith(magic)
+
+
+def test_the_picture_holds_its_labels(monkeypatch):
+    """Nothing is drawn outside the page, and panels do not overlap."""
+    drawn = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *about, **options: drawn.append(figure))
+    assert invariode("solve", "pendulum.py", "--plot", "a.png").exit_code == 0
+    (figure,) = drawn
+    figure.canvas.draw()
+    upper, lower = (ax.get_tightbbox() for ax in figure.axes)
+    for box in (upper, lower):
+        assert 0 <= box.x0 < box.x1 <= figure.bbox.width
+        assert 0 <= box.y0 < box.y1 <= figure.bbox.height
+    assert lower.y1 < upper.y0
 
 
 def test_a_short_run_shows_no_progress_bar():

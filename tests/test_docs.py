@@ -72,6 +72,25 @@ def test_every_formula_can_be_shown_without_a_network(monkeypatch):
     assert found > 100
 
 
+def test_the_picture_on_the_front_page_is_that_of_todays_solver(monkeypatch):
+    """It says in numbers what it shows; `python docs/picture.py` draws it again."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    picture = importlib.import_module("picture")
+    assert f"<dc:description>{picture.summary()}</dc:description>" in picture.FILE.read_text(encoding="utf-8")
+
+
+def test_indices_and_exponents_written_as_text_are_small_in_print(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    formulas = importlib.import_module("formulas")
+    kept = "not `max_i`, $x_i^{2}$, hmax_old or [a](b_c)"
+    shown = formulas.in_print(r"|y\*_i| ≤ rtol_i h^{1/(k+1)} D_{j≤k} R_ij, " + kept)
+    small = r"|y\*<sub>i</sub>| ≤ rtol<sub>i</sub> h<sup>1/(k+1)</sup> D<sub>j≤k</sub> R<sub>ij</sub>, "
+    assert shown == small + kept
+    for page in formulas.PAGES:  # no formula is left as it was typed
+        text = formulas.in_print((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+        assert not re.search(r"[\^_]\{", re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL))
+
+
 def test_every_public_name_is_documented():
     for name in invariode.__all__:
         assert name == "METHODS" or getattr(invariode, name).__doc__, name

@@ -91,7 +91,7 @@ def test_pictures_have_the_quantiles_of_the_trajectories(kind):
     m = iv.solve_ensemble(lambda t, y: 0 * y, (0, 1), starts, t_eval=[0, 0.5, 1], workers=1)
     ax = Figure().add_subplot()
     assert m.plot(kind, ax=ax) is ax
-    levels = sorted({round(float(line.get_ydata()[0]), 9) for line in ax.lines})
+    levels = sorted({round(float(line.get_ydata()[0]), 9) for line in ax.lines if len(line.get_ydata())})
     assert levels == {"bands": [0.5], "quantiles": [0.05, 0.25, 0.5, 0.75, 0.95]}.get(
         kind, starts.ravel().round(9).tolist()
     )
@@ -102,6 +102,13 @@ def test_pictures_have_the_quantiles_of_the_trajectories(kind):
     assert len(plt.get_fignums()) == 0
     m.plot(kind)
     assert len(plt.get_fignums()) == 1
+
+
+def test_the_keys_of_thin_lines_can_be_seen():
+    ax = ensemble().plot("spaghetti", ax=Figure(layout="constrained").add_subplot())
+    for key in ax.get_legend().legend_handles:
+        assert key.get_alpha() in (None, 1)
+        assert key.get_linewidth() > 1
 
 
 def test_pictures_need_times_and_known_kinds():

@@ -51,6 +51,7 @@ def solve(method="ode15s", rtol=1e-4, **options):
 
 FORMS = {
     "differences": {},
+    "jac='differences'": {"jac": "differences"},
     "jac_product": {"jac_product": product},
     "jac, sparse": {"jac": jacobian},
     "jac, dense": {"jac": lambda t, y: jacobian(t, y).toarray()},
@@ -289,6 +290,7 @@ def test_exceptions_come_out_unchanged():
     [
         ({"jac_product": lambda t, y, v: v[:-1]}, ValueError, r"jac_product\(t, y, v\) returned shape \(143,\)"),
         ({"jac_product": 3.0}, TypeError, "jac_product must be a function"),
+        ({"jac": "complex-step"}, ValueError, "with linear_solver='gmres' give jac_product"),
         ({"jac_product": product, "jac": jacobian}, ValueError, "jac and jac_product say the same"),
         ({"jac": lambda t, y: np.eye(3)}, ValueError, r"jac\(t, y\) has shape \(3, 3\), expected shape \(144, 144\)"),
         ({"preconditioner": lambda t, y, c: 3.0}, TypeError, "expected an object with solve"),

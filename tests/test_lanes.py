@@ -9,8 +9,10 @@ import pytest
 
 import invariode as iv
 from invariode import _core, lanes
+from problems import PROBLEMS
 
 numba = pytest.importorskip("numba")
+from invariode import _machine_code  # noqa: E402
 
 SIZE = 60
 SETS = [name for name, _, _ in _core.LANES]
@@ -41,13 +43,36 @@ def half_filled(t, y, out, p):
         out[1] = -y[0]
 
 
+def oscillator(t, y, p):
+    return y[1], -p[0] * y[0] ** 3
+
+
+def energy(t, y, p):
+    return 0.25 * p[0] * y[0] ** 4 + 0.5 * y[1] ** 2
+
+
+def energy_slope(t, y, p):
+    return p[0] * y[0] ** 3, y[1]
+
+
+def energy_misread(t, y, p):
+    """The equations keep it for p = 1 alone."""
+    return 0.25 * y[0] ** 4 + 0.5 * y[1] ** 2
+
+
+def slope_misread(t, y, p):
+    return y[0] ** 3, y[1]
+
+
 COMPILED = {
     "polynomials": iv.compile(lotka_volterra),
     "elementary functions": iv.compile(pendulum),
     "branches, in place": iv.compile(branching, inplace=True),
     "not filled for some": iv.compile(half_filled, inplace=True),
     "undefined for some": iv.compile(undefined_beyond),
+    "quartic": iv.compile(oscillator),
 }
+ENERGY = iv.Invariants(iv.compile(energy), iv.compile(energy_slope), names="energy")
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +92,7 @@ def solve(fun, method="ode45", **options):
 
 
 def same(a, b):
-    for name in ("y", "t_end", "y_end", "status"):
+    for name in ("y", "t_end", "y_end", "status", "value", "residual_before", "residual_after", "correction"):
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
     for name in a.stats:
         np.testing.assert_array_equal(a.stats[name], b.stats[name], err_msg=name)
@@ -76,7 +101,7 @@ def same(a, b):
 
 @pytest.mark.parametrize(
     ("instructions", "name"),
-    [(SETS[0], name) for name in COMPILED] + [(one, "elementary functions") for one in SETS[1:]],
+    [(SETS[0], name) for name in COMPILED if name != "quartic"] + [(one, "elementary functions") for one in SETS[1:]],
 )
 def test_results_depend_on_no_instructions_threads_or_neighbours(name, instructions, monkeypatch):
     monkeypatch.setattr(lanes, "FORCED", instructions)
@@ -91,6 +116,70 @@ def test_results_depend_on_no_instructions_threads_or_neighbours(name, instructi
     some = slice(5, 22)
     part = iv.solve_ensemble(fun, (0, 4), y0[some], args=p[some], workers=1, rtol=1e-5)
     np.testing.assert_array_equal(part.y_end, alone.y_end[some])
+
+
+@pytest.mark.parametrize("instructions", SETS)
+def test_an_invariant_is_held_as_without_lanes(instructions, monkeypatch):
+    monkeypatch.setattr(lanes, "FORCED", instructions)
+    alone = solve(COMPILED["quartic"], lanes=1, invariants=ENERGY)
+    assert alone.stats.lanes == "one at a time: lanes=1"
+    for workers in (1, 3):
+        found = solve(COMPILED["quartic"], workers=workers, invariants=ENERGY)
+        same(found, alone)
+        assert found.stats.lanes.endswith(f"lanes, {instructions}")
+    assert (found.residual_after < 1e-9).all()
+
+
+@pytest.mark.parametrize("method", PAIRS)
+@pytest.mark.parametrize("invariants", [None, ENERGY])
+@pytest.mark.parametrize("interpolation", ["projected", "raw"])
+def test_output_at_times_is_that_of_single_solves(method, invariants, interpolation):
+    options = {"t_eval": [0, 0.1, 0.10001, 1, 2.5, 4], "invariants": invariants, "interpolation": interpolation}
+    found = solve(COMPILED["quartic"], method, **options)
+    assert "lanes, " in found.stats.lanes
+    y0, p = rows()
+    for i in range(0, SIZE, 11):
+        about = {"args": tuple(p[i]), "rtol": 1e-5, **options}
+        one = iv.solve_ivp(COMPILED["quartic"], (0, 4), y0[i], method, **about)
+        np.testing.assert_array_equal(found.y[i], one.y)
+        for count in ("steps", "nfev", "ng", "ngjac", "nfev_check", "projections"):
+            assert found.stats[count][i] == one.stats[count]
+
+
+@pytest.fixture(scope="module", params=["Henon-Heiles", "rigid body"])
+def held(request):
+    """A problem of the registry with the first of its invariants, compiled."""
+    problem = PROBLEMS[request.param]
+    f, g, jacobian = (numba.njit(one) for one in (problem.fun, problem.g, problem.jac))
+    one = np.ndim(problem.g(0, np.array(problem.y0))) == 0
+    first = iv.compile((lambda t, y: g(t, y)) if one else (lambda t, y: g(t, y)[0]))
+    about = iv.Invariants(first, iv.compile(lambda t, y: jacobian(t, y)[0]), names="g")
+    return iv.compile(lambda t, y: f(t, y)), about, problem.y0
+
+
+@pytest.mark.parametrize("method", PAIRS)
+def test_problems_keep_their_invariant_in_every_pair(held, method):
+    fun, invariant, y0 = held
+    random = np.random.default_rng(len(method))
+    y0 = np.array(y0) * random.uniform(0.97, 1.03, (40, len(y0)))
+    options = {"invariants": invariant, "workers": 2, "rtol": random.choice([1e-4, 1e-6, 1e-9]), "atol": 1e-9}
+    if random.random() < 0.5:
+        options["t_eval"] = np.linspace(0, 3, 31)
+    alone = iv.solve_ensemble(fun, (0, 3), y0, method, lanes=1, **options)
+    found = iv.solve_ensemble(fun, (0, 3), y0, method, **options)
+    same(found, alone)
+    assert "lanes, " in found.stats.lanes
+
+
+def test_a_function_that_f_does_not_keep_is_refused_in_lanes_too():
+    wrong = iv.Invariants(iv.compile(energy_misread), iv.compile(slope_misread), names="energy")
+    y0 = rows()[0]
+    p = np.where(np.arange(SIZE) % 5 == 1, 1.0 + rows()[1][:, 0], 1.0)[:, None]
+    options = {"args": p, "workers": 1, "invariants": wrong, "rtol": 1e-5}
+    found = iv.solve_ensemble(COMPILED["quartic"], (0, 4), y0, **options)
+    assert (found.failed == np.flatnonzero(p[:, 0] != 1)).all()
+    assert f"{len(found.failed)} trajectories one at a time" in found.stats.lanes
+    same(found, iv.solve_ensemble(COMPILED["quartic"], (0, 4), y0, lanes=1, **options))
 
 
 @pytest.mark.parametrize("method", PAIRS)
@@ -116,14 +205,17 @@ def test_failures_are_told_as_without_lanes():
     ("options", "why"),
     [
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
-        ({"t_eval": [1.0, 2.0]}, "t_eval"),
+        ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]))}, "events"),
         ({"max_steps": 10**6}, "limited"),
         ({"nonnegative": True}, "bounds"),
+        ({"invariants": iv.Invariants(iv.compile(energy), names="energy")}, "give jac"),
+        ({"invariants": [ENERGY, iv.Invariants(iv.compile(lambda t, y, p: y[0]), names="x")]}, "several invariants"),
+        ({"invariants": ENERGY, "fsal": "evaluate"}, "evaluated again"),
     ],
 )
 def test_what_lanes_cannot_do_is_done_one_at_a_time(options, why):
-    assert why in solve(COMPILED["polynomials"], **options).stats.lanes
+    assert why in solve(COMPILED["quartic"], **options).stats.lanes
 
 
 def growing(t, y, p):
@@ -152,7 +244,7 @@ def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
 
 def test_an_unknown_numba_is_one_warning_and_the_same_result(monkeypatch):
     monkeypatch.setattr(lanes, "_warned", False)
-    monkeypatch.setattr(lanes, "_machine", lambda llvm, codegen: codegen.has_gone)
+    monkeypatch.setattr(_machine_code, "declarations", lambda *functions: numba.has_gone)
     with pytest.warns(UserWarning, match="this version of numba has no lanes"):
         found = solve(iv.compile(lotka_volterra))
     assert "not known" in found.stats.lanes

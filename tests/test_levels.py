@@ -122,7 +122,7 @@ def test_corrections_in_the_metric_of_the_mass_change_no_momentum(method):
         momentum.append(np.abs(total - total[:, :1]).max())
     explicit = ("ode23", "ode45", "dop853", "ode78", "ode89", "ode113")  # others solve equations, to the tolerance
     assert momentum[0] < (1e-10 if method in explicit else 1e-2)
-    assert momentum[1] > 1e-6
+    assert momentum[1] > (1e-9 if method == "ode23t" else 1e-6)  # whose plain steps keep the rod's length well too
 
 
 def test_a_metric_may_be_a_diagonal_a_matrix_or_a_function():

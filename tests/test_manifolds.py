@@ -75,7 +75,7 @@ def test_attitudes_stay_attitudes_with_every_method(method):
     assert held.success
     assert abs(held.residual).max() < 1e-6
     R = plain.y[:9, -1].reshape(3, 3)
-    assert abs(R.T @ R - np.eye(3)).max() > 1e-6
+    assert abs(R.T @ R - np.eye(3)).max() > (1e-9 if method == "ode23t" else 1e-6)  # turns by nearly a Cayley map
     assert held.stats.derivatives == "given"
 
 

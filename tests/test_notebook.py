@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import invariode as iv
 
@@ -59,6 +60,18 @@ def test_a_solution_shows_how_it_went_and_a_picture(monkeypatch):
     assert "img" in shown.tags
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert "img" not in Parsed(sol._repr_html_()).tags
+
+
+def test_the_picture_calls_no_f_and_does_not_bridge_jumps(monkeypatch):
+    calls, drawn = [], []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *file, **options: drawn.append(figure))
+    hit = iv.Event(lambda t, y: y[0], direction=-1, action=lambda t, y: [0, -y[1] / 2])
+    sol = iv.solve_ivp(lambda t, y: calls.append(t) or [y[1], -1], (0, 2), [1.0, 0], events=hit)
+    before = len(calls)
+    sol._repr_html_()
+    assert len(calls) == before
+    (ax,) = drawn[0].axes
+    assert np.isnan(ax.lines[1].get_ydata()).sum() == len(sol.t_events[0])
 
 
 @pytest.mark.parametrize("options", [{"keep": "end"}, {"t_eval": []}, {"t_eval": [1.0]}])

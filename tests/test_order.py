@@ -153,7 +153,7 @@ def evaluations(sol: iv.Solution, method: str) -> int:
         return 2 + s.nsolve
     if method == "ode23s":  # two and f_t; what projection has moved is evaluated again
         return 1 + 3 * s.steps + 2 * s.failed + int((sol.correction > 0).sum())
-    if method == "ode23tb":  # one for each solve but those of the error; f_t at the start
+    if method in ("ode23t", "ode23tb"):  # one for each solve but those of the error; f_t at the start
         estimates = s.nsolve - (sol.nfev - 2)
         assert s.steps <= estimates <= s.steps + s.failed  # none where Newton's iteration has failed
         return 2 + s.nsolve - estimates
@@ -226,11 +226,13 @@ def test_projection_enters_the_memory_of_multistep_methods(multistep, dearer, rt
 def test_projection_is_more_than_cosmetic(method):
     """The end state of a projected run is not the projection of the plain run's: it is much closer to the solution."""
     tf = 20 * np.pi
-    plain = iv.solve_ivp(kepler := ORBIT.fun, (0, tf), ORBIT.y0, method, rtol=1e-5, atol=1e-8)
-    projected = iv.solve_ivp(kepler, (0, tf), ORBIT.y0, method, rtol=1e-5, atol=1e-8, invariants=ORBIT.invariants())
-    afterwards = iv.impose(
-        ORBIT.invariants(), tf, plain.y[:, -1], value=ORBIT.g(0, np.array(ORBIT.y0)), rtol=1e-5, atol=1e-8
-    )
+    options = {"rtol": 1e-5, "atol": 1e-8}
+    if method == "ode23t":  # near 1e-5 its plain error changes sign
+        options = {"rtol": 1e-6, "atol": 1e-9}
+    plain = iv.solve_ivp(ORBIT.fun, (0, tf), ORBIT.y0, method, **options)
+    projected = iv.solve_ivp(ORBIT.fun, (0, tf), ORBIT.y0, method, invariants=ORBIT.invariants(), **options)
+    held = ORBIT.g(0, np.array(ORBIT.y0))
+    afterwards = iv.impose(ORBIT.invariants(), tf, plain.y[:, -1], value=held, **options)
     assert afterwards.converged
 
     def error(y):

@@ -257,7 +257,7 @@ def test_command_paper_without_matplotlib_says_what_to_install(monkeypatch):
     outcome = CliRunner().invoke(app, ["paper"])
     assert outcome.exit_code == 1
     assert "--no-report" in outcome.output
-    assert "pip install invariode[plot]" in outcome.output
+    assert 'pip install "invariode[plot]"' in outcome.output
 
 
 def test_command_methods_lists_the_registry():
@@ -298,7 +298,7 @@ def test_module_is_the_command():
 def test_missing_extra_is_named(missing):
     done = command("methods", prelude=f"import sys; sys.modules['{missing}'] = None")
     assert done.returncode == 1
-    assert done.stderr.strip() == f"The command line needs {missing}: pip install invariode[cli]"
+    assert done.stderr.strip() == f'The command line needs {missing}: pip install "invariode[cli]"'
 
 
 def test_library_and_table_need_no_extra():
@@ -343,7 +343,7 @@ def test_linear_invariants_of_stiff_problems_need_no_projection(one):
         assert not sol.stats.projections
     held = problem.invariants[0].fun(0, problem.y0)
     given, differences = one.drifts
-    assert given <= one.given.stats.steps * np.finfo(float).eps * held  # round-off of each step
+    assert given <= one.given.stats.steps * np.finfo(float).eps * held  # roundoff of each step
     assert differences <= 1e-3 * experiments.KINETICS_RTOL * held  # measured: 3e-11 and 2e-17
 
 
@@ -354,7 +354,7 @@ def test_jacobian_of_the_kinetics_keeps_the_invariant_and_is_that_of_differences
         J = np.asarray(problem.matrices.jac(0, y))
         scale = np.abs(J).max()
         assert np.abs(kept @ J).max() <= 4 * np.finfo(float).eps * scale
-        # f is quadratic, so that central differences have no error but round-off.
+        # f is quadratic, so that central differences have no error but roundoff.
         h = 1e-3
         columns = [
             (np.subtract(problem.fun(0, y + h * e), problem.fun(0, y - h * e))) / (2 * h) for e in np.eye(len(y))

@@ -175,7 +175,7 @@ def test_it_is_a_flag_and_needs_rich(monkeypatch):
     with pytest.raises(TypeError, match="progress must be True or False, got 1"):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=1)
     monkeypatch.setitem(sys.modules, "rich.progress", None)
-    with pytest.raises(ModuleNotFoundError, match=r"progress=True needs rich: pip install invariode\[cli\]"):
+    with pytest.raises(ModuleNotFoundError, match=r'progress=True needs rich: pip install "invariode\[cli\]"'):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], progress=True)
 
 

@@ -144,6 +144,8 @@ def test_an_ensemble_says_it_once_and_tells_which(method):
         )
     assert len(said) == 1
     assert m.stats.stiff.tolist() == [1, 0, 1]
+    assert [one.stats.stiff_since is None for one in m] == [False, True, False]
+    assert [0 <= since < 2 for since in m.stats.stiff_since] == [True, False, True]
 
 
 @pytest.mark.parametrize("method", EXPLICIT)

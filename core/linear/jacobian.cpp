@@ -1,10 +1,12 @@
 #include "linear/jacobian.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <utility>
 
 #include "linear/groups.hpp"
+#include "linear/pattern.hpp"
 
 namespace invariode {
 namespace {
@@ -19,6 +21,8 @@ constexpr double greatest_factor = 0.1;
 constexpr double factor_step = 10;
 constexpr double noise_units = 10;  // of ε |f_i|: a change of f_i up to this is roundoff in every digit that matters
 const double wide_factor = large;   // its truncation error is far below the roundoff that it replaces
+constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
+constexpr double most_entries = 0x1p27;      // of a pattern that has grown: a gigabyte and a half
 
 bool well_formed(const Matrix& sparse) {
   const auto& [structure, values, starts, rows] = sparse;
@@ -30,19 +34,31 @@ bool well_formed(const Matrix& sparse) {
 
 }  // namespace
 
-Jacobian::Jacobian(Kind kind, Matrix matrix, MatrixFunction function, const Weights& weights)
-    : kind_(kind), matrix_(std::move(matrix)), function_(function), weights_(weights) {
-  if (kind_ != Kind::differences) return;
-  factor_.assign(matrix_.n(), first_factor);
-  columns_.resize(matrix_.n());
-  point_.resize(matrix_.n());
-  moved_.resize(matrix_.n());
+Jacobian::Jacobian(const Source& source, Matrix matrix, const Weights& weights)
+    : source_(source),
+      kind_(source_.kind),
+      matrix_(std::move(matrix)),
+      weights_(weights),
+      examined_(source_.found_pattern),
+      check_(kind_ == Kind::complex_steps || examined_ ? matrix_.n() : 0) {
+  if (kind_ != Kind::differences && kind_ != Kind::complex_steps) return;
+  const std::size_t n = matrix_.n();
+  factor_.assign(n, first_factor);
+  columns_.resize(n);
+  point_.resize(n);
+  moved_.resize(n);
+  reach_.resize(n);
+  if (kind_ == Kind::complex_steps) {
+    complex_point_.resize(2 * n);
+    complex_value_.resize(2 * n);
+  }
   group_columns();
 }
 
 /// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th.
 void Jacobian::group_columns() {
   const auto& [kind, n, lower, upper] = matrix_.structure;
+  groups_.clear();
   if (kind != Structure::Kind::sparse) {
     const std::size_t count = kind == Structure::Kind::dense ? n : std::min(n, lower + upper + 1);
     groups_.resize(count);
@@ -61,23 +77,125 @@ Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* 
     case Kind::function: {
       ++count_;
       constexpr double nowhere = 0;  // the state of no components, which may have no address: M(t) alone is without one
-      return function_(t, y != nullptr ? y : &nowhere, matrix_);
+      return source_.function(t, y != nullptr ? y : &nowhere, matrix_);
     }
-    case Kind::differences: ++count_; return difference(f, t, y, slope);
+    case Kind::differences:
+      ++count_;
+      return examined_ ? difference_in_found_pattern(f, t, y, slope) : difference(f, t, y, slope);
+    case Kind::complex_steps: return examined_complex_steps(f, t, y, slope);
   }
   return Status::ok;
 }
 
+bool Jacobian::needs_slope() const {
+  return kind_ == Kind::differences || (kind_ == Kind::complex_steps && examination_due());
+}
+
+/// Of complex steps: the evaluations 1, 2, 4, 8, …, so that what is wrong from some t on is seen before it has gone on
+/// for longer than what was right; and those after a failure.
+bool Jacobian::examination_due() const {
+  return doubtful_now_ || examined_ || std::has_single_bit(static_cast<std::uint64_t>(count_ + 1));
+}
+
+/// Where f is not finite at complex y, or does not agree, differences are formed from now on.
+Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, const double* slope) {
+  const bool due = examination_due();
+  ++count_;
+  doubtful_now_ = false;
+  bool finite = true;
+  if (step_complex(t, y, finite) == Status::stop) return Status::stop;
+  if (!finite) return leave_complex_steps(f, t, y, slope);
+  if (!due) return Status::ok;
+  switch (examine(f, t, y, slope)) {
+    case JacobianCheck::Verdict::stop: return Status::stop;
+    case JacobianCheck::Verdict::wrong: return leave_complex_steps(f, t, y, slope);
+    case JacobianCheck::Verdict::right: break;
+  }
+  return Status::ok;
+}
+
+Status Jacobian::step_complex(double t, const double* y, bool& finite) {
+  const std::size_t n = matrix_.n();
+  for (std::size_t j = 0; j < n; ++j) complex_point_[2 * j] = y[j], complex_point_[2 * j + 1] = 0;
+  for (const std::vector<std::size_t>& group : groups_) {
+    for (const std::size_t j : group)
+      complex_point_[2 * j + 1] = complex_increment * defined_scale(weights_.at(j, y[j]), y);
+    if (source_.complex_f(t, complex_point_.data(), complex_value_.data()) == Status::stop) return Status::stop;
+    finite = finite && all_finite(complex_value_.data(), complex_value_.size());
+    for (const std::size_t j : group) {
+      const double h = std::exchange(complex_point_[2 * j + 1], 0);
+      for_each_in_column(j, [&](std::size_t i, double& value) { value = complex_value_[2 * i + 1] / h; });
+    }
+  }
+  return Status::ok;
+}
+
+/// f(t, y) is at hand only where it was needed.
+Status Jacobian::leave_complex_steps(Callback& f, double t, const double* y, const double* slope) {
+  kind_ = Kind::differences;
+  left_complex_steps_ = t;
+  std::vector<double> own;
+  if (slope == nullptr) {
+    own.resize(matrix_.n());
+    if (f(t, y, own.data()) == Status::stop) return Status::stop;
+    slope = own.data();
+  }
+  return examined_ ? difference_in_found_pattern(f, t, y, slope) : difference(f, t, y, slope);
+}
+
+/// Complex steps tell no increments: √ε of the weights. Differences: their own, which have been seen to change f.
+JacobianCheck::Verdict Jacobian::examine(Callback& f, double t, const double* y, const double* slope) {
+  for (std::size_t j = 0; j < matrix_.n(); ++j)
+    reach_[j] = kind_ == Kind::complex_steps ? first_factor * defined_scale(weights_.at(j, y[j]), y)
+                                             : std::abs(columns_[j].increment);
+  return check_.examine(f, t, y, slope, matrix_, reach_.data(), static_cast<std::size_t>(count_));
+}
+
+/// Each time: a direction costs one evaluation of f. Where an entry is missing, the pattern is sought anew at (t, y),
+/// once.
+Status Jacobian::difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope) {
+  if (difference(f, t, y, slope) == Status::stop) return Status::stop;
+  switch (examine(f, t, y, slope)) {
+    case JacobianCheck::Verdict::stop: return Status::stop;
+    case JacobianCheck::Verdict::right: return Status::ok;
+    case JacobianCheck::Verdict::wrong: break;
+  }
+  if (enlarge_pattern(f, t, y, slope, examined_) == Status::stop) return Status::stop;
+  return examined_ ? difference(f, t, y, slope) : Status::ok;
+}
+
+Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const double* slope, bool& larger) {
+  const std::size_t n = matrix_.n();
+  bool stopped = false;
+  for (std::size_t j = 0; j < n; ++j) point_[j] = columns_[j].increment;
+  const std::vector<double> displacement = point_;
+  const std::optional<Pattern> here =
+      find_pattern(f, t, {y, y + n}, {slope, slope + n}, displacement,
+                   {.most_calls = std::numeric_limits<std::int64_t>::max(), .sparse_only = false}, stopped);
+  larger = false;
+  if (stopped) return Status::stop;
+  const Pattern all = united({.starts = matrix_.starts, .rows = matrix_.rows}, *here);
+  larger = all.rows.size() > matrix_.rows.size() && static_cast<double>(all.rows.size()) <= most_entries;
+  if (!larger) return Status::ok;
+  ++enlargements_;
+  matrix_.starts = all.starts;
+  matrix_.rows = all.rows;
+  matrix_.values.assign(all.rows.size(), 0);
+  group_columns();
+  return Status::ok;
+}
+
 Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
+  drowned_.reserve(matrix_.n());  // once: a copy has no room yet, and later evaluations are not to allocate
   std::copy(y, y + matrix_.n(), point_.begin());
   for (const std::vector<std::size_t>& group : groups_) {
     if (difference_group(f, t, y, slope, group) == Status::stop) return Status::stop;
-    doubtful_.clear();
+    drowned_.clear();
     for (const std::size_t j : group)
-      if (columns_[j].change <= lost * columns_[j].size && factor_[j] < greatest_factor) doubtful_.push_back(j);
-    if (doubtful_.empty()) continue;
-    for (const std::size_t j : doubtful_) factor_[j] = std::min(std::sqrt(factor_[j]), greatest_factor);
-    if (difference_group(f, t, y, slope, doubtful_, true) == Status::stop) return Status::stop;
+      if (columns_[j].change <= lost * columns_[j].size && factor_[j] < greatest_factor) drowned_.push_back(j);
+    if (drowned_.empty()) continue;
+    for (const std::size_t j : drowned_) factor_[j] = std::min(std::sqrt(factor_[j]), greatest_factor);
+    if (difference_group(f, t, y, slope, drowned_, true) == Status::stop) return Status::stop;
   }
   for (std::size_t j = 0; j < matrix_.n(); ++j) {
     const Column& column = columns_[j];
@@ -109,13 +227,20 @@ void Jacobian::measure_noise(const double* y, const double* slope) {
 void Jacobian::matrix_state(Archive& archive) {
   if (kind_ == Kind::constant) return;
   const bool sparse = matrix_.structure.kind == Structure::Kind::sparse;
-  if (sparse && kind_ == Kind::function) {
+  if (sparse && (kind_ == Kind::function || source_.found_pattern)) {
     archive.resizable(matrix_.starts);
     archive.resizable(matrix_.rows);
   }
   const bool kept = archive.matrix(matrix_.values);
   if (!archive.reading() || !kept || matrix_.values.empty()) return;  // empty: it has not been needed yet
   archive.require(sparse ? well_formed(matrix_) : matrix_.values.size() == matrix_.size());
+  if (source_.found_pattern) group_columns();
+}
+
+void Jacobian::state(Archive& archive) {
+  archive(count_, noise_, factor_, kind_, left_complex_steps_, enlargements_, doubtful_now_, examined_);
+  source_.complex_f.state(archive);
+  archive.require(kind_ == source_.kind || (source_.kind == Kind::complex_steps && kind_ == Kind::differences));
 }
 
 void Jacobian::widen_increments() {
@@ -127,12 +252,15 @@ void Jacobian::widen_increments() {
 double Jacobian::increment(std::size_t j, const double* y, double slope, double factor, bool again) const {
   double scale = std::max(std::abs(y[j]), weights_.absolute_tolerance(j));
   if (again && columns_[j].change == 0) scale = weights_.at(j, y[j]);
-  if (scale < smallest_scale) {
-    for (std::size_t i = 0; i < matrix_.n(); ++i) scale = std::max(scale, std::abs(y[i]));
-    if (scale < smallest_scale) scale = 1;
-  }
-  const double moved = y[j] + (slope >= 0 ? factor : -factor) * scale;
+  const double moved = y[j] + (slope >= 0 ? factor : -factor) * defined_scale(scale, y);
   return moved - y[j];
+}
+
+/// The scale, or where it is too small to tell one that of the largest component.
+double Jacobian::defined_scale(double scale, const double* y) const {
+  if (scale >= smallest_scale) return scale;
+  for (std::size_t i = 0; i < matrix_.n(); ++i) scale = std::max(scale, std::abs(y[i]));
+  return scale < smallest_scale ? 1 : scale;
 }
 
 /// The columns together, with one evaluation of f; where it is not finite, once more to the other side. `again`: they

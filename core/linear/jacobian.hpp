@@ -1,11 +1,14 @@
 #pragma once
-// The Jacobian of f: a constant matrix, a user function, or differences (docs/algorithms.md, 'Jacobians').
+// The Jacobian of f: a constant matrix, a user function, differences or complex steps (docs/algorithms.md,
+// 'Jacobians').
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/jacobian_check.hpp"
 #include "linear/matrix.hpp"
 #include "weights.hpp"
 
@@ -16,33 +19,53 @@ namespace invariode {
 /// Differences are adaptive (Salane, 1986): each column's increment is remembered as a factor of the component's size,
 /// raised where the change of f drowned in roundoff and lowered where it was large. Columns that share no row are
 /// differenced together (Curtis, Powell and Reid, 1974).
+///
+/// Complex steps, Im f(t, y + i h e_j) / h, have no truncation error, but f may drop the imaginary part; and a pattern
+/// that was found may lack an entry that appears later. Both are examined along the way: differences then replace
+/// complex steps, the pattern grows.
 class Jacobian {
  public:
   /// Of `products` there is no matrix (linear/matrix_free.hpp): its entries are none.
-  enum class Kind { constant, function, differences, products };
+  enum class Kind { constant, function, differences, complex_steps, products };
 
-  /// `matrix`: the values of a constant one, else the structure. `function` is needed for that kind only. A copy keeps
-  /// increments of its own.
-  Jacobian(Kind kind, Matrix matrix, MatrixFunction function, const Weights& weights);
+  /// Where its entries come from. `complex_f`: f of complex y, pairs of reals in and out.
+  struct Source {
+    Kind kind = Kind::differences;
+    MatrixFunction function;     ///< of that kind
+    Callback complex_f;          ///< of complex steps
+    bool found_pattern = false;  ///< the sparse structure was found from values of f, and may lack entries
+  };
 
-  /// Evaluates it at (t, y). `slope` = f(t, y), wanted by differences, which call `f` for the rest. The matrix may
-  /// come out not finite.
+  /// `matrix`: the values of a constant one, else the structure. A copy keeps increments of its own.
+  Jacobian(const Source& source, Matrix matrix, const Weights& weights);
+
+  /// Evaluates it at (t, y). `slope` = f(t, y), where `needs_slope`, else it may be null; `f` is called for the rest.
+  /// The matrix may come out not finite.
   Status evaluate(Callback& f, double t, const double* y, const double* slope);
+  [[nodiscard]] bool needs_slope() const;
+  /// Newton's iteration has failed with it: the next evaluation is examined.
+  void doubt() { doubtful_now_ = true; }
 
   [[nodiscard]] const Matrix& matrix() const { return matrix_; }
   /// Its values are there from now on, zeros until it is evaluated.
   void provide() { matrix_.provide(); }
   [[nodiscard]] Kind kind() const { return kind_; }
-  /// Of columns, for differences: so many evaluations of f it takes.
+  /// Of columns, for differences and complex steps: so many evaluations of f it takes.
   [[nodiscard]] std::size_t groups() const { return groups_.size(); }
   /// Evaluations so far, each of which may be several of f.
   [[nodiscard]] std::int64_t count() const { return count_; }
+  /// Of f at complex y, so far.
+  [[nodiscard]] std::int64_t complex_calls() const { return source_.complex_f.calls(); }
+  /// From this t on differences have replaced complex steps; NaN: they have not.
+  [[nodiscard]] double left_complex_steps() const { return left_complex_steps_; }
+  /// How often a pattern that was found has grown.
+  [[nodiscard]] std::int64_t enlargements() const { return enlargements_; }
   /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
   [[nodiscard]] double noise() const { return noise_; }
   /// From the next evaluation on, increments are large enough to stand above the roundoff of f.
   void widen_increments();
   /// Counts and increments; `matrix_state`: the matrix.
-  void state(Archive& archive) { archive(count_, noise_, factor_); }
+  void state(Archive& archive);
   void matrix_state(Archive& archive);
 
  private:
@@ -54,24 +77,39 @@ class Jacobian {
 
   void group_columns();
   void measure_noise(const double* y, const double* slope);
+  Status step_complex(double t, const double* y, bool& finite);
+  Status examined_complex_steps(Callback& f, double t, const double* y, const double* slope);
+  Status leave_complex_steps(Callback& f, double t, const double* y, const double* slope);
+  Status difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope);
+  Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope, bool& larger);
+  JacobianCheck::Verdict examine(Callback& f, double t, const double* y, const double* slope);
+  [[nodiscard]] bool examination_due() const;
   Status difference(Callback& f, double t, const double* y, const double* slope);
   Status difference_group(Callback& f, double t, const double* y, const double* slope,
                           const std::vector<std::size_t>& columns, bool again = false);
   [[nodiscard]] double increment(std::size_t j, const double* y, double slope, double factor, bool again) const;
+  [[nodiscard]] double defined_scale(double scale, const double* y) const;
   template <class Visit>
   void for_each_in_column(std::size_t j, Visit&& visit);
 
+  Source source_;
   Kind kind_;
   Matrix matrix_;
-  MatrixFunction function_;
   const Weights& weights_;
   std::int64_t count_ = 0;
   double noise_ = 0;
+  double left_complex_steps_ = std::numeric_limits<double>::quiet_NaN();
+  std::int64_t enlargements_ = 0;
+  bool doubtful_now_ = false;
+  bool examined_ = false;                         // a pattern that was found, as long as examining it leads anywhere
   std::vector<std::vector<std::size_t>> groups_;  // of columns
   std::vector<double> factor_;                    // of the columns
   std::vector<Column> columns_;
-  std::vector<std::size_t> doubtful_;  // columns of a group whose change was roundoff
+  std::vector<std::size_t> drowned_;  // columns of a group whose change was roundoff
   std::vector<double> point_, moved_;
+  std::vector<double> complex_point_, complex_value_;
+  std::vector<double> reach_;  // of the components, for the check
+  JacobianCheck check_;
 };
 
 }  // namespace invariode

@@ -1,5 +1,5 @@
 #pragma once
-// The linear system of constrained mechanics where few things touch each other: chains, nets, trees.
+// The linear system of constrained mechanics with few connections: chains, nets, trees.
 
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
@@ -13,8 +13,8 @@ namespace invariode {
 bool is_diagonal(const Eigen::SparseMatrix<double>& M);
 
 /// Solves the system of `ConstrainedSolution` with sparse M and A, of patterns that stay: with a diagonal positive M by
-/// the Schur complement A M⁻¹ Aᵀ, else by LU factors of the whole. What the square of a condition number costs is
-/// brought back by one step of refinement, and looked at.
+/// the Schur complement A M⁻¹ Aᵀ, else by LU factors of the whole. One step of refinement recovers what the squared
+/// condition number costs, and the result is tested.
 class SparseSaddle {
  public:
   /// False: rows depend on each other or nearly so, M is not definite, or the solution is not good to roundoff. It is

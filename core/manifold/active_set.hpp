@@ -21,7 +21,7 @@ class ActiveSet {
   /// `Projector::project` within the bounds, which the candidate may be off. Not finite where no point within the
   /// bounds was found on the manifold.
   Projected project(double t, const double* from, double* y);
-  /// Whether the latest projection fixed any component: its correction then tells nothing of the invariants.
+  /// Whether the latest projection fixed any component: its correction then says nothing about the invariants.
   [[nodiscard]] bool active() const { return active_; }
 
  private:

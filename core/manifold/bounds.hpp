@@ -53,7 +53,7 @@ class Bounds {
 ///
 /// For explicit methods that depends on where y is: at or beyond a bound. It jumps there, and Newton's iteration would
 /// find no solution across the jump. So for implicit methods it depends on where the step starts: components that rest
-/// at a bound there, since f leads out, are not led out anywhere in the step; others are as f has them.
+/// at a bound there, since f leads out, are not led out anywhere in the step; the others follow f.
 class BoundedSlope {
  public:
   ///

@@ -5,22 +5,15 @@
 #include <limits>
 #include <utility>
 
+#include "manifold/thresholds.hpp"
+
 namespace invariode {
 namespace {
 
-// Thresholds from the campaigns of tests/fuzz (docs/algorithms.md, 'Guard').
-constexpr double suspicious_angle = 1e-11;    // ρ: 40 times what right invariants had, with derivatives that are exact
+// Thresholds from the campaigns of tests/fuzz (docs/algorithms.md, 'Guard'), beside those of thresholds.hpp.
 constexpr double persistent_angle = 1e-12;    // ρ of g along the flow, which has to persist at points nearby
 constexpr double errors_of_derivatives = 50;  // ρ with others, in units of their relative error
-constexpr double large_angle = 1e-6;          // ρ that is looked at whether or not small ones were acquitted lately
-constexpr double suspicious_drift = 0.01;     // D, in units of rtol
-constexpr double harmful_drift = 0.1;         // over the whole interval at this rate: errors of orbits grow with t
 constexpr double roundoff_in_t = 10 * eps;    // of t, as of all that g computes
-constexpr double suspicious_correction = 10;  // in units of rtol
-
-// The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
-// much.
-constexpr double jacobian_tolerance = 1e-4;
 constexpr double factors_of_increments[] = {1, 1.0 / 16, 1.0 / 256};  // with which an entry must be wrong
 // A difference quotient tells nothing below this multiple of what halving its increment changes.
 constexpr double uncertainty = 10;
@@ -39,13 +32,6 @@ constexpr int fewest_extrapolations = 6, extrapolations = 11;
 constexpr int shorter_flows = 8;  // where g is not defined so far away h is a tenth, so many times
 const double cbrt_eps = std::cbrt(eps);
 
-/// Direction of the test: no component is 0 and no two are equal, so that errors do not cancel by symmetry.
-double direction(std::size_t j) {
-  constexpr double golden = 0.6180339887498949;
-  const double fraction = std::fmod(golden * static_cast<double>(j + 1), 1.0);
-  return (j % 2 == 0 ? 1 : -1) * (0.5 + fraction);
-}
-
 double weighted_norm(const double* v, const double* w, std::size_t n) {
   double sum = 0;
   for (std::size_t i = 0; i < n; ++i) sum += (v[i] / w[i]) * (v[i] / w[i]);
@@ -55,6 +41,12 @@ double weighted_norm(const double* v, const double* w, std::size_t n) {
 Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
+
+double Guard::direction(std::size_t j) {
+  constexpr double golden = 0.6180339887498949;
+  const double fraction = std::fmod(golden * static_cast<double>(j + 1), 1.0);
+  return (j % 2 == 0 ? 1 : -1) * (0.5 + fraction);
+}
 
 Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval)
     : interval_(interval),

@@ -31,6 +31,10 @@ class Guard {
   /// `interval`: of the integration, may be infinite.
   Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval);
 
+  /// Direction of the test of a Jacobian: no component is 0 and no two are equal, so that errors do not cancel by
+  /// symmetry.
+  static double direction(std::size_t j);
+
   /// The residual at (t0, y0): not finite is `undefined`, farther off a demanded value than rtol is `off_value`;
   /// closer, y0 is projected in place. Takes the linearization that the other two tests of the start use.
   Finding start_value(double t, double* y);

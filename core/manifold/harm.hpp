@@ -5,8 +5,10 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <span>
 #include <vector>
 
+#include "manifold/thresholds.hpp"
 #include "report.hpp"
 #include "step.hpp"
 #include "weights.hpp"
@@ -22,7 +24,7 @@ class HarmDetector {
 
   /// Step number `step`, from the candidate to y1, is about to be accepted. Looks at one step in eight.
   void note(const Step& method, std::int64_t step, const double* candidate, const double* y1, const double* w) {
-    if (step % every != 0 || !method.errors(error_.data())) return;
+    if (step % harm_period != 0 || !method.errors(error_.data())) return;
     ++looks_;
     for (std::size_t i = 0; i < error_.size(); ++i) {
       errors_[i] += std::abs(error_[i]) / w[i];
@@ -30,14 +32,17 @@ class HarmDetector {
     }
   }
 
-  [[nodiscard]] Harm harm(double rtol) const {
+  [[nodiscard]] Harm harm(double rtol) const { return harm(looks_, errors_, corrections_, rtol); }
+  /// The same of sums that so many looks came to.
+  static Harm harm(std::int64_t looks, std::span<const double> errors, std::span<const double> corrections,
+                   double rtol) {
     Harm worst;
-    if (looks_ < fewest) return worst;
+    if (looks < fewest) return worst;
     const double smallest = std::numeric_limits<double>::min();
-    const double usual = largest(corrections_) / std::max(largest(errors_), smallest);
-    for (std::size_t i = 0; i < error_.size(); ++i) {
-      const double ratio = corrections_[i] / std::max(errors_[i], smallest);
-      const bool matters = static_cast<double>(every) * corrections_[i] > rtol;
+    const double usual = *std::ranges::max_element(corrections) / std::max(*std::ranges::max_element(errors), smallest);
+    for (std::size_t i = 0; i < errors.size(); ++i) {
+      const double ratio = corrections[i] / std::max(errors[i], smallest);
+      const bool matters = static_cast<double>(harm_period) * corrections[i] > rtol;
       if (matters && ratio > harmful && ratio > uneven * usual && ratio > worst.ratio)
         worst = {.component = static_cast<int>(i), .ratio = ratio};
     }
@@ -47,9 +52,6 @@ class HarmDetector {
   void state(Archive& archive) { archive(looks_, errors_, corrections_); }
 
  private:
-  static double largest(const std::vector<double>& v) { return *std::max_element(v.begin(), v.end()); }
-
-  static constexpr std::int64_t every = 8;   // so that it costs less than 1 % of a step
   static constexpr std::int64_t fewest = 5;  // looks before it says anything
   // Where projection helps, components were moved by up to 25 times their estimated errors, but then all alike, within
   // a factor of 5; on the car axis of the IVP Test Set, with one atol, one by 27 times or more, 700 times what is

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "manifold/thresholds.hpp"
+
 namespace invariode {
 namespace {
 
@@ -12,7 +14,6 @@ const double sqrt_eps = std::sqrt(eps);      // and of a forward one
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
 constexpr double smaller_increment = 10;
-constexpr double roundoff_units = 10;  // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
 
 }  // namespace
 
@@ -264,15 +265,15 @@ double Invariants::resolution(std::size_t i, const double* y, const double* J) {
   const double* size = sizes(y);
   double change = 0;
   row(i, J).for_each([&](std::size_t j, double value) { change += std::abs(value) * size[j]; });
-  return roundoff_units * eps * change;
+  return roundoff_of_g * eps * change;
 }
 
-double Invariants::roundoff_of_value(std::size_t i) const { return roundoff_units * eps * std::abs(value_[i]); }
+double Invariants::roundoff_of_value(std::size_t i) const { return roundoff_of_g * eps * std::abs(value_[i]); }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {
   double size = std::abs(value_[i]);
   row(i, J).for_each([&](std::size_t j, double value) { size += std::abs(value * y[j]); });
-  return roundoff_units * eps * size;
+  return roundoff_of_g * eps * size;
 }
 
 }  // namespace invariode

@@ -1,5 +1,5 @@
 #pragma once
-// In which norm the correction of a level is the least (docs/algorithms.md, 'Corrections in levels').
+// The norm in which the correction of a level is smallest (docs/algorithms.md, 'Corrections in levels').
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
@@ -14,7 +14,7 @@ namespace invariode {
 /// G in the square δᵀ G δ of a correction: its diagonal, or all of it row-major, of the components that may move.
 struct Metric {
   Callback function;           ///< G(t, y), where it is not constant
-  std::vector<double> values;  ///< a constant G; of another one the number of values counts
+  std::vector<double> values;  ///< a constant G; otherwise only their number counts
 
   explicit operator bool() const noexcept { return !values.empty(); }
 };

@@ -6,6 +6,8 @@
 #include <numeric>
 #include <utility>
 
+#include "manifold/thresholds.hpp"
+
 namespace invariode {
 namespace {
 
@@ -14,13 +16,6 @@ namespace {
 constexpr double least_pivot = 1e-10;
 constexpr double largest_pivot = 0.1;
 constexpr double derivative_errors = 100;  // in units of ε^{2/3}, ε^{1/2}: rows are sums of several entries
-constexpr double large_residual = 0.1;     // of the terms of an invariant
-// Relative changes of a gradient: of a step, and at most of its correction, where that may leave the domain of g. Less
-// than the slight one is not looked at.
-constexpr double sharp_bend = 1, bend_of_correction = 0.2, slight_bend = 0.05;
-// Newton's iteration leaves (1 − 1/p)^p < 1/e of the residual at a root of multiplicity p, and half of it or more where
-// it runs away from a pole.
-constexpr double slowest_newton = 0.45;
 // Along given directions: an invariant whose gradient has less than this share of its length among them is left out of
 // a step, since its correction would be longer by the inverse; which matters if it is off by so much of the tolerance.
 constexpr double least_share = 0.01;
@@ -29,15 +24,13 @@ constexpr double least_direction = 1e-12;  // of vectors that are good to some �
 constexpr double often = 0.2;              // share of corrections and of time in which redundant ones depend on others,
 constexpr double now_and_then = 0.1;       // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
-constexpr int impose_patience = 2;         // iterations without a gain: roundoff is reached, or there is no way on
-constexpr double recovery = 0.5;           // of the residual before: Newton's iteration comes back from a step too far
-constexpr double last_correction = 1e-10;  // in units of the weights: it leaves a residual of its square, roundoff
+constexpr int impose_patience = 2;  // iterations without a gain: roundoff is reached, or there is no way on
+constexpr double recovery = 0.5;    // of the residual before: Newton's iteration comes back from a step too far
 
 double norm2(const double* v, std::size_t n) {
   double sum = 0;
   for (std::size_t i = 0; i < n; ++i) sum += v[i] * v[i];
-  constexpr double small = 1e-280, large = 1e280;  // outside, squares underflow or overflow
-  if (sum > small && sum < large) return std::sqrt(sum);
+  if (sum > small_square && sum < large_square) return std::sqrt(sum);
   return Eigen::Map<const Eigen::VectorXd>(v, static_cast<Eigen::Index>(n)).stableNorm();
 }
 

@@ -1,5 +1,5 @@
 #pragma once
-// Equations made of products of two components, as |q|² = 1 and RᵀR = 1 are: the ready manifolds.
+// Equations made of products of two components, such as |q|² = 1 and RᵀR = 1: the ready-made manifolds.
 
 #include <cstddef>
 #include <vector>

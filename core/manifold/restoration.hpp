@@ -7,12 +7,12 @@
 
 namespace invariode {
 
-/// The demanded invariants of a run that has some in later levels, such as φ̇ = 0 after φ = 0. An action may leave
-/// those, as the velocities after a blow do that acts on one body of several: they are imposed again by corrections of
-/// their levels. What is held at its value, such as the energy, is not asked: it gets a new value.
+/// The demanded invariants of a run that has some in later levels, such as φ̇ = 0 after φ = 0. An action may
+/// break those, for example a blow that acts on one of several bodies: they are imposed again by corrections of their
+/// levels. What is held at its own value, such as the energy, is not imposed: it gets a new value.
 class Restoration {
  public:
-  /// Whether there is anything that it could do.
+  /// Whether there is anything to restore.
   [[nodiscard]] static bool needed(const Invariants& invariants);
 
   Restoration(const Invariants& invariants, const Weights& weights);

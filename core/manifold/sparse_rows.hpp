@@ -1,5 +1,5 @@
 #pragma once
-// Solutions of least norm of a few entries per equation.
+// Solutions of least norm, for equations with few entries each.
 
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
@@ -12,8 +12,8 @@
 namespace invariode {
 
 /// Equations a_i x = r_i with sparse rows, of a pattern that stays: with rows b_i of norm 1 in the scaled unknowns, by
-/// the factors L D Lᵀ of B Bᵀ, ordered once. What that loses, the square of a condition number, the next iteration of
-/// Newton's brings back.
+/// the factors L D Lᵀ of B Bᵀ, ordered once. That squares the condition number; the next Newton iteration
+/// recovers what is lost.
 class SparseRows {
  public:
   /// Writes x = S z of least norm ‖z‖ for the rows named, S the diagonal matrix `scale`; 0: that unknown does not move.

@@ -28,7 +28,7 @@ struct SparseColumns {
 class Differentiable {
  public:
   /// `function` of t and x. Its complex form, if there is one, takes 1 + n complex numbers, (t, x), and gives m of
-  /// them. `quiet`: the same, where it may be asked for values outside of its domain.
+  /// them. `quiet`: the same, for points that may be outside its domain.
   struct Forms {
     Callback function, complex, quiet;
   };
@@ -49,7 +49,7 @@ class Differentiable {
   Status slope(double t, const double* x, double dt, const double* dx, double* out);
   /// d²/ds² of the same.
   Status curvature(double t, const double* x, double dt, const double* dx, double* out);
-  /// ∂/∂x_j for the columns asked for, one evaluation of the complex form for each group of them, or four of the
+  /// ∂/∂x_j for the requested columns, one evaluation of the complex form for each group of them, or four of the
   /// function. `size`: of the components, for increments.
   Status jacobian(double t, const double* x, const double* size, SparseColumns& columns);
 
@@ -68,7 +68,7 @@ class Differentiable {
   std::vector<double> z_, w_;                                     // 1 + n, and m complex numbers
 };
 
-/// Sizes of the components, for increments: those that are small beside the largest tell no scale of their own.
+/// Sizes of the components, for increments: those small compared with the largest give no scale of their own.
 void fill_sizes(const double* x, std::size_t n, double* size);
 
 /// The s with which x + s dx, or where x rests t + s dt, changes by the size of x or of t.

@@ -75,7 +75,7 @@ class Motion {
 
   /// Where the Jacobian of that law can have entries.
   [[nodiscard]] RowPattern pattern(Part jacobian) const;
-  /// It as a function of (t, y) that writes these entries.
+  /// That Jacobian as a function of (t, y) that writes these entries.
   [[nodiscard]] Callback entries(Part jacobian);
 
   Status slope(double t, const double* y, double* out);

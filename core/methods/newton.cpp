@@ -103,10 +103,14 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   if (!renew_) return Status::ok;
   if (slope == nullptr) {
     slope = scratch_.data();
-    if (jacobian_.kind() == Jacobian::Kind::differences && evaluate(t, y, scratch_.data()) == Outcome::stop)
-      return Status::stop;
+    if (jacobian_.needs_slope() && evaluate(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
   }
   return take_jacobian(t, y, slope);
+}
+
+bool AgingJacobian::renew_if_old() {
+  jacobian_.doubt();
+  return !current_ && renew();
 }
 
 bool AgingJacobian::renew() {
@@ -179,6 +183,11 @@ LinearWork AgingJacobian::work() const {
     work.products = free_->products();
     work.iterations = free_->iterations();
   }
+  work.complex_calls = jacobian_.complex_calls();
+  work.left_complex_steps = jacobian_.left_complex_steps();
+  work.enlargements = jacobian_.enlargements();
+  work.entries = static_cast<std::int64_t>(jacobian().rows.size());
+  work.groups = static_cast<std::int64_t>(jacobian_.groups());
   return work;
 }
 

@@ -83,7 +83,7 @@ class AgingJacobian {
   /// Asks that J is taken anew before the next attempt. False: that would change nothing.
   bool renew();
   /// The same after an iteration that failed: a J of the point reached cannot be improved, unless it was undefined.
-  bool renew_if_old() { return !current_ && renew(); }
+  bool renew_if_old();
   /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
   void renew_if_noise(double c);
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }

@@ -53,7 +53,7 @@ inline constexpr std::array<std::array<double, 17>, 17> verner_A = {
 }  // namespace detail
 
 /// Verner, Numer. Algorithms 53 (2010) 383: the most efficient of his pairs of orders 8 and 7, whose thirteenth stage
-/// is of the error estimate only; f(t₁, y*) is appended. The extension of order 7 takes the first three of his further
+/// serves the error estimate only; f(t₁, y*) is appended. The extension of order 7 takes the first three of his further
 /// stages: on them the order conditions have exactly one solution, and it joins the steps with a continuous derivative.
 /// (Solved with 60 digits from 36 digits of A.)
 inline constexpr Tableau<14, 7, 3> verner_87{

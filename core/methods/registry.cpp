@@ -8,6 +8,7 @@
 #include "methods/radau.hpp"
 #include "methods/rosenbrock.hpp"
 #include "methods/switching.hpp"
+#include "methods/trapezoidal.hpp"
 #include "methods/trbdf2.hpp"
 
 namespace invariode {
@@ -45,7 +46,8 @@ double calls_per_jacobian(const Jacobian& jacobian) {
     case Jacobian::Kind::constant:
     case Jacobian::Kind::products: return 0;
     case Jacobian::Kind::function: return 1;
-    case Jacobian::Kind::differences: break;
+    case Jacobian::Kind::differences:
+    case Jacobian::Kind::complex_steps: break;
   }
   return static_cast<double>(jacobian.groups());
 }
@@ -119,6 +121,17 @@ constexpr Method others[] = {
      .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::constant_regular,
      .make = make_implicit<Rosenbrock>},
+    {.name = "ode23t",
+     .summary = "trapezoidal rule, for moderately stiff problems at crude tolerances, without damping, and M y' = f",
+     .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
+     .source = "L. F. Shampine, M. W. Reichelt, J. A. Kierzenka, Solving index-1 DAEs in MATLAB and Simulink, SIAM "
+               "Rev. 41 (1999) 538-552",
+     .min_order = Trapezoidal::formula_order,
+     .order = Trapezoidal::formula_order,
+     .extension_order = Trapezoidal::formula_order,
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .mass = MassMatrices::any,
+     .make = make_implicit<Trapezoidal>},
     {.name = "ode23tb",
      .summary = "TR-BDF2 of order 2, for stiff problems at crude tolerances and M y' = f",
      .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
@@ -144,7 +157,7 @@ constexpr Method others[] = {
      .mass = MassMatrices::any,
      .make = make_implicit<Radau>},
     {.name = "auto",
-     .summary = "ode113 and ode15s that take turns, for problems of which nobody knows whether they are stiff",
+     .summary = "ode113 and ode15s taking turns, for problems that may or may not be stiff",
      .family = "explicit and implicit methods that take turns",
      .source = "L. R. Petzold, Automatic selection of methods for solving stiff and nonstiff systems of ordinary "
                "differential equations, SIAM J. Sci. Stat. Comput. 4 (1983) 136-148",

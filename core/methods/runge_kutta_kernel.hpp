@@ -14,6 +14,9 @@ namespace invariode::runge_kutta {
 
 inline constexpr double safety = 0.8;        // of the predicted optimal step; 1/1.25 on success
 inline constexpr double largest_growth = 5;  // of h after a success
+// Slopes of the extension that are larger, in units of the largest of the step, come from beside a singularity of f.
+// (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
+inline constexpr double largest_slope = 100;
 
 // Packs have functions of their own of these names.
 inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }

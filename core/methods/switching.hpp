@@ -14,7 +14,7 @@
 namespace invariode {
 
 /// Two methods that take turns. At a hand-over the other one starts anew at the point reached; until its first step is
-/// accepted, the one before could go on as if nothing had been.
+/// accepted, the one before could continue as if nothing had happened.
 ///
 /// Costs are counted in evaluations of f. The explicit member hands over when it has spent as much on steps that
 /// stability limits as a trial of the implicit one takes, so that waiting and trying cost about the same. The implicit

@@ -30,7 +30,7 @@ struct Occurrence {
 };
 
 /// Watches the events from step to step. A sign change between successive points of a step (its ends and as many
-/// interior ones as the degree, or 3, or those that an event asks for) brackets a root; tangencies without a sign
+/// interior ones as the degree, or 3, or those that an event requests) brackets a root; tangencies without a sign
 /// change are not events. An event that is exactly zero sleeps until it has left zero, so that a zero at the start is
 /// not reported, and one at a step's end only once.
 class Events {
@@ -52,8 +52,8 @@ class Events {
   Outcome restart(double t, const double* y);
 
   void state(Archive& archive);
-  /// Goes on at (t, y) behind the occurrences of the last search, which may have ended a run: the count that did so
-  /// begins again.
+  /// Continues at (t, y) after the occurrences of the last search, which may have ended a run: the count that did so
+  /// starts again.
   Outcome go_on(double t, const double* y);
 
   /// Of the last search.

@@ -4,11 +4,11 @@
 
 #include "manifold/active_set.hpp"
 #include "manifold/one_sided.hpp"
+#include "manifold/thresholds.hpp"
 
 namespace invariode {
 namespace {
 
-constexpr int interpolation_iterations = 3;   // of the projection between steps (docs/algorithms.md, 'Between steps')
 constexpr std::size_t fewest_directions = 4;  // of corrections there: as many as a cubic extension has, and one more
 
 }  // namespace

@@ -50,9 +50,9 @@ class DenseOutput {
   void start(double t, const double* y);
   /// Adds a step whose segment ends at segment.t1, used up to (t, y).
   void add(const Segment& segment, double t, const double* y);
-  /// Goes on with all of `next`, which is of the same kind and starts at the last knot.
+  /// Continues with all of `next`, which is of the same kind and starts at the last knot.
   void append(const DenseOutput& next) { append(next, 0); }
-  /// What there is from knot number `first` on, as a function of its own.
+  /// The part from knot number `first` on, as a separate function.
   [[nodiscard]] DenseOutput from(std::size_t first) const;
 
   [[nodiscard]] std::size_t n() const { return n_; }
@@ -62,14 +62,14 @@ class DenseOutput {
   [[nodiscard]] std::size_t bytes() const {
     return knots_.bytes() + data_.size() * sizeof(double) + end_.size() * (sizeof(double) + sizeof(std::size_t));
   }
-  /// Doubles that a step and a jump at its end add to that at most, beside the data of the segment.
+  /// The most doubles that a step and a jump at its end add to that, besides the data of the segment.
   static std::size_t most_of_step(std::size_t n) {
     static_assert(sizeof(std::size_t) <= sizeof(double));
     constexpr std::size_t segments = 2;
     return segments * ((n + 1) + 2);  // a knot, the end and the offset
   }
 
-  /// What it consists of, for storing it: given to `start` and `add` again, it makes the same function.
+  /// Its parts, for storing: given to `start` and `add`, they make the same function again.
   struct Parts {
     std::size_t m;
     Interpolation mode;

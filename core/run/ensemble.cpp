@@ -1,7 +1,6 @@
 #include "run/ensemble.hpp"
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <chrono>
 #include <cmath>
@@ -10,6 +9,8 @@
 #include <string_view>
 #include <utility>
 
+#include "manifold/harm.hpp"
+#include "manifold/thresholds.hpp"
 #include "run/lanes/worker.hpp"
 #include "run/threads.hpp"
 #include "run/watch.hpp"
@@ -111,6 +112,8 @@ EnsembleResult::EnsembleResult(std::size_t size_, const Solver& solver)
       after(size * m),
       correction(size),
       clipped(size),
+      stiff_since(size, undefined),
+      discontinuity(size, undefined),
       count(size * counts),
       state(size),
       occurrences(solver.problem().events.size()) {}
@@ -130,6 +133,8 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   one.ng += uncounted;
   t[i] = one.t_end;
   clipped[i] = one.clipped;
+  if (one.stiffness.found) stiff_since[i] = one.stiffness.since;
+  if (!one.discontinuities.empty()) discontinuity[i] = one.discontinuities.front();
   std::copy(one.end(), one.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);
@@ -138,13 +143,42 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   keep_happenings(i, one);
 }
 
-void EnsembleResult::keep(const lanes::Ended& ended, double tf) {
+void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
   const std::size_t i = ended.trajectory;
-  t[i] = tf;
+  t[i] = solver.settings().tf;
   for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = ended.y[c * ended.stride];
   state[i] = static_cast<std::int8_t>(State::reached_end);
-  static_assert(RunResult::count_names[2] == std::string_view("nfev"));
-  std::copy_n(std::array{ended.steps, ended.failed, ended.evaluations}.begin(), 3, &count[i * counts]);
+  count_of(i, "steps") = ended.steps;
+  count_of(i, "failed") = ended.failed;
+  count_of(i, "nfev") = ended.evaluations;
+  count_of(i, "nfev_check") = ended.checks;
+  if (m > 0) keep_held(ended, solver.weights().rtol());
+}
+
+/// Of the one invariant that was held in a lane, where each step was projected.
+void EnsembleResult::keep_held(const lanes::Ended& ended, double rtol) {
+  const std::size_t i = ended.trajectory;
+  const lanes::HeldToEnd& held = ended.held;
+  value[i] = held.value;
+  before[i] = held.before;
+  after[i] = held.after;
+  correction[i] = held.correction;
+  std::vector<double> errors(n), corrections(n);
+  for (std::size_t c = 0; c < n; ++c) {
+    errors[c] = held.errors[c * ended.stride];
+    corrections[c] = held.corrections[c * ended.stride];
+  }
+  const std::int64_t looks = (ended.steps + harm_period - 1) / harm_period;  // at the first step, too
+  count_of(i, "projections") = ended.steps;
+  count_of(i, "nfev_check") += held.checks;
+  count_of(i, "ng") = held.evaluations;
+  count_of(i, "ngjac") = held.jacobians;
+  count_of(i, "harmed") = HarmDetector::harm(looks, errors, corrections, rtol).component + 1;
+}
+
+std::int64_t& EnsembleResult::count_of(std::size_t i, std::string_view name) {
+  return count[i * counts +
+               static_cast<std::size_t>(std::ranges::find(RunResult::count_names, name) - RunResult::count_names)];
 }
 
 void EnsembleResult::add_alone(std::size_t more) {
@@ -154,9 +188,7 @@ void EnsembleResult::add_alone(std::size_t more) {
 
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
   if (n_t == 0) return;
-  for (std::size_t j = 0; j < run.points.t.size(); ++j)
-    for (std::size_t c = 0; c < n; ++c)
-      y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = run.points.y[j * n + c];
+  for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, &run.points.y[j * n], 1);
 }
 
 /// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them.
@@ -211,7 +243,10 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
                                               const std::optional<LaneForm>& form) {
   require_alike(solvers, ensemble);
   auto result = std::make_unique<EnsembleResult>(ensemble.size, *solvers.front());
-  const bool in_lanes = form && obstacle_to_lanes(*solvers.front()) == nullptr;
+  const bool complete = form && form->f.function != nullptr &&
+                        (solvers.front()->problem().invariants.empty() ||
+                         (form->g.function != nullptr && form->jacobian.function != nullptr));
+  const bool in_lanes = complete && obstacle_to_lanes(*solvers.front()) == nullptr;
   const std::size_t first = in_lanes ? 0 : integrate_few(*solvers.front(), ensemble, *result);
   const auto told = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
   if (first == ensemble.size) return told(0) ? std::move(result) : nullptr;

@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <span>
+#include <string_view>
 #include <vector>
 
 #include "run/lanes/lanes.hpp"
@@ -45,8 +46,13 @@ class EnsembleResult {
   void hold(std::size_t i, Run& run);
   /// Keeps what it did; ng gets `uncounted` more. The times of y that it did not reach stay NaN.
   void keep(std::size_t i, Run& run, std::int64_t uncounted);
-  /// The same of one that has reached tf in a lane.
-  void keep(const lanes::Ended& ended, double tf);
+  /// Output number j, y (n,) with that stride.
+  void put_out(std::size_t i, std::size_t j, const double* row, std::size_t stride) {
+    for (std::size_t c = 0; c < n; ++c)
+      y[((i * n + c - c % parts) / parts * n_t + j) * parts + c % parts] = row[c * stride];
+  }
+  /// What one that has reached tf in a lane did, but for its outputs.
+  void keep(const lanes::Ended& ended, const Solver& solver);
   /// So many more trajectories were solved one at a time, though the others were not.
   void add_alone(std::size_t count);
 
@@ -55,7 +61,9 @@ class EnsembleResult {
   std::vector<double> y;  ///< (size, n / parts, n_t, parts): numbers of one or two reals
   /// Of each invariant the value held, and the largest residual before and after projection; the largest correction.
   std::vector<double> value, before, after, correction;
-  std::vector<double> clipped;      ///< what moving steps onto bounds has added to the sum of the components
+  std::vector<double> clipped;  ///< what moving steps onto bounds has added to the sum of the components
+  /// From when on stability limits the steps, and where f jumps for the first time that was seen; NaN: nowhere.
+  std::vector<double> stiff_since, discontinuity;
   std::vector<std::int64_t> count;  ///< (size, counts)
   std::vector<std::int8_t> state;   ///< a State, or why it could not start
   std::vector<Occurrences> occurrences;
@@ -63,6 +71,8 @@ class EnsembleResult {
   std::size_t alone = 0;  ///< of an ensemble in lanes: trajectories that were left to the code for one at a time
 
  private:
+  std::int64_t& count_of(std::size_t i, std::string_view name);
+  void keep_held(const lanes::Ended& ended, double rtol);
   void keep_outputs(std::size_t i, const RunResult& run);
   void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants);
   void keep_happenings(std::size_t i, const RunResult& run);
@@ -78,11 +88,11 @@ struct Ensemble {
   std::size_t n, parameters;
 };
 
-/// f in the lanes of an instruction set.
+/// The functions of a problem in the lanes of an instruction set: f, and of an invariant that is held g and its
+/// Jacobian.
 struct LaneForm {
   const lanes::Instructions* instructions;
-  lanes::Function* f;
-  void* context;
+  lanes::Called f, g, jacobian;
 };
 
 /// Trajectory i, on a thread that has the solver to itself.

@@ -2,6 +2,7 @@
 
 #include <stdexcept>
 
+#include "linear/groups.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
 #include "slope.hpp"
@@ -89,6 +90,30 @@ std::optional<ConsistentStart> consistent_start(const Problem& problem, const We
   start.verdict = make_consistent(f, algebra, weights, t0, start.y0.data());
   if (start.verdict == Consistency::stop) return {};
   return start;
+}
+
+std::optional<Matrix> jacobian_at(const Problem& problem, const Weights& weights, double t, const double* y) {
+  require_sizes(problem, weights);
+  if (!problem.f || !problem.linear) throw std::invalid_argument("the problem does not say what its Jacobian is");
+  Callback f = problem.f;
+  Jacobian jacobian = make_jacobian(*problem.linear, weights);
+  std::vector<double> slope(problem.n);
+  if (f(t, y, slope.data()) == Status::stop) return {};
+  if (jacobian.evaluate(f, t, y, slope.data()) == Status::stop) return {};
+  return jacobian.matrix();
+}
+
+std::optional<FoundPattern> sparsity(const Problem& problem, double t, const double* y, const PatternSearch& search) {
+  if (!problem.f) throw std::invalid_argument("a pattern is found from f: the problem has none");
+  Callback f = problem.f;
+  FoundPattern found;
+  bool stopped = false;
+  found.pattern = find_pattern_near(f, t, {y, y + problem.n}, search, stopped);
+  if (stopped) return {};
+  found.calls = f.calls();
+  if (found.pattern)
+    found.groups = group_columns(problem.n, problem.n, found.pattern->starts.data(), found.pattern->rows.data()).size();
+  return found;
 }
 
 }  // namespace invariode

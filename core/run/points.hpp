@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "linear/mass.hpp"
+#include "linear/pattern.hpp"
 #include "manifold/guard.hpp"
 #include "run/problem.hpp"
 #include "weights.hpp"
@@ -54,5 +55,17 @@ struct ConsistentStart {
 };
 std::optional<ConsistentStart> consistent_start(const Problem& problem, const Weights& weights, double t0,
                                                 const double* y0);
+
+/// ∂f/∂y at a point, as an implicit method begins with it.
+std::optional<Matrix> jacobian_at(const Problem& problem, const Weights& weights, double t, const double* y);
+
+/// The sparsity pattern of ∂f/∂y near a point, unless the search has given up, how many evaluations of f that took, and
+/// how many a Jacobian by differences takes with the pattern.
+struct FoundPattern {
+  std::optional<Pattern> pattern;
+  std::int64_t calls = 0;
+  std::size_t groups = 0;
+};
+std::optional<FoundPattern> sparsity(const Problem& problem, double t, const double* y, const PatternSearch& search);
 
 }  // namespace invariode

@@ -42,7 +42,7 @@ void require_sizes(const Problem& problem, const Weights& weights) {
 }
 
 Jacobian make_jacobian(const LinearTerms& linear, const Weights& weights) {
-  return {linear.kind, linear.jacobian, linear.function, weights};
+  return {linear.source, linear.jacobian, weights};
 }
 
 Solver::Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options)
@@ -58,9 +58,9 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
   require(takes_mass(method_, problem_),
           std::string(method_.name) + " takes a constant and regular mass matrix only; use ode15s or radau");
-  require(
-      !problem_.linear || problem_.linear->krylov.has_value() == (problem_.linear->kind == Jacobian::Kind::products),
-      "products with the Jacobian go with Krylov terms");
+  require(!problem_.linear ||
+              problem_.linear->krylov.has_value() == (problem_.linear->source.kind == Jacobian::Kind::products),
+          "products with the Jacobian go with Krylov terms");
   require(!problem_.linear || !problem_.linear->krylov || method_.takes("linear_solver"),
           std::string(method_.name) + " needs the Jacobian as a matrix; use ode15s or ode23tb");
   options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();

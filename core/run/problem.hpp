@@ -23,9 +23,8 @@ namespace invariode {
 
 /// What is known of ∂f/∂y and of the mass matrix, which has the structure of `jacobian`.
 struct LinearTerms {
-  Jacobian::Kind kind = Jacobian::Kind::differences;
-  Matrix jacobian;          ///< the values of a constant one, else the structure
-  MatrixFunction function;  ///< of that kind
+  Jacobian::Source source;
+  Matrix jacobian;  ///< the values of a constant one, else the structure
   std::optional<Mass> mass;
   std::optional<Lapack> lapack;
   std::optional<KrylovTerms> krylov;  ///< with the kind `products`

@@ -51,7 +51,9 @@ void Run::see_pieces() {
     block.complex_g = piece_.seen(block.complex_g);
   }
   if (!problem.linear) return;
-  problem.linear->function = piece_.seen(problem.linear->function);
+  Jacobian::Source& source = problem.linear->source;
+  source.function = piece_.seen(source.function);
+  source.complex_f = piece_.seen(source.complex_f);
   if (std::optional<KrylovTerms>& krylov = problem.linear->krylov) {
     krylov->product = piece_.seen(krylov->product);
     krylov->preconditioner = piece_.seen(krylov->preconditioner);
@@ -154,7 +156,7 @@ void Run::start_loop() {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
     };
-  integration_.emplace(std::move(step), solver_.weights(), manifold_, solver_.problem().events, std::move(breaks),
+  integration_.emplace(std::move(step), solver_.weights(), f_, manifold_, solver_.problem().events, std::move(breaks),
                        solver_.problem().callback, solver_.settings());
 }
 
@@ -174,10 +176,11 @@ std::int64_t Run::evaluations_of_prepare() const {
 }
 
 void Run::count_evaluations(RunResult& result) const {
-  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0);
+  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
+  result.nfev_check = integration_->discontinuities().evaluations();
   if (!steps_) return;
   result.ng = -before_;
-  result.nfev_check = slope_->evaluations();
+  result.nfev_check += slope_->evaluations();
   result.ng += steps_->calls();
   result.ngjac = steps_->jacobian_calls();
   result.ngdiff = steps_->derivative_calls();
@@ -212,6 +215,7 @@ void Run::describe(RunResult& result) const {
   result.report = loop.report();
   result.counts = loop.counts();
   result.stiffness = loop.stiffness();
+  result.discontinuities = loop.discontinuities().found();
   result.switches = loop.step().switches();
   result.linear = loop.step().linear_work();
   count_evaluations(result);

@@ -36,7 +36,7 @@ struct RunResult {
   std::int64_t switches = 0;  ///< from an explicit to an implicit method, or back
   LinearWork linear;
   std::int64_t nfev = 0;
-  std::int64_t nfev_check = 0;  ///< evaluations of f by the tests that invariants are some
+  std::int64_t nfev_check = 0;  ///< evaluations of f by the tests of invariants, and in search of its jumps
   std::int64_t ng = 0, ngjac = 0;
   std::int64_t ngdiff = 0;  ///< of ng, those for Jacobians
   bool projected_start = false;
@@ -45,7 +45,8 @@ struct RunResult {
   double dropped_at = 0;
   Harm harm;
   Stiffness stiffness;
-  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
+  std::vector<double> discontinuities;  ///< of f, where they were seen
+  double clipped = 0;                   ///< what moving candidates onto bounds has added to the sum of the components
   double t_end = 0;
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;

@@ -52,7 +52,7 @@ class alignas(64) Share {
   std::atomic<std::uint64_t> ends_ = 0;
 };
 
-/// Workers that share indices out among themselves, and what they have come to.
+/// Workers that share indices out among themselves, and how far they have come.
 class Crew {
  public:
   Crew(std::uint32_t count, std::size_t workers) : shares_(workers), running_(workers) {
@@ -91,7 +91,7 @@ class Crew {
   [[nodiscard]] bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
   [[nodiscard]] const std::atomic<bool>& cancellation() const { return cancelled_; }
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
-  /// So many workers have ended, or never began.
+  /// This many workers have ended, or never began.
   void leave(std::size_t workers) {
     const std::scoped_lock lock(mutex_);
     running_ -= workers;

@@ -1,5 +1,5 @@
 #pragma once
-// Long runs that somebody looks after: for interrupts, and to tell how far they are.
+// Long runs that are watched: for interrupts, and to report how far they are.
 
 #include <algorithm>
 #include <chrono>

@@ -29,7 +29,7 @@ from .odepack import odeint
 from .pictures.precision import plot_work_precision
 from .prepared import PreparedSolver
 from .problem import Problem
-from .solution import DenseSolution, Drift, Solution, Stats, Steps, StiffnessWarning
+from .solution import DenseSolution, DiscontinuityWarning, Drift, Solution, Stats, Steps, StiffnessWarning
 
 __all__ = [
     "METHODS",
@@ -37,6 +37,7 @@ __all__ = [
     "CheckReport",
     "CompiledFunction",
     "DenseSolution",
+    "DiscontinuityWarning",
     "Dissipated",
     "Drift",
     "EnsembleEvents",

@@ -28,11 +28,11 @@ from .invariants import Invariants
 
 __all__ = ["BoundInvariants", "InvariantSpec", "Jump", "as_columns", "bind"]
 
-#: With when="needed", what is closer to the manifold is left alone, in units of rtol.
+#: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
 _NEGLIGIBLE = 0.01
 
 
-#: Of corrections in levels at most: they converge quadratically, and end when roundoff is left.
+#: The most corrections in levels: they converge quadratically, and end when only roundoff is left.
 _LEVEL_ITERATIONS = 10
 
 
@@ -46,16 +46,16 @@ class InvariantSpec(NamedTuple):
     held: bool  # at its initial value; False: at one that was demanded
     level: int = 0
     moves: Sequence[int] = ()  # the reals of y that its correction may move; none: all
-    metric: Any = None  # in which it is the least: a function, or flat values
+    metric: Any = None  # in which its correction is smallest: a function, or flat values
     metric_size: int = 0  # number of its values
     sense: int = 0  # -1: it never rises as t grows; 1: it never falls; 0: it keeps its value
-    along_steps: bool = False  # its correction is made of what the step is made of
+    along_steps: bool = False  # its correction is along the stages of the step
 
 
 class Jump(NamedTuple):
     """Where the action of an event gave the invariants new values."""
 
-    row: int  # of the output, from which on they hold
+    row: int  # of the output, the first at which they hold
     t: float
     value: Array
 
@@ -90,21 +90,21 @@ class BoundInvariants:
 
     @property
     def demanded(self) -> list[bool]:
-        """Of each value, whether it was demanded."""
+        """Whether each value was demanded."""
         return [not spec.held for spec in self.specs for _ in range(spec.m)]
 
     @property
     def along_steps(self) -> bool:
-        """Whether corrections are made of what the steps are made of."""
+        """Whether corrections are along the stages of the steps."""
         return any(spec.along_steps for spec in self.specs)
 
     @property
     def senses(self) -> list[int]:
-        """Of each value, the sense of its invariant."""
+        """The sense of the invariant that each value belongs to."""
         return [spec.sense for spec in self.specs for _ in range(spec.m)]
 
     def equalities(self) -> BoundInvariants:
-        """Those alone that keep their values."""
+        """Only those that keep their values."""
         kept = [sense == 0 for sense in self.senses]
         if all(kept):
             return self
@@ -118,7 +118,7 @@ class BoundInvariants:
 
     @property
     def last_value(self) -> Array:
-        """At what the invariants are held at the end of the run."""
+        """The values at which the invariants are held at the end of the run."""
         return self.jumps[-1].value[: len(self)] if self.jumps else self.value
 
     def jumped(self, jumps: Iterable[tuple[int, float, Array]], forward: float) -> BoundInvariants:
@@ -130,7 +130,7 @@ class BoundInvariants:
         return np.searchsorted([jump.row for jump in self.jumps], np.arange(size), side="right")
 
     def pieces_at(self, t: Array, side: Literal["left", "right"]) -> Array:
-        """The same at times; `side`: which of two one-sided values is meant."""
+        """The same for times; `side`: which side of a jump at that time is meant."""
         times = self.forward * np.array([jump.t for jump in self.jumps])
         return np.searchsorted(times, self.forward * np.asarray(t), side=side)
 
@@ -143,12 +143,12 @@ class BoundInvariants:
             yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1].value
 
     def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
-        """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t); of what is one-sided, by how much it has gone
-        back behind the points before."""
+        """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t); for one-sided functions, how far they have gone
+        back from earlier points."""
         return self._violation(self.departure(t, y, pieces), pieces)
 
     def departure(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
-        """g(t, y) - value, of all."""
+        """g(t, y) - value, also for one-sided functions."""
         residual = np.zeros((len(self.value), len(t)))
         if self.specs:
             for here, value in self._each(pieces, len(t)):
@@ -156,7 +156,7 @@ class BoundInvariants:
         return residual
 
     def _violation(self, departure: Array, pieces: Array | None) -> Array:
-        """`departure`, of what is one-sided the rise above its lowest point so far in the piece (or the fall)."""
+        """`departure`; for one-sided functions the rise above the lowest point so far in the piece (or the fall)."""
         last = departure.shape[1]
         cuts = [] if pieces is None else (np.flatnonzero(np.diff(pieces)) + 1).tolist()
         for i, sense in enumerate(self.senses):
@@ -169,8 +169,8 @@ class BoundInvariants:
         return departure
 
     def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
-        """Distances from the level sets, in units of rtol, of the same shape; of what is one-sided, those of what
-        `residual` tells."""
+        """Distances from the level sets, in units of rtol, of the same shape; for one-sided functions, those that
+        correspond to `residual`."""
         distance = np.zeros((len(self.value), len(t)))
         weights = _weights(y, rtol, atol)
         for here, value in self._each(pieces, len(t)):
@@ -196,7 +196,7 @@ class BoundInvariants:
         return Imposed(points, converged, residual, iterations)
 
     def evaluate(self, dense: _core.Dense, t: Array) -> Array:
-        """The rows of a continuous solution of the core at t, projected between the steps where it is to be."""
+        """The rows of a continuous solution of the core at t, projected between the steps if the run does so."""
         return dense.evaluate(t, self._problem(dense.n, dense.complex, self.value))
 
     def _problem_of(self, y: Array, value: Array) -> _core.Problem:
@@ -237,7 +237,7 @@ def bind(
     invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
 ) -> BoundInvariants:
     """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
-    complex y. `threshold`: thr of the reals of y, the size below which components tell no scale."""
+    complex y. `threshold`: thr of the reals of y, the size below which a component gives no scale."""
     if not invariants:
         return BoundInvariants([], _NO_VALUES, [], args, _NO_VALUES, None)
     specs, values, names = [], [], []
@@ -308,7 +308,7 @@ def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, 
     at_start = metric if constant else real_numbers(what, metric(t, y.copy(), *args))
     if at_start.shape not in ((k,), (k, k)):
         told = "must have shape" if constant else "returned another shape than"
-        raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), as {k} components move: {at_start.shape}")
+        raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), since {k} components move; got {at_start.shape}")
     if constant:
         return np.ascontiguousarray(metric, dtype=float).ravel(), at_start.size
     return to_native(what, metric, len(y), at_start.size, p), at_start.size
@@ -338,8 +338,8 @@ def _require_one_direction(specs: list[InvariantSpec], levelled: bool) -> None:
         return
     if levelled:
         raise ValueError(
-            f'direction="stages" of invariant {along[0].name} is without level, moves and metric: the stages leave no '
-            'freedom for these; leave them out, or use direction="gradient"'
+            f'direction="stages" of invariant {along[0].name} cannot be combined with level, moves or metric: the '
+            'stages leave no freedom for these; leave them out, or use direction="gradient"'
         )
     if len(along) < len(specs):
         other = next(spec for spec in specs if not spec.along_steps)
@@ -355,10 +355,10 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
-    """A native g as the core takes it, and its values at (t, y). How many there are it does not tell itself."""
+    """A native g as the core takes it, and its values at (t, y). It cannot say how many there are."""
     told = [len(known) for known in (one.names, one.value) if known is not None]
     if not told:
-        raise ValueError(f"invariant {name} is native: give its value or its names, to tell how many values it has")
+        raise ValueError(f"invariant {name} is native: give its value or its names, which say how many values it has")
     m = max(told)
     fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
     alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)
@@ -368,12 +368,12 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
     return fun, at_start
 
 
-#: Parts of the components' sizes in which g is looked at where it is not defined farther away.
+#: Fractions of the components' sizes at which g is tried if it is not defined farther away.
 _NEARER = (1e-2, 1e-4, 1e-6)
 
 
 class _Probe:
-    """Does g take complex y, and is the derivative that this gives the one that differences give?"""
+    """Does g take complex y, and does the derivative that this gives agree with differences?"""
 
     def __init__(
         self, fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array, at_y: Array
@@ -387,7 +387,7 @@ class _Probe:
             return False
         golden = np.modf(0.6180339887498949 * np.arange(1, len(self._y) + 1))[0]
         direction = self._sizes() * (0.5 + golden) * np.where(np.arange(len(self._y)) % 2, -1, 1)
-        verdict = self._agrees(self._y + 0.1 * direction, direction)  # what is not analytic may not show at y itself
+        verdict = self._agrees(self._y + 0.1 * direction, direction)  # at y itself, that g is not analytic may not show
         if verdict is None:
             verdict = self._agrees(self._y, direction)
         for nearer in _NEARER:
@@ -399,7 +399,7 @@ class _Probe:
         return bool(verdict)
 
     def _sizes(self) -> Array:
-        """Of the components, for increments, as the core takes them."""
+        """The sizes of the components, for increments, as in the core."""
         size: Array = np.abs(self._y)
         largest = size.max(initial=0)
         if largest < 1e-300:
@@ -409,13 +409,13 @@ class _Probe:
         return size
 
     def _agrees(self, y: Array, direction: Array) -> bool | None:
-        """Whether the two derivatives at y agree; None where g is not defined there."""
+        """Whether the two derivatives at y agree; None if g is not defined there."""
         tiny, delta = 1e-40, EPS ** (1 / 3)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("error")  # a warning tells that the imaginary part was thrown away
+            warnings.simplefilter("error")  # NumPy warns if the imaginary part is thrown away
             try:
                 up, down = self._evaluate(y + delta * direction), self._evaluate(y - delta * direction)
-            except (ValueError, ArithmeticError, Warning):  # as math.log(-1), 1 / 0 and np.log(-1) have it
+            except (ValueError, ArithmeticError, Warning):  # as from math.log(-1), 1 / 0 and np.log(-1)
                 return None
             try:
                 by_step = self._evaluate(y + 1j * tiny * direction)
@@ -437,7 +437,7 @@ class _Probe:
 
 
 def at_complex(fun: Callable[..., Any], m: int) -> Callable[..., Any]:
-    """g for complex y; NaN where it cannot be evaluated there, so that the core goes over to differences."""
+    """g for complex y; NaN where it cannot be evaluated there, so that the core switches to differences."""
 
     def evaluate(t: float, y: Array, *args: Any) -> Any:
         try:

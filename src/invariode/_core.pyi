@@ -48,7 +48,19 @@ class Event:
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
 
-    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, product: object | None = None, preconditioner: object | None = None, dimension: int = 0) -> None: ...
+    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0, product: object | None = None, preconditioner: object | None = None, dimension: int = 0) -> None: ...
+
+    @property
+    def kind(self) -> str:
+        """As it was given."""
+
+    @property
+    def structure(self) -> str:
+        """Likewise."""
+
+    @property
+    def found_pattern(self) -> int:
+        """Evaluations of f that found the pattern; 0: it was given."""
 
     @property
     def algebraic(self) -> int:
@@ -330,6 +342,15 @@ class Run:
     def derivatives(self) -> list[str]: ...
 
     @property
+    def left_complex_steps(self) -> float: ...
+
+    @property
+    def enlargements(self) -> int: ...
+
+    @property
+    def pattern(self) -> tuple[int, int]: ...
+
+    @property
     def dropped(self) -> list[int]: ...
 
     @property
@@ -346,6 +367,12 @@ class Run:
 
     @property
     def stiff_since(self) -> float: ...
+
+    @property
+    def remarkable(self) -> bool: ...
+
+    @property
+    def discontinuities(self) -> list[float]: ...
 
     @property
     def clipped(self) -> float: ...
@@ -372,6 +399,11 @@ class EnsembleRun:
 
     def take_clipped(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
+    def take_remarks(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """
+        From when on each is limited by stability, and where f jumps for the first time; NaN: nowhere.
+        """
+
     def take_counts(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')]: ...
 
     def take_states(self) -> Annotated[NDArray[numpy.int8], dict(shape=(None,), order='C')]: ...
@@ -385,9 +417,9 @@ class EnsembleRun:
     def alone(self) -> int:
         """Trajectories that the lanes left to the code for one at a time."""
 
-def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, int] | None = None) -> EnsembleRun:
+def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], parameters: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], progress: object | None, lanes: tuple[str, Sequence[int]] | None = None) -> EnsembleRun:
     """
-    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and the address of f in its lanes.
+    Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant its g and its Jacobian.
     """
 
 LANES: list = ...
@@ -482,6 +514,10 @@ class Stepper:
         """From which t on stability limits the steps; None: it does not."""
 
     @property
+    def discontinuities(self) -> list[float]:
+        """Where f jumps, as far as it was seen."""
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -490,7 +526,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 1
+MEMORY_VERSION: int = 2
 
 STATES: list = ...
 
@@ -517,6 +553,16 @@ def examine(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), o
 def consistent_start(t0: float, y0: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], str]:
     """
     y0 with the algebraic equations of a singular mass matrix satisfied, and the verdict.
+    """
+
+def jacobian(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, tolerances: Tolerances) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+    """
+    The Jacobian of f at a point, as an implicit method begins with it: (rows, columns, values).
+    """
+
+def sparsity(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], problem: Problem, most_calls: int, sparse_only: bool) -> tuple[tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')]] | None, int, int]:
+    """
+    (starts, rows) of the pattern of the Jacobian of f near a point, or None if it is not sparse or f may not be evaluated more often; the evaluations of f; those that differences take with it.
     """
 
 class Mechanics:

@@ -12,7 +12,7 @@ from . import _core
 from ._arguments import Array
 from .compiled import CompiledFunction, is_native, native_parameters, to_native
 
-__all__ = ["Derivatives", "Forms", "Quiet", "compressed", "full_pattern", "sizes"]
+__all__ = ["Derivatives", "Forms", "Quiet", "compressed", "full_pattern", "sizes", "somewhere"]
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 _TINY = 1e-40
@@ -148,7 +148,7 @@ class Derivatives:
                     entries[:, j] = True
             for part in _BESIDE:
                 try:
-                    jacobian = self.jacobian(t, x + part * _somewhere(x))
+                    jacobian = self.jacobian(t, x + part * somewhere(x))
                 except (ValueError, ArithmeticError):
                     continue  # not defined there
                 entries |= ~(jacobian == 0)
@@ -157,7 +157,7 @@ class Derivatives:
     def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
         """Whether complex steps give what differences give, along a direction in which everything moves, at a point
         beside x: what is not analytic may not show at x itself."""
-        direction = _somewhere(x)
+        direction = somewhere(x)
         dt = max(abs(t), 1.0)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error")  # a warning says that the imaginary part was discarded
@@ -210,7 +210,7 @@ def compressed(entries: Array) -> tuple[Array, Array, Array]:
     return starts, rows.astype(np.int32), entries[rows, columns].astype(float)
 
 
-def _somewhere(x: Array) -> Array:
+def somewhere(x: Array) -> Array:
     """A direction in which every component moves by about its size."""
     golden = np.modf(_GOLDEN * np.arange(1, len(x) + 1))[0]
     direction: Array = sizes(x) * (0.5 + golden) * np.where(np.arange(len(x)) % 2, -1, 1)

@@ -79,4 +79,5 @@ def _paragraphs(names: Iterable[str], own: Mapping[str, Any]) -> Iterator[tuple[
 def _for_methods(name: str) -> str:
     """Which methods can use the option, if not all can."""
     those = [method.name for method in METHODS.values() if name in method.options]
-    return f"For {' and '.join(those)}. " if those else ""
+    listed = " and ".join(filter(None, [", ".join(those[:-1]), *those[-1:]]))
+    return f"For {listed}. " if those else ""

@@ -37,7 +37,8 @@ def identity(value: Any) -> Any:
         return {str(name): identity(one) for name, one in value.items()}
     function = _function(value)
     if function is not None:
-        return f"{call_name(value, 'function')} ({_digest(_code(function, set()))})"
+        libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
+        return f"{call_name(value, 'function')} ({_digest(_code(function, set()))}{', libm' * libm})"
     own = getattr(value, "__dict__", None)
     if type(value).__module__.startswith("invariode.") and own is not None:
         about = {name: identity(one) for name, one in own.items() if not name.startswith("_")}

@@ -72,8 +72,13 @@ def _product(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array) -> Any
             function("jac_product", given.jac_product, "jac_product(t, y, v)")
         n = y0.view(float).size
         return to_native("jac_product", given.jac_product, 2 * n, n, p, second=n)
-    if given.jac is None:
+    if given.jac is None or (isinstance(given.jac, str) and given.jac == "differences"):
         return None
+    if isinstance(given.jac, str):
+        raise ValueError(
+            f"jac={given.jac!r} is for matrices: with linear_solver='gmres' give jac_product, or jac='differences' for "
+            "differences of f"
+        )
     if is_native(given.jac):
         raise TypeError(
             "jac is native code that fills a matrix, which linear_solver='gmres' does without: give jac_product, "

@@ -6,7 +6,8 @@ import functools
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,14 +16,17 @@ from scipy.sparse.linalg import splu
 
 from . import _core
 from ._arguments import EPS, Array, as_array, shown, warn
+from ._complex_steps import compiled_at_complex, python_at_complex
 from ._krylov import Krylov, is_operator
+from ._sparsity import find_pattern
 from .compiled import is_native, to_native
 from .description import Matrices
 
-__all__ = ["prepare", "too_large_to_be_dense"]
+__all__ = ["Start", "prepare", "too_large_to_be_dense"]
 
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
+_WAYS = ("complex-step", "differences")  # to compute a Jacobian
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
 
 
@@ -76,21 +80,38 @@ class _Storage:
         return self.values("mass", packed)
 
 
-def prepare(
-    given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Array, matrix_free: Krylov | None = None
-) -> _core.Linear:
+class _Jacobian(NamedTuple):
+    """How the Jacobian is stored and formed, for the core."""
+
+    storage: _Storage
+    kind: str
+    source: Any  # its values or its function, with the pattern
+    found: int = 0  # evaluations of f that found the pattern; 0: it was given
+
+
+@dataclass(frozen=True)
+class Start:
+    """f, as users write it, with what it is called with at the start.
+
+    `complex_by_default`: complex steps are the default of a compiled f. Not if the core keeps f within bounds, or if a
+    second compilation may be in vain.
+    """
+
+    fun: Any
+    t: float
+    y: Array
+    args: tuple[Any, ...]
+    parameters: Array
+    complex_by_default: bool = True
+
+
+def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
     """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns.
 
     With `matrix_free` there is no Jacobian, and the mass matrix is sparse.
     """
-    if matrix_free is None:
-        storage, kind, jacobian = _jacobian(given, t0, y0, args, p)
-    else:
-        stored = (
-            "banded" if given.mass is None else "sparse"
-        )  # that of the mass matrix; bands of nothing take no memory
-        storage, kind, jacobian = _Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None
-    mass = None if given.mass is None else _mass(given.mass, storage, args)
+    storage, kind, source, found = _jacobian(given, start) if matrix_free is None else _no_jacobian(given, start.y)
+    mass = None if given.mass is None else _mass(given.mass, storage, start.args)
     reals = 2 if storage.complex else 1
     banded = storage.kind == "banded"
     n = reals * storage.n
@@ -100,23 +121,33 @@ def prepare(
         lower=reals * storage.lower + (reals - 1) * banded,
         upper=reals * storage.upper + (reals - 1) * banded,
         kind=kind,
-        jacobian=jacobian,
+        jacobian=source,
         mass=mass,
-        null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, t0)),
+        null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, start.t)),
         lapack=_lapack(),
+        found_pattern=found,
         **({} if matrix_free is None else vars(matrix_free)),
     )
 
 
-def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: Array) -> tuple[_Storage, str, Any]:
+def _no_jacobian(given: Matrices, y0: Array) -> _Jacobian:
+    """It is known by its products. The structure is that of the mass matrix; bands of nothing take no memory."""
+    stored = "banded" if given.mass is None else "sparse"
+    return _Jacobian(_Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None)
+
+
+def _jacobian(given: Matrices, start: Start) -> _Jacobian:
     """How it is stored, of which kind it is, and its values or its function."""
+    y0, args = start.y, start.args
     n, is_complex = len(y0), np.iscomplexobj(y0)
     bands = _bands(given.lband, given.uband, n)
     if bands is not None and given.jac_sparsity is not None:
         raise ValueError("give either jac_sparsity or lband and uband, not both")
     if is_native(given.jac):
-        return _native_jacobian(given, bands, y0, p)
-    if given.jac is not None and given.jac_sparsity is not None:
+        return _Jacobian(*_native_jacobian(given, bands, y0, start.parameters))
+    if given.jac is None or isinstance(given.jac, str):
+        return _computed(given, bands, start)
+    if given.jac_sparsity is not None:
         warn("jac_sparsity has no effect together with jac")
 
     def storage(is_sparse: bool) -> _Storage:
@@ -125,28 +156,59 @@ def _jacobian(given: Matrices, t0: float, y0: Array, args: tuple[Any, ...], p: A
         return _Storage("sparse" if is_sparse else "dense", n, is_complex)
 
     if callable(given.jac) and not is_operator(given.jac):
-        first = given.jac(t0, y0.copy(), *args)
+        first = given.jac(start.t, y0.copy(), *args)
         held = storage(sp.issparse(first))
-        return held, "function", _JacobianFunction(given.jac, args, held, t0, y0, first)
-    if given.jac is not None:
-        held = storage(sp.issparse(given.jac))
-        return held, "constant", held.values("jac", given.jac)
-    held = storage(given.jac_sparsity is not None)
-    if held.kind == "sparse":
-        return held, "differences", held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
-    if too_large_to_be_dense(given, y0):
+        return _Jacobian(held, "function", _JacobianFunction(given.jac, args, held, start.t, y0, first))
+    held = storage(sp.issparse(given.jac))
+    return _Jacobian(held, "constant", held.values("jac", given.jac))
+
+
+def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _Jacobian:
+    """One that is computed from f, by complex steps or differences, in a structure that is given or found."""
+    y0, found, pattern = start.y, 0, None
+    storage = partial(_Storage, n=len(y0), complex=np.iscomplexobj(y0))
+    if bands is not None:
+        held = storage("banded", lower=bands[0], upper=bands[1])
+    elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
+        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters)
+        pattern, found = searched or (None, 0)
+        held = storage("dense" if pattern is None else "sparse")
+    else:
+        held = storage("sparse")
+        pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, held.complex))
+    if held.kind == "dense" and too_large_to_be_dense(given, y0):
         size = _dense_bytes(y0) / 2**30
         warn(
-            f"a dense Jacobian of {n} components takes {size:.1f} GiB: give jac_sparsity, or lband and uband, to say "
-            "which entries are zero"
+            f"a dense Jacobian of {len(y0)} components takes {size:.1f} GiB: give jac_sparsity, or lband and uband, to "
+            "say which entries are zero"
         )
-    return held, "differences", None
+    at_complex = _complex_steps(given.jac, start)
+    if at_complex is None:
+        return _Jacobian(held, "differences", pattern, found)
+    return _Jacobian(held, "complex-step", (at_complex, pattern), found)
+
+
+def _complex_steps(jac: str | None, start: Start) -> Any:
+    """f for complex y, where complex steps were chosen, or f is compiled. None: differences."""
+    if jac not in (None, *_WAYS):
+        raise ValueError(f"jac must be a function, a matrix, {' or '.join(map(repr, _WAYS))}, got {jac!r}")
+    if jac == "differences" or (jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default)):
+        return None
+    if np.iscomplexobj(start.y):
+        raise ValueError(
+            'jac="complex-step" is for real y, and y0 is complex: fun need not be analytic. Use jac="differences", or '
+            "write the problem in real and imaginary parts"
+        )
+    compiled = compiled_at_complex(start.fun, len(start.y), len(start.parameters))
+    if compiled is not None or jac is None:
+        return compiled
+    return python_at_complex(start.fun, start.t, start.y, start.args)
 
 
 def too_large_to_be_dense(given: Matrices, y0: Array) -> bool:
     """Whether nothing is known of the Jacobian, and a dense one would fill the memory."""
     known = (given.jac, given.jac_sparsity, given.lband, given.uband)
-    return all(one is None for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
+    return all(one is None or isinstance(one, str) for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
 
 
 def _dense_bytes(y0: Array) -> int:
@@ -162,7 +224,7 @@ def _native_jacobian(
     if bands is not None:
         held, pattern = _Storage("banded", n, is_complex, *bands), None
         size = held.given_shape[0] * reals
-    elif given.jac_sparsity is not None:
+    elif given.jac_sparsity is not None and not isinstance(given.jac_sparsity, str):
         held = _Storage("sparse", n, is_complex)
         pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
         size = len(pattern[2])

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ._arguments import EPS
 from ._bounds import Limits
-from ._core import Run
+from ._core import Linear, Run
+
+#: The most times that a message lists.
+_TIMES = 4
 
 #: Runs that do not fail: status and message, SciPy's if it has them.
 MESSAGES = {
@@ -42,12 +46,31 @@ class Laws(NamedTuple):
 def status_and_message(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
     """The status of the Solution and its message."""
     status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
-    return status, f"{message} {_sentence(limited_by_stability(run.stiff_since))}" if run.stiff else message
+    return status, remarked(message, run)
+
+
+def remarked(message: str, run: Run) -> str:
+    """The message, and what else is to be said of the run."""
+    if run.stiff:
+        message += f" {_sentence(limited_by_stability(run.stiff_since))}"
+    if found := run.discontinuities:
+        message += f" {_sentence(discontinuous(found))}"
+    return message
 
 
 def limited_by_stability(since: float) -> str:
     """The warning about an explicit method on a stiff problem."""
     return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
+
+
+def discontinuous(times: Sequence[float]) -> str:
+    """The warning about a right-hand side that jumps."""
+    listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
+    more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
+    return (
+        f"fun looks discontinuous at t = {listed}{more}, where steps fail; give breakpoints=[{listed}"
+        f"{', ...' * (len(times) > _TIMES)}], or an event with an action where y decides when it jumps"
+    )
 
 
 def _sentence(text: str) -> str:
@@ -132,6 +155,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
             "invariants."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
+    if any((t - run.t) * run.h > 0 for t in run.discontinuities):
+        return text  # what comes after it says why
     if run.pure_relative:
         text += (
             f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
@@ -266,6 +291,32 @@ def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
     if run.finding == "undefined":
         return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
     return _not_conserved(run, laws)
+
+
+_FORMED = {"function": "given", "complex-step": "complex step"}
+
+
+def formed(linear: Linear | None, run: Run) -> str | None:
+    """How the Jacobian of f was computed."""
+    if linear is None:
+        return None
+    text = _FORMED.get(linear.kind, linear.kind)
+    if not math.isnan(run.left_complex_steps):
+        text += f", differences from t = {run.left_complex_steps:.6g} on"
+    if linear.found_pattern:
+        entries, groups = run.pattern
+        text += f"; detected pattern: {entries} entries, {groups} evaluations of f each"
+        text += f" ({linear.found_pattern} found it{f', enlarged {run.enlargements} times' * (run.enlargements > 0)})"
+    return text
+
+
+def complex_steps_left(t: float) -> str:
+    """The text of a warning: complex steps were chosen, and f did not take them."""
+    return (
+        f'jac="complex-step": at t = {t:.6g} fun is not finite for complex y, or drops its imaginary part; differences '
+        "are used from there on. Write fun without abs, real, conj, norms and rounding of y, or use "
+        'jac="differences"'
+    )
 
 
 def harmful_projection(components: str, distance: str) -> str:

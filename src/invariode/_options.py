@@ -386,9 +386,11 @@ class DescribingOptions(TypedDict, total=False):
         Any,
         Option(
             None,
-            "callable, (n, n) array_like or sparse matrix",
+            "callable, (n, n) array_like, sparse matrix, 'complex-step' or 'differences'",
             "The Jacobian of f: ``jac(t, y, *args)``, or a constant. If it is (or returns) a sparse matrix, the "
-            "linear algebra is sparse. Default: differences.",
+            "linear algebra is sparse. Or how to compute it: by complex steps, Im f(t, y + i h e_j) / h, exact to "
+            "roundoff, if f takes complex y; or by differences. Default: complex steps for functions of "
+            "`invariode.compile` that numba compiles for complex y, else differences. ``stats.jacobian`` tells.",
             every_method=False,
         ),
     ]
@@ -396,10 +398,12 @@ class DescribingOptions(TypedDict, total=False):
         Any,
         Option(
             None,
-            "(n, n) array_like or sparse matrix",
-            "Which entries of the Jacobian can differ from zero, for differences and sparse linear algebra. An entry "
-            "missing here is taken to be zero: Newton's iteration then converges slowly or not at all, and the "
-            "steps are small.",
+            "(n, n) array_like, sparse matrix, 'detect' or 'dense'",
+            "Which entries of the Jacobian can differ from zero, for differences, complex steps and sparse linear "
+            "algebra. An entry missing here is taken to be zero: Newton's iteration then converges slowly or not at "
+            "all, and the steps are small. Default: from n = 200 on the pattern is detected, by evaluations of f near "
+            "y0, at most n / 2 of them, and enlarged where it turns out to lack an entry; 'detect' does so for any n, "
+            "'dense' does not.",
             every_method=False,
         ),
     ]

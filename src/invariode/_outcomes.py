@@ -32,6 +32,8 @@ class Outcomes:
     status: Array
     counts: Array
     clipped_amount: Array
+    stiff_since: Array  # NaN where it is not
+    discontinuity: Array  # the first one
     value: Array
     residual_before: Array
     residual_after: Array

@@ -157,5 +157,5 @@ def _rich() -> Any:
     try:
         import rich.progress
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("progress=True needs rich: pip install invariode[cli]", name=error.name) from None
+        raise ModuleNotFoundError('progress=True needs rich: pip install "invariode[cli]"', name=error.name) from None
     return rich.progress

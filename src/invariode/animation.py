@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib.animation import FuncAnimation, writers
+from matplotlib.ticker import MaxNLocator
 
 from ._arguments import Array, positive
 from ._style import COLOURS
+from .pictures.curves import curve
 from .result import Result
 
 __all__ = ["Film", "Motion", "film_size", "motion", "polylines"]
@@ -23,8 +25,12 @@ __all__ = ["Film", "Motion", "film_size", "motion", "polylines"]
 #: Seconds of a film without a given length: those of the motion, within these bounds.
 _SHORTEST, _LONGEST = 4.0, 8.0
 
-#: Points of the path drawn behind a point: enough that the eye sees no corners.
-_PATH = 2000
+#: Points of the path drawn behind a point: enough that the eye sees no corners. A run of many steps has several in
+#: each, up to the last number.
+_PATH, _PATH_PER_STEP, _LONGEST_PATH = 2000, 4, 20_000
+
+#: The most parts between numbers at an axis in space, on which more would run together.
+_PARTS = 5
 
 #: Inches: the width of a new figure, its least and largest height, and the room for titles and labels.
 _WIDTH, _LOWEST, _HIGHEST, _WORDS = 5.6, 2.6, 6.2, 0.9
@@ -68,13 +74,15 @@ def motion(
 ) -> Motion:
     """What a film of these points shows. `points`: a function, or indices of components (k, 2 or 3)."""
     times = _frame_times(sol, duration, fps)
-    shown = _positions(sol, points, times)
+    states = _states(sol)
+    shown = _positions(states, points, times)
     (traced,) = polylines("trace", [trace], shown.shape[1])
     if not traced:
         return Motion(times, shown, shown[:, traced], 1)
-    finer = math.ceil(_PATH / len(times))
+    length = min(max(_PATH, _PATH_PER_STEP * len(sol.t)), _LONGEST_PATH)
+    finer = math.ceil(length / len(times))
     between = np.interp(np.arange(1 + finer * (len(times) - 1)) / finer, np.arange(len(times)), times)
-    return Motion(times, shown, _positions(sol, points, between)[:, traced], finer)
+    return Motion(times, shown, _positions(states, points, between)[:, traced], finer)
 
 
 def film_size(points: Array) -> tuple[float, float]:
@@ -96,18 +104,27 @@ def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
     return np.linspace(ends[0], ends[-1], max(2, round(seconds * rate)))
 
 
-def _positions(sol: Result, points: Callable[[float, Array], Any] | Array, times: Array) -> Array:
-    """Where the points are at these times, (n_t, k, 2 or 3)."""
-    if sol.sol is None:
-        forward = np.sign(sol.t[-1] - sol.t[0])
+def _states(sol: Result) -> Callable[[Array], Array]:
+    """The solution at any times: (n_t,) to (n, n_t). That of `sol.sol`; else its curve; else the nearest outputs."""
+    if sol.sol is not None:
+        return sol.sol
+    forward = np.sign(sol.t[-1] - sol.t[0])
+    whole = curve(sol)
+    if not whole.smooth:
         middles = forward * (sol.t[1:] + sol.t[:-1]) / 2
-        states = sol.y[:, np.searchsorted(middles, forward * times)]  # the nearest output
-    else:
-        states = sol.sol(times)
+        return lambda times: sol.y[:, np.searchsorted(middles, forward * times)]
+    there = np.isfinite(whole.t) & np.isfinite(whole.y).all(axis=0)
+    t, y = forward * whole.t[there], whole.y[:, there]
+    return lambda times: np.array([np.interp(forward * times, t, row) for row in y])
+
+
+def _positions(states: Callable[[Array], Array], points: Callable[[float, Array], Any] | Array, times: Array) -> Array:
+    """Where the points are at these times, (n_t, k, 2 or 3)."""
+    y = states(times)
     if not callable(points):
-        shown: Array = np.moveaxis(states[points], -1, 0)
+        shown: Array = np.moveaxis(y[points], -1, 0)
         return _checked(shown)
-    return _checked(np.stack([_placed(points, t, y) for t, y in zip(times, states.T, strict=True)]))
+    return _checked(np.stack([_placed(points, t, state) for t, state in zip(times, y.T, strict=True)]))
 
 
 def _placed(points: Callable[[float, Array], Any], t: float, y: Array) -> Array:
@@ -274,6 +291,9 @@ def _frame(ax: Any, points: Array) -> None:
         getattr(ax, f"set_{axis}lim")(centre - size / 2, centre + size / 2)
     if len(low) == 3:
         ax.set_box_aspect(extent)
+        for axis, size in zip((ax.xaxis, ax.yaxis, ax.zaxis), extent, strict=True):
+            parts = max(1, round(_PARTS * size / extent.max()))
+            axis.set_major_locator(MaxNLocator(parts, steps=[1, 2, 5, 10]))
     else:
         ax.set_aspect("equal", adjustable="box")
 

@@ -67,8 +67,11 @@ class Checkpoint:
 
     @classmethod
     def of_new_run(cls, path: PathLike, identity: Identity, y0: Array, at_start: list[int]) -> Checkpoint:
-        """Files for a run that begins. A ValueError where there is one that has not ended, or something else."""
+        """Files for a run that begins. A ValueError where there is one that has not ended, or something else; a
+        FileNotFoundError where there is no such folder."""
         target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise FileNotFoundError(f"checkpoint: there is no folder {target.parent}: make it, or give another file")
         taken = None
         if target.exists():
             about = about_of(path, read_arrays(path), {CHECKPOINT: CHECKPOINT_VERSION})

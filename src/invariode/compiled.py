@@ -23,14 +23,23 @@ from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
 from types import BuiltinFunctionType, FunctionType, MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from . import _core
-from ._arguments import Array, call_name
+from ._arguments import Array, call_name, choice, warn
 
-__all__ = ["CompiledFunction", "compile", "event_value", "is_native", "made_by_compile", "to_native", "values_of"]
+__all__ = [
+    "Compiled",
+    "CompiledFunction",
+    "compile",
+    "event_value",
+    "is_native",
+    "made_by_compile",
+    "to_native",
+    "values_of",
+]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -61,6 +70,11 @@ class _Shape(NamedTuple):
     event: bool
     second: int = 0  # components of a second vector, of the n
     is_complex: bool = False
+    real_time: bool = False  # of a complex one: t is no part of y_
+
+    @property
+    def complex_time(self) -> bool:
+        return self.is_complex and not self.real_time
 
     @property
     def vectors(self) -> list[str]:
@@ -68,7 +82,8 @@ class _Shape(NamedTuple):
 
     def unpacked(self) -> list[str]:
         """Lines that bind what the function takes, from y_: (t,) q and v, in succession."""
-        first, middle = int(self.is_complex), int(self.is_complex) + self.n - self.second
+        first = int(self.complex_time)
+        middle = first + self.n - self.second
         if not first and not self.second:
             return [f"y = carray(y_, ({self.n},))"]
         lines = [f"x = carray(y_, ({first + self.n},))", f"y = x[{first}:{middle}]"]
@@ -102,15 +117,19 @@ class CompiledFunction:
         The Python function.
     inplace : bool
         Whether it fills an output.
+    elementary : {"own", "libm"}
+        Whose elementary functions it calls.
     """
 
-    def __init__(self, fun: Callable[..., Any], inplace: bool) -> None:
+    def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
         self.fun = fun
         self.inplace = inplace
+        self.elementary = elementary
         self.__name__ = call_name(fun, "compiled")
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self._made: dict[tuple[Any, ...], _core.Native] = {}
+        self._own: set[_Shape] = set()
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
@@ -122,21 +141,24 @@ class CompiledFunction:
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
 
-    def __reduce__(self) -> str | tuple[type[CompiledFunction], tuple[Callable[..., Any], bool]]:
+    def __reduce__(self) -> str | tuple[type[CompiledFunction], tuple[Callable[..., Any], bool, str]]:
         """By name where `compile` was the decorator of a function; never with the machine code."""
         try:
             named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
         except (AttributeError, KeyError):
             named = None
-        return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace))
+        return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace, self.elementary))
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
         """The machine code for n components, `size` values and that many parameters. With `second` the function takes
         two vectors, of n - second and second components, which follow each other in y."""
         return self._machine_code(_Shape(n, size, parameters, event, second))
 
-    def complex_native(self, n: int, size: int, parameters: int, second: int = 0) -> _core.Native:
-        """The same function of complex t and y, which follow each other, with complex values.
+    def complex_native(
+        self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
+    ) -> _core.Native:
+        """The same function of complex t and y, which follow each other, with complex values; with `real_time` of real
+        t and complex y.
 
         Raises
         ------
@@ -144,7 +166,7 @@ class CompiledFunction:
             numba cannot compile it for complex numbers.
         """
         try:
-            return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True))
+            return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True, real_time=real_time))
         except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
 
@@ -153,9 +175,9 @@ class CompiledFunction:
         """The function as numba's own, for real numbers."""
         return self._jit(is_complex=False)
 
-    def result_type(self, n: int, parameters: int) -> Any:
-        """numba's type of what the function returns for n components."""
-        return self._result(self.jitted, _Shape(n, n, parameters, event=False))
+    def result_type(self, n: int, size: int, parameters: int) -> Any:
+        """numba's type of what the function returns for n components, where that is `size` values."""
+        return self._result(self.jitted, _Shape(n, size, parameters, event=False))
 
     def _machine_code(self, shape: _Shape) -> _core.Native:
         with self._making:
@@ -177,7 +199,7 @@ class CompiledFunction:
             head = "def code(t, y_, p_):"
             body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
         else:
-            head = f"def code({'t_' if shape.is_complex else 't'}, y_, out_, p_):"
+            head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
             body += [] if self.inplace else self._stores(jitted, shape)
@@ -192,16 +214,28 @@ class CompiledFunction:
         )
         signature = double(double, pointer, pointer) if shape.event else numba.void(double, numbers, numbers, pointer)
         try:
-            return numba.cfunc(signature, error_model="numpy")(namespace["code"])
+            code = numba.cfunc(signature, error_model="numpy")(namespace["code"])
         except numba.core.errors.NumbaError as error:
             raise self._cannot_compile(error) from error
+        own = _with_own_functions(code) if self.elementary == "own" else None
+        if own is None:
+            return code
+        self._own.add(shape)
+        return own
+
+    def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
+        """Whether what was made for n components, with `size` values, calls our elementary functions."""
+        return _Shape(n, size, parameters, event) in self._own
 
     def _jit(self, is_complex: bool) -> Any:
         """For numba; 1/0 is inf: no exceptions."""
         numba = _numba()
         if is_complex:
             if self._jitted_complex is None:
-                self._jitted_complex = numba.njit(_with_complex_math(self.fun), error_model="numpy")
+                from ._complex_code import ComplexCompiler
+
+                options = {"error_model": "numpy", "pipeline_class": ComplexCompiler}
+                self._jitted_complex = numba.njit(**options)(_with_complex_math(self.fun))
             return self._jitted_complex
         if self._jitted is None:
             self._jitted = numba.njit(self.fun, error_model="numpy")
@@ -244,7 +278,8 @@ class CompiledFunction:
         numba = _numba()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         vector, values = numba.types.Array(number, 1, "C"), numba.types.Array(numba.types.double, 1, "C")
-        arguments = (number, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
+        time = number if shape.complex_time else numba.types.double
+        arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
         try:
             jitted.compile(arguments)
         except (numba.core.errors.NumbaError, TypeError) as error:
@@ -255,7 +290,9 @@ class CompiledFunction:
         return TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}")
 
 
-def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFunction:
+def compile(
+    fun: Callable[..., Any], *, inplace: bool = False, elementary: Literal["own", "libm"] = "own"
+) -> CompiledFunction:
     """A function that is compiled to machine code, by numba, when it is used in a problem.
 
     Parameters
@@ -267,6 +304,10 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
         already compiled by numba or by this function, its Python function is used.
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
+    elementary : {"own", "libm"}, default "own"
+        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers it calls. Our own are inlined, also into the
+        form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and the same bits
+        on every processor. "libm": those of the platform's mathematical library, one call for each number.
 
     Returns
     -------
@@ -277,6 +318,8 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     ------
     ModuleNotFoundError
         numba, the extra `compiled`, is not installed.
+    ValueError
+        `elementary` is neither.
     TypeError
         When it is used: numba cannot compile the function, or it takes other arguments or returns another number of
         values than it should.
@@ -292,18 +335,36 @@ def compile(fun: Callable[..., Any], *, inplace: bool = False) -> CompiledFuncti
     if not callable(fun):
         raise TypeError(f"compile takes a function f(t, y), got {fun!r}")
     numba = _numba()
+    choice("elementary", elementary, ("own", "libm"))
     if isinstance(fun, CompiledFunction):
-        inplace, fun = inplace or fun.inplace, fun.fun
+        inplace, elementary, fun = inplace or fun.inplace, "libm" if fun.elementary == "libm" else elementary, fun.fun
     elif isinstance(fun, numba.core.dispatcher.Dispatcher):
         fun = fun.py_func
-    return CompiledFunction(fun, inplace)
+    return CompiledFunction(fun, inplace, elementary)
+
+
+_warned = False
+
+
+def _with_own_functions(code: Any) -> Any | None:
+    """numba's code with our elementary functions; None: it calls none, or numba is one that we do not know."""
+    global _warned
+    try:
+        from . import _machine_code
+
+        return _machine_code.with_own(code)
+    except Exception as error:  # whatever internals of numba and llvmlite have changed
+        if not _warned:
+            warn(f"this version of numba does not take other elementary functions: {error!r}. libm's are used")
+            _warned = True
+        return None
 
 
 def _numba() -> Any:
     try:
         import numba
     except ImportError:
-        raise ModuleNotFoundError("invariode.compile needs numba: pip install invariode[compiled]") from None
+        raise ModuleNotFoundError('invariode.compile needs numba: pip install "invariode[compiled]"') from None
     return numba
 
 
@@ -397,13 +458,23 @@ class _Native(_core.Native):
         return self
 
 
-def made_by_compile(fun: Any) -> tuple[CompiledFunction, int, int] | None:
-    """Of a right-hand side as `to_native` made it for the core: the compiled function, its number of components and of
-    parameters. None: it is another one."""
+class Compiled(NamedTuple):
+    """A function as `compile` made it for the core: of n components and so many parameters, with `size` values."""
+
+    function: CompiledFunction
+    n: int
+    size: int
+    parameters: int
+    event: bool = False
+
+
+def made_by_compile(fun: Any) -> Compiled | None:
+    """What `to_native` made for the core of a compiled function of (t, y, p). None: it is another one."""
     if not isinstance(fun, _Native) or fun.made_of is None:
         return None
     compiled, shape = fun.made_of
-    return (compiled, shape.n, shape.parameters) if shape == _Shape(shape.n, shape.n, shape.parameters, False) else None
+    known = _Shape(shape.n, shape.size, shape.parameters, shape.event)
+    return Compiled(compiled, known.n, known.size, known.parameters, known.event) if shape == known else None
 
 
 def event_value(fun: Any, t: float, y: Array, p: Array) -> float:

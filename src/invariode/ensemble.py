@@ -57,7 +57,7 @@ from .events import to_events
 from .invariants import AccuracyWarning
 from .lanes import Lanes, choose_lanes
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, StiffnessWarning, default_labels
+from .result import LIMIT_REACHED, DiscontinuityWarning, StiffnessWarning, default_labels
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "solve_ensemble"]
 
@@ -234,7 +234,7 @@ def solve_ensemble(
     run in processes, and each function must be importable there: on platforms without fork define it in a module, guard
     the script by ``if __name__ == "__main__":``, or give ``workers=1``, which stays in this process; so
     does, with a warning, an ensemble in a daemonic process. Workers end with this process, however it ends. The result
-    takes 8 (n n_t + 2 n + 3 m) + 120 bytes per trajectory, and 8 (n + 2) per event that occurred.
+    takes 8 (n n_t + 2 n + 3 m) + 136 bytes per trajectory, and 8 (n + 2) per event that occurred.
 
     Examples
     --------
@@ -451,7 +451,7 @@ def _solution(task: _Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
         dropped = int((found.counts[:, _DROPPED] > 0).sum())
         _warn_of_projection(plan, dropped, found.counts[found.status >= 0, _HARMED])
     _warn_stiff(plan, int(found.counts[:, _STIFF].sum()))
-    stats = counts_by_name(found.counts)
+    _warn_discontinuous(plan, int(np.isfinite(found.discontinuity).sum()))
     return EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
         y=found.y_end[:, :, None].copy() if times is None else found.y,
@@ -461,7 +461,13 @@ def _solution(task: _Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
         success=found.status >= 0,
         messages=found.messages,
         events=found.events,
-        stats=EnsembleStats(**stats, clipped_amount=found.clipped_amount, _lanes=found.lanes),
+        stats=EnsembleStats(
+            **counts_by_name(found.counts),
+            clipped_amount=found.clipped_amount,
+            stiff_since=found.stiff_since,
+            discontinuity=found.discontinuity,
+            _lanes=found.lanes,
+        ),
         value=found.value,
         residual_before=found.residual_before,
         residual_after=found.residual_after,
@@ -481,6 +487,13 @@ def _warn_stiff(plan: Plan, count: int) -> None:
     if count:
         text = f"in {count} trajectories stability, not accuracy, limits most steps (stats['stiff'] tells in which)"
         warn(f"{plan.method.name}: {text}; try ode15s", StiffnessWarning)
+
+
+def _warn_discontinuous(plan: Plan, count: int) -> None:
+    if count:
+        text = f"in {count} trajectories fun looks discontinuous (stats['discontinuity'] tells where at first)"
+        what = "give breakpoints, or an event with an action where y decides when it jumps"
+        warn(f"{plan.method.name}: {text}, where steps fail; {what}", DiscontinuityWarning)
 
 
 def _warn_harmed(plan: Plan, harmed: Array) -> None:
@@ -517,12 +530,13 @@ def _on_threads(
 ) -> Outcomes:
     y0 = np.ascontiguousarray(task.y0)
     solvers = [core, *(solver(plan) for _ in range(workers - 1))]
-    lanes = choose_lanes(core, plan.functions.fun, len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
+    lanes = choose_lanes(core, plan.functions.in_lanes(), len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
     rows = y0.view(float).reshape(len(y0), -1)
     run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
     dtype = y0.dtype
     states = run.take_states()
     value, before, after, correction = run.take_drift()
+    stiff_since, discontinuity = run.take_remarks()
     return Outcomes(
         y=run.take_y().view(dtype),
         t_end=run.take_t(),
@@ -530,6 +544,8 @@ def _on_threads(
         status=_CODES[states],
         counts=run.take_counts(),
         clipped_amount=run.take_clipped(),
+        stiff_since=stiff_since,
+        discontinuity=discontinuity,
         messages=_messages(task, plan, run, states),
         events=[in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
         value=value,
@@ -591,6 +607,8 @@ class _Row:
     after: Array
     correction: float
     clipped_amount: float
+    stiff_since: float
+    discontinuity: float
     events: list[tuple[Array, Array]]
 
 
@@ -640,6 +658,8 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
         after=after,
         correction=correction,
         clipped_amount=run.clipped,
+        stiff_since=run.stiff_since if run.stiff else np.nan,
+        discontinuity=next(iter(run.discontinuities), np.nan),
         events=[(times, points.view(dtype)) for times, points in run.take_events()],
     )
 
@@ -658,6 +678,7 @@ class _Rows:
         self.value = np.full((size, m), np.nan)
         self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
         self.clipped_amount = np.zeros(size)
+        self.stiff_since, self.discontinuity = np.full(size, np.nan), np.full(size, np.nan)
         self.messages: dict[int, str] = {}
         self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
 
@@ -676,6 +697,7 @@ class _Rows:
         self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
         self.correction[i] = one.correction
         self.clipped_amount[i] = one.clipped_amount
+        self.stiff_since[i], self.discontinuity[i] = one.stiff_since, one.discontinuity
         for found, (t, y) in zip(self.found, one.events, strict=True):
             if len(t):
                 found.append((i, t, y))
@@ -688,6 +710,8 @@ class _Rows:
             status=self.status,
             counts=self.counts,
             clipped_amount=self.clipped_amount,
+            stiff_since=self.stiff_since,
+            discontinuity=self.discontinuity,
             messages=dict(sorted(self.messages.items())),
             events=[self._events(found) for found in self.found],
             value=self.value,
@@ -850,7 +874,7 @@ class _Parted:
             rows = Part(0, 0, y0, args)
             ((_, seconds),) = on_executor(self.means.executor, _seconds_of_one, self._arguments, [rows])
         n, m, times = y0.shape[1], len(self.plan.bound), self.plan.settings.times
-        row = y0.itemsize * n * (2 + (0 if times is None else len(times))) + 24 * m + 120
+        row = y0.itemsize * n * (2 + (0 if times is None else len(times))) + 24 * m + 136
         most: int = max(1, _LARGEST // row)
         size = most if self.rows.size is None else min(most, self.rows.size)
         enough = max(_PART, _HANDLING * places_of(self.means.executor))
@@ -898,7 +922,7 @@ def _stored(ensemble: _Ensemble, rows: Rows, means: _Means, place: _Place) -> En
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, identity(place.seed), place.resume)
     if means.chunk not in (None, writer.length):
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
-    size = done = dropped = stiff = 0
+    size = done = dropped = stiff = discontinuous = 0
     harmed: list[Array] = []
 
     def counted() -> Iterator[Part]:
@@ -917,12 +941,14 @@ def _stored(ensemble: _Ensemble, rows: Rows, means: _Means, place: _Place) -> En
             harms = outcomes.counts[outcomes.status >= 0, _HARMED]
             harmed.append(harms[harms > 0])
             stiff += int(outcomes.counts[:, _STIFF].sum())
+            discontinuous += int(np.isfinite(outcomes.discontinuity).sum())
             done += len(part.y0)
             if report:
                 report(done)
     writer.finish(size)
     _warn_of_projection(run.plan, dropped, np.concatenate([np.zeros(0, dtype=np.int64), *harmed]))
     _warn_stiff(run.plan, stiff)
+    _warn_discontinuous(run.plan, discontinuous)
     return EnsembleStore(place.store)
 
 

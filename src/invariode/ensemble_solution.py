@@ -97,7 +97,8 @@ class EnsembleEvents(Record):
 class EnsembleStats(Record):
     """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words.
 
-    `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0.
+    `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0, and `stiff_since` says
+    since when, or NaN. `discontinuity` is the first time at which f looks discontinuous, or NaN.
     """
 
     steps: Array
@@ -118,6 +119,8 @@ class EnsembleStats(Record):
     products: Array
     linear_iterations: Array
     clipped_amount: Array
+    stiff_since: Array
+    discontinuity: Array
     _lanes: str = ""
 
     @property
@@ -240,7 +243,7 @@ class EnsembleSolution:
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
         m = len(invariants)
-        stats: dict[str, Any] = {name: counts[i].item() for name, counts in self.stats.items() if name != "stiff"}
+        stats = self._stats_of(i)
         here = [event.trajectory == i for event in self.events]
         t = np.array([self.t_end[i]]) if self._final else self.t[reached]
         return Solution(
@@ -249,13 +252,13 @@ class EnsembleSolution:
             sol=None,
             t_events=[event.t[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
             y_events=[event.y[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
-            nfev=stats["nfev"],
-            njev=stats["njev"],
-            nlu=stats["nlu"],
+            nfev=stats.nfev,
+            njev=stats.njev,
+            nlu=stats.nlu,
             status=status,
             message=self.messages.get(i) or next(text for code, text in MESSAGES.values() if code == status),
             success=status >= 0,
-            stats=Stats(**stats, derivatives=None, projected_start=False),
+            stats=stats,
             steps=None,
             t_end=float(self.t_end[i]),
             _invariants=invariants,
@@ -263,6 +266,18 @@ class EnsembleSolution:
             _atol=about.atol,
             _drift=BeforeProjection(self.residual_before[i, :m], np.full(m, np.nan), float(self.correction[i])),
             _names=Names(f"{about.name} {i}", None, None, self.y.shape[1], about.events),
+        )
+
+    def _stats_of(self, i: int) -> Stats:
+        """As a single solve has them; of the jumps of f the first."""
+        about = {name: values[i].item() for name, values in self.stats.items() if name != "stiff"}
+        since, jump = about.pop("stiff_since"), about.pop("discontinuity")
+        return Stats(
+            **about,
+            derivatives=None,
+            projected_start=False,
+            stiff_since=None if np.isnan(since) else since,
+            discontinuities=() if np.isnan(jump) else (jump,),
         )
 
     @property
@@ -380,6 +395,8 @@ class EnsembleSolution:
                 counts = {"switches", "products", "linear_iterations"}  # of which 0.1 had none
                 none = {name: np.zeros(len(arrays["status"]), dtype=np.int64) for name in counts}
                 arrays.setdefault("attempt", np.zeros(len(arrays["status"]), dtype=np.int8))  # 0.1 had no `retry`
+                nowhere = np.full(len(arrays["status"]), np.nan)  # nor these
+                parts["stats"] = {"stiff_since": nowhere, "discontinuity": nowhere, **parts["stats"]}
                 return cls(
                     **arrays,
                     stats=EnsembleStats(**{**none, **parts["stats"]}),

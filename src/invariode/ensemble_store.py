@@ -39,6 +39,8 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     "attempt": (),
     "counts": ("count",),
     "clipped_amount": (),
+    "stiff_since": (),
+    "discontinuity": (),
     "value": ("invariant",),
     "residual_before": ("invariant",),
     "residual_after": ("invariant",),
@@ -313,7 +315,7 @@ class EnsembleStore:
         try:
             import xarray
         except ModuleNotFoundError:
-            raise ModuleNotFoundError("this needs xarray: pip install invariode[data]", name="xarray") from None
+            raise ModuleNotFoundError('this needs xarray: pip install "invariode[data]"', name="xarray") from None
         whole = xarray.open_zarr(self.path, consolidated=False, drop_variables=["digest"])
         data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
         return data
@@ -336,9 +338,10 @@ class EnsembleStore:
         m = group["invariant"].shape[0] if "invariant" in group else 0
         times = bool(self.attributes["kept_times"])
         held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
+        of_stats: dict[str, Any] = {name: held.pop(name) for name in ("clipped_amount", "stiff_since", "discontinuity")}
         y = held["y"] if times else held["y_end"][:, :, None].copy()
         counts = counts_by_name(held.pop("counts"))
-        stats = EnsembleStats(**counts, clipped_amount=held.pop("clipped_amount"))
+        stats = EnsembleStats(**counts, **of_stats)
         about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
         return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y})
 
@@ -399,7 +402,7 @@ def _zarr() -> Any:
     try:
         import zarr
     except ModuleNotFoundError:
-        raise ModuleNotFoundError("store= needs zarr: pip install invariode[cluster]", name="zarr") from None
+        raise ModuleNotFoundError('store= needs zarr: pip install "invariode[cluster]"', name="zarr") from None
     return zarr
 
 

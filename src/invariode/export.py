@@ -194,7 +194,7 @@ def _extra(module: str) -> Any:
     except ModuleNotFoundError as missing:
         if missing.name != module:
             raise
-        message = f"this needs {module}: pip install invariode[data]"
+        message = f'this needs {module}: pip install "invariode[data]"'
         raise ModuleNotFoundError(message, name=module) from None
 
 
@@ -214,7 +214,7 @@ def _identifier(name: str) -> str:
 
 def _attributes(solution: Result) -> dict[str, Any]:
     """What is one value for the whole solution; Python's own types, so that netCDF and JSON take them."""
-    known = {name: value for name, value in solution.stats.items() if value is not None}
+    known = {name: value for name, value in solution.stats.items() if value not in (None, ())}
     return {
         "name": solution._names.problem,
         "message": solution.message,

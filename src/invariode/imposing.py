@@ -34,13 +34,13 @@ class ImposeResult:
     y : ndarray, (n,) or (n, n_t)
         The projected points; those that did not converge are as they were given.
     converged : bool or ndarray of bool, (n_t,)
-        Where every residual is roundoff: at most ``10 ε (|value_i| + Σ_j |J_ij y_j|)``.
+        Whether every residual is roundoff: at most ``10 ε (|value_i| + Σ_j |J_ij y_j|)``.
     residual : ndarray, (m,) or (m, n_t)
         g(t, y) - value at the points returned.
     iterations : int or ndarray of int, (n_t,)
         Gauss-Newton iterations spent.
     sol : callable or None
-        Of a result with dense output: that, projected; ``sol(t)`` has shape (n,) or (n, n_t).
+        The dense output of the result, if it has one, projected; ``sol(t)`` has shape (n,) or (n, n_t).
     """
 
     y: Array
@@ -67,7 +67,7 @@ class ImposedDense:
 
 
 class _Points(Protocol):
-    """What a result must have to be imposed on: a `Solution` or SciPy's."""
+    """What `impose` needs of a result, a `Solution` or SciPy's."""
 
     @property
     def t(self) -> Any: ...
@@ -118,7 +118,7 @@ def impose(
     invariants : callable, Invariants, or list of these
         As for `solve_ivp`.
     t : float or array_like of shape (n_t,), or a result
-        Times of the points; or a `Solution` or a result of SciPy's, whose t and y are taken.
+        Times of the points; or a `Solution` or a result of SciPy's, for its t and y.
     y : array_like, (n,) or (n, n_t)
         One point, or points in columns.
     value : float or array_like of shape (m,), optional
@@ -126,7 +126,7 @@ def impose(
     args : tuple, optional
         Extra arguments of the functions.
     rtol, atol : float or array_like of shape (n,)
-        The weights ``max(|y|, atol / rtol)`` in which 'nearest' is meant. Default 1e-3, 1e-6.
+        They give the weights ``max(|y|, atol / rtol)`` of the distance. Default 1e-3, 1e-6.
 
     Returns
     -------
@@ -136,13 +136,13 @@ def impose(
     Raises
     ------
     TypeError
-        `t` is no result, and there is no `y`.
+        `t` is not a result, and `y` is missing.
     ValueError
-        The shapes of t and y do not match; an invariant is not finite at the first point; there is no invariant.
+        The shapes of t and y do not match; an invariant is not finite at the first point; none is given.
 
     Notes
     -----
-    Gauss-Newton iterations, each with a fresh Jacobian, until the correction stagnates at roundoff, 50 at the most.
+    At most 50 Gauss-Newton iterations, each with a fresh Jacobian, until the correction stagnates at roundoff.
 
     Examples
     --------
@@ -163,12 +163,12 @@ def impose(
         raise ValueError("impose needs at least one invariant")
     if any(one.direction == "stages" for one in listed):
         raise ValueError(
-            'impose has no steps whose stages could be a direction: give it invariants with direction="gradient"'
+            'impose has no steps, hence no stages to correct along: give it invariants with direction="gradient"'
         )
     if one_sided := [one for one in listed if one.sense]:
         raise ValueError(
             f"impose is for invariants, and {one_sided[0]!r} has no value at a single point: leave it out; "
-            "sol.residual and plot_drift tell where it rises"
+            "sol.residual and plot_drift show where it rises"
         )
     if points.shape[1] == 0:
         empty = np.zeros(0, dtype=int)

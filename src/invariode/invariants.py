@@ -48,33 +48,34 @@ class Invariants:
         n + 1. Default: complex steps where g takes complex y and they agree with a difference at the start, else
         central differences.
     value : float or array_like of shape (m,), optional
-        The value to be held; constraints have 0. Default: that of g at the initial point.
+        The value to hold; 0 for constraints. Default: the value of g at the initial point.
     names : str or sequence of m str, optional
         For messages and tables. Default: the name of `fun`.
     iterations : int, optional
-        Projection iterations per step. Default: that of the method, 1, or 2 for the pairs of order 5 and more (paper,
-        section 4).
+        Projection iterations per step. Default: the method's, which is 1, or 2 for the pairs of order 5 and higher
+        (paper, section 4).
     when : {'always', 'needed'}, default 'always'
-        Project after every step (paper, section 4), or leave alone what is closer to the manifold than 0.01 of the
-        tolerance, which saves the evaluation of the Jacobian there.
+        Project after every step (paper, section 4), or only if the distance from the manifold exceeds 0.01 of the
+        tolerance, which saves evaluations of the Jacobian.
     level : int, default 0
-        Order of correction. Invariants of level 0 are imposed first; those of a later level are imposed by corrections
-        that leave what the levels before hold as it is, to first order, and are iterated until roundoff is left, at
-        most `iterations` times, by default 10. All at level 0: one correction for all together (paper, section 3).
+        Order of correction. Invariants of level 0 are imposed first. Corrections of a later level do not disturb the
+        earlier ones, to first order; they are repeated until only roundoff is left, at most `iterations` times, by
+        default 10. If all invariants are at level 0, one correction serves them all (paper, section 3).
     moves : sequence of int, optional
         The components of y that the correction may move; one set for all invariants of a level. Default: all. The
-        others tell nothing of the distance to the manifold: an invariant must depend on some of these.
+        distance to the manifold is measured in these alone: an invariant must depend on some of them.
     direction : {'gradient', 'stages'}, default 'gradient'
-        Where corrections may point: anywhere, which makes them the least ones, along the gradients; or among the stages
-        of the step (the slopes of a Runge-Kutta or Rosenbrock method, the differences of a multistep method), all of
-        which keep what is linear in y. Linear invariants that nobody names, as momenta and total masses, then survive
-        the projection onto others to roundoff, in the output between steps too. One for all invariants of a run, all at
-        level 0, without `metric`, `bounds` and mass matrices. See Notes.
+        Where corrections may point: anywhere, so that the smallest ones are along the gradients; or into the span of
+        the stages of the step (the slopes of a Runge-Kutta or Rosenbrock method, the differences of a multistep
+        method), which keep whatever is linear in y. Linear invariants that are not listed, such as momenta and total
+        masses, then survive the projection onto others to roundoff, in the output between steps too. All invariants of
+        a run share one direction; 'stages' requires level 0 and excludes `metric`, `bounds` and mass matrices. See
+        Notes.
     metric : array_like of shape (k,) or (k, k), or callable, optional
-        Makes δᵀ G δ the square of a correction δ, and so the one that is the least: G, its diagonal or all of it,
-        constant or ``G(t, y, *args)``, of the k components of `moves`, in their order; one for all invariants of a
-        level, for real problems. Where it is not positive definite, and by default, it is the diagonal with 1 / w²,
-        w the weights of the error test.
+        The matrix G that measures corrections: the one with the smallest δᵀ G δ is made. Its diagonal or all of it,
+        constant or ``G(t, y, *args)``, for the k components of `moves`, in their order; one for all invariants of a
+        level; only for real problems. Default, also used wherever G is not positive definite: the diagonal 1 / w², with
+        the weights w of the error test.
 
     Notes
     -----
@@ -82,13 +83,13 @@ class Invariants:
     invariants are dropped with a warning. A function that the equations do not conserve is refused.
 
     Constraints of mechanics have levels: positions are put on φ(q) = 0 by moving q alone, then velocities on φ̇ = 0 by
-    moving v alone, so that errors of v do not move q. The least correction in the metric of the mass matrix is what
-    forces of the constraints do, so that it changes no momentum which these keep. `MechanicalSystem` sets all this.
+    moving v alone, so that errors of v do not move q. In the metric of the mass matrix the smallest correction acts as
+    constraint forces do, and changes no momentum that these conserve. `MechanicalSystem` sets all this.
 
-    With ``direction="stages"`` the correction is the least one in the span of the stages (M. Kojima, BIT 56 (2016)
-    1087-1102; M. Najafian, B. C. Vermeire, arXiv:2409.18328). The hazard: where gradients are nearly orthogonal to all
-    of these, as where stages differ by roundoff only, it is long. An invariant of whose gradient less than 0.01 is left
-    there is not corrected in that step.
+    With ``direction="stages"`` the correction is the smallest one in the span of the stages (M. Kojima, BIT 56 (2016)
+    1087-1102; M. Najafian, B. C. Vermeire, arXiv:2409.18328). If the gradients are nearly orthogonal to that span, for
+    example because the stages differ only by roundoff, corrections become long: an invariant is not corrected in a step
+    where less than 0.01 of its gradient is in the span.
 
     Examples
     --------
@@ -135,7 +136,7 @@ class Invariants:
         return 0
 
     def _in_core(self, n: int) -> tuple[Any, Any] | None:
-        """The function and its Jacobian of n real components where the core has them itself."""
+        """The function and its Jacobian for n real components, if the core has them built in."""
         return None
 
     def __repr__(self) -> str:
@@ -146,7 +147,7 @@ class Invariants:
 class AccuracyWarning(UserWarning):
     """Projection moves a component of the solution by much more than its estimated error: it may do harm there.
 
-    Said once: of a run, of all trajectories of an ensemble, or by one of the classes in ``invariode.scipy``.
+    Given once: for a run, for all trajectories of an ensemble, or by one of the classes in ``invariode.scipy``.
     """
 
 
@@ -177,7 +178,7 @@ def _names(names: object) -> list[str]:
 
 def _level(level: object) -> int:
     try:
-        result = operator.index(level)  # type: ignore[arg-type]  # what is no integer is told apart right here
+        result = operator.index(level)  # type: ignore[arg-type]  # anything but an integer is caught here
     except TypeError:
         result = -1
     if result < 0:
@@ -188,9 +189,9 @@ def _level(level: object) -> int:
 def _direction(direction: object) -> Literal["gradient", "stages"]:
     if direction == "relaxation":
         raise ValueError(
-            'direction of an invariant cannot be "relaxation": that moves the end of the step, away from where output, '
-            'events and the end of the interval ask for it, and keeps one invariant only; "stages" has its direction '
-            "among others, and keeps linear invariants as well"
+            'direction of an invariant cannot be "relaxation", which changes the length of a step, so that it misses '
+            'times of output, events and the end of the interval, and which keeps only one invariant: use "stages", '
+            "whose corrections include that direction, and which keeps linear invariants too"
         )
     return cast("Literal['gradient', 'stages']", choice("direction", direction, ("gradient", "stages")))
 
@@ -208,7 +209,7 @@ def _metric(metric: object) -> Any:
 
 def _components(moves: object) -> list[int]:
     try:
-        indices = [operator.index(index) for index in moves]  # type: ignore[attr-defined]  # the same
+        indices = [operator.index(index) for index in moves]  # type: ignore[attr-defined]  # likewise
     except TypeError:
         raise TypeError(f"moves must be a list of indices of components of y, got {moves!r}") from None
     if not indices or min(indices) < 0 or len(set(indices)) < len(indices):

@@ -60,7 +60,7 @@ def solve_ivp(
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'
         A name in `METHODS`, or SciPy's name of the same method ('RK23', 'RK45', 'DOP853',
-        'BDF').
+        'Radau', 'BDF', 'LSODA').
     {by_position}
 
     Other Parameters

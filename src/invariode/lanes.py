@@ -1,11 +1,12 @@
-"""Trajectories side by side: the form of a compiled function that works in all lanes of vector registers at once.
+"""Trajectories side by side: the form of a compiled function, f or what comes with it, that works in all lanes of
+vector registers at once.
 
     void code(void* unused, const double* t, const double* y, double* out, const double* p)
 
-with t (lanes,), y and out (n, lanes), p (k, lanes). numba compiles a loop over the lanes whose number it does not know.
-In its intermediate representation the number becomes a constant and the arguments are said not to overlap; then LLVM
-optimises it once more, and its loop vectoriser finds a clean loop. A function that it does not vectorise has no such
-form.
+with t (lanes,), y (n, lanes), out (its values, lanes), p (k, lanes). numba compiles a loop over the lanes whose number
+it does not know. In its intermediate representation the number becomes a constant and the arguments are said not to
+overlap; then LLVM optimises it once more, and its loop vectoriser finds a clean loop. A function that it does not
+vectorise has no such form.
 
 numba.cuda compiles the same loop body, a lane being a thread there: what is missing for that is in
 docs/howto/ensembles.md.
@@ -17,13 +18,17 @@ import importlib
 import math
 import re
 import threading
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import _core
 from ._arguments import warn
-from .compiled import CompiledFunction, made_by_compile
+from .compiled import Compiled, made_by_compile
 
-__all__ = ["LaneCode", "Lanes", "choose_lanes"]
+if TYPE_CHECKING:
+    from ._machine_code import MachineCode
+
+__all__ = ["Lanes", "choose_lanes"]
 
 #: With fewer trajectories the form, which takes about half a second to compile, is not made.
 FEWEST = 1000
@@ -35,28 +40,21 @@ _ENTRY = "invariode_lanes"
 _GROUP = 9999
 
 
-class LaneCode(NamedTuple):
-    """Machine code for all lanes, and what keeps it alive."""
-
-    address: int
-    owner: Any
-
-
 class Lanes(NamedTuple):
     """How an ensemble is solved: in the lanes of `instructions`, or one trajectory at a time, for a `reason`."""
 
     instructions: str = ""
     width: int = 1
-    code: LaneCode | None = None
+    codes: tuple[MachineCode, ...] = ()
     reason: str = ""
 
-    def for_core(self) -> tuple[str, int] | None:
+    def for_core(self) -> tuple[str, list[int]] | None:
         """What `integrate_all` takes."""
-        return None if self.code is None else (self.instructions, self.code.address)
+        return (self.instructions, [code.address for code in self.codes]) if self.codes else None
 
     def described(self, alone: int = 0) -> str:
         """In words, with the number of trajectories that were left to the code for one at a time."""
-        if self.code is None:
+        if not self.codes:
             return f"one at a time: {self.reason}"
         left = f"; {alone} trajectories one at a time" if alone else ""
         return f"{self.width} lanes, {self.instructions}{left}"
@@ -70,58 +68,67 @@ _making = threading.Lock()
 _warned = False
 
 
-def choose_lanes(solver: _core.Solver, fun: Any, size: int) -> Lanes:
-    """How `size` trajectories of this solver are solved; `fun` is f as the core calls it."""
+def choose_lanes(solver: _core.Solver, functions: Mapping[str, Any], size: int) -> Lanes:
+    """How `size` trajectories of this solver are solved; `functions` are those of its problem, as the core calls them,
+    by what they are called in reasons: f, then those of an invariant that is held."""
     obstacle = solver.obstacle_to_lanes
     if obstacle is not None:
         return Lanes(reason=obstacle)
-    made = made_by_compile(fun)
-    if made is None:
-        return Lanes(reason="f is not made by invariode.compile, or has inputs")
-    compiled, n, parameters = made
+    made = {called: made_by_compile(fun) for called, fun in functions.items()}
+    for called, one in made.items():
+        if one is None:
+            return Lanes(reason=f"{called} is not made by invariode.compile, or has inputs")
     name, width, bits = next(one for one in _core.LANES if FORCED in (None, one[0]))
-    forms, key = compiled.lane_forms, (n, parameters, name)
-    if size < FEWEST and key not in forms:
-        return Lanes(reason=f"fewer than {FEWEST} trajectories do not pay for compiling f once more")
-    with _making:
-        if key not in forms:
-            forms[key] = _lane_code(compiled, n, parameters, width, bits)
-        code = forms[key]
-    return Lanes(reason=code) if isinstance(code, str) else Lanes(name, width, code)
+    codes = []
+    for called, one in made.items():
+        assert one is not None
+        forms, key = one.function.lane_forms, (*one[1:], name)
+        if size < FEWEST and key not in forms:
+            return Lanes(reason=f"fewer than {FEWEST} trajectories do not pay for compiling {called} once more")
+        with _making:
+            if key not in forms:
+                forms[key] = _lane_code(one, width, bits)
+            code = forms[key]
+        if isinstance(code, str):
+            return Lanes(reason=code.format(f=called))
+        codes.append(code)
+    return Lanes(name, width, tuple(codes))
 
 
-def _lane_code(compiled: CompiledFunction, n: int, parameters: int, width: int, bits: int) -> LaneCode | str:
-    """The form, or the reason why f has no form for lanes."""
+def _lane_code(made: Compiled, width: int, bits: int) -> MachineCode | str:
+    """The form, or the reason why the function {f} has no form for lanes."""
     global _warned
-    reason = ""
+    reason, own = "", made.function.has_own_functions(*made[1:])
     for by_tuples in (False, True):  # loops over len(y) are unrolled for tuples only
         try:
-            return _vectorised(_loop(compiled, n, parameters, width, by_tuples), width, bits)
+            return _vectorised(_loop(made, width, by_tuples), width, bits, own)
         except _NotVectorisedError as error:
             reason = reason or str(error)
         except Exception as error:  # whatever internals of numba and llvmlite have changed
             if not _warned:
                 warn(f"this version of numba has no lanes: {error!r}. Ensembles are solved one trajectory at a time")
                 _warned = True
-            return f"this version of numba is not known: {error!r}"
+            return f"this version of numba is not known: {_literal(repr(error))}"
     return reason
 
 
-def _loop(compiled: CompiledFunction, n: int, parameters: int, width: int, by_tuples: bool) -> Any:
-    """numba's compilation of f in a loop over a number of lanes that it does not know."""
+def _loop(made: Compiled, width: int, by_tuples: bool) -> Any:
+    """numba's compilation of the function in a loop over a number of lanes that it does not know."""
+    compiled, n, size, parameters, event = made
     numba: Any = importlib.import_module("numba")
     config, pointer = numba.core.config, numba.types.CPointer(numba.types.double)
 
     def row(name: str, size: int) -> str:
         return f"({''.join(f'{name}_[{i * width} + l],' for i in range(size))})" if by_tuples else f"{name}[:, l]"
 
-    head = [f"y = carray(y_, ({n}, {width}))", f"out = carray(out_, ({n}, {width}))"]
+    fills = compiled.inplace and not event
+    head = [f"y = carray(y_, ({n}, {width}))", f"out = carray(out_, ({size}, {width}))"]
     head += [f"p = carray(p_, ({parameters}, {width}))"] if parameters else []
-    values = ["t_[l]", row("y", n), *(["out[:, l]"] if compiled.inplace else [])]
+    values = ["t_[l]", row("y", n), *(["out[:, l]"] if fills else [])]
     values += [row("p", parameters)] if parameters else []
     call = f"f({', '.join(values)})"
-    unfilled = f"for i in range({n}): out[i, l] = nan"  # what f does not fill is not defined
-    body = [unfilled, call] if compiled.inplace else [f"r = {call}", *_stores(compiled, n, parameters)]
+    unfilled = f"for i in range({size}): out[i, l] = nan"  # what f does not fill is not defined
+    body = [unfilled, call] if fills else [f"r = {call}", *_stores(made)]
     lines = ["def code(lanes, t_, y_, out_, p_):", *head, "for l in range(lanes):", *(f"    {line}" for line in body)]
     namespace: dict[str, Any] = {"f": compiled.jitted, "carray": numba.carray, "nan": math.nan}
     exec("\n    ".join(lines), namespace)
@@ -130,56 +137,53 @@ def _loop(compiled: CompiledFunction, n: int, parameters: int, width: int, by_tu
     try:
         return numba.cfunc(signature, error_model="numpy")(namespace["code"])
     except numba.core.errors.NumbaError as error:
-        raise _NotVectorisedError(f"numba does not compile f for lanes: {str(error).splitlines()[0]}") from error
+        raise _NotVectorisedError(
+            f"numba does not compile {{f}} for lanes: {_literal(str(error).splitlines()[0])}"
+        ) from error
     finally:
         config.LOOP_VECTORIZE = kept
 
 
-def _stores(compiled: CompiledFunction, n: int, parameters: int) -> list[str]:
+def _literal(text: str) -> str:
+    """For a reason, in which `format` puts the name of the function."""
+    return text.replace("{", "{{").replace("}", "}}")
+
+
+def _stores(made: Compiled) -> list[str]:
     """Lines that store the result r of f in lane l."""
     from numba import types
 
-    result = compiled.result_type(n, parameters)
+    result = made.function.result_type(made.n, made.size, made.parameters)
     if isinstance(result, types.BaseTuple):
-        return [f"out[{i}, l] = r[{i}]" for i in range(n)]
+        return [f"out[{i}, l] = r[{i}]" for i in range(made.size)]
     if isinstance(result, types.Number):
         return ["out[0, l] = r"]
-    raise _NotVectorisedError("f returns a list or an array: return a tuple")
+    raise _NotVectorisedError("{f} returns a list or an array: return a tuple")
 
 
-def _vectorised(code: Any, width: int, bits: int) -> LaneCode:
+def _vectorised(code: Any, width: int, bits: int, own: bool) -> MachineCode:
     """numba's loop with a constant number of lanes, optimised once more."""
     import llvmlite.binding as llvm
-    from numba.core.registry import cpu_target
 
-    text = code._library.get_llvm_str()
+    from . import _machine_code as made
+
+    text, calls = made.own(code._library.get_llvm_str()) if own else (code._library.get_llvm_str(), [])
     found = re.search(r"define [^@]*@(_ZN[^(]*code[^(]*)\(ptr", text)
     if found is None:
         raise RuntimeError("the compiled loop has another name or other pointers")
-    module = llvm.parse_assembly(text + _entry(found[1], width, bits, known_assume="@llvm.assume(i1" in text))
-    for function in module.functions:
-        if not function.is_declaration and function.name != _ENTRY:
-            function.linkage = llvm.Linkage.private
-            if function.name == found[1]:
-                function.add_function_attribute("alwaysinline")
-    machine = _machine(llvm, cpu_target.target_context.codegen())
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.loop_vectorization, options.slp_vectorization = True, False
-    options.loop_unrolling = options.loop_interleaving = False
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
-    _require_vectors(str(module))
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    return LaneCode(engine.get_function_address(_ENTRY), (engine, code))
-
-
-def _machine(llvm: Any, codegen: Any) -> Any:
-    """A target machine with numba's own options: the code must have the same bits."""
-    options: dict[str, Any] = {"opt": 3}
-    codegen._tm_features = codegen._customize_tm_features()
-    codegen._customize_tm_options(options)
-    return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(**options)
+    entry = _entry(found[1], width, bits, known_assume="@llvm.assume(i1" in text)
+    forms = made.side_by_side(calls, bits // 64)
+    module = llvm.parse_assembly(text + made.declarations(calls, forms) + entry)
+    made.hide(module, _ENTRY)
+    module.get_function(found[1]).add_function_attribute("alwaysinline")
+    machine = made.machine()
+    made.optimise(module, machine, loop_vectorization=True)
+    text = str(module)
+    _require_vectors(text)
+    if calls:
+        module = made.linked(text, bits)
+        made.optimise(module, machine, loop_vectorization=False)
+    return made.finished(module, machine, _ENTRY, code)
 
 
 def _entry(loop: str, width: int, bits: int, known_assume: bool) -> str:
@@ -213,8 +217,8 @@ def _require_vectors(text: str) -> None:
     body = text[start : text.index("\n}", start)]
     if re.search(r"= f(?:add|sub|mul|div|neg) (?:\w+ )*double", body) or _loops(body) > 1:
         raise _NotVectorisedError(
-            "LLVM does not vectorise f over lanes: return a tuple, and leave out arrays made in f, long loops, loops "
-            "until convergence and exceptions"
+            "LLVM does not vectorise {f} over lanes: return a tuple, and leave out arrays that it makes, long loops, "
+            "loops until convergence and exceptions"
         )
 
 

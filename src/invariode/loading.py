@@ -212,7 +212,7 @@ def _of_checkpoint(path: PathLike, stored: Stored, problem: Description, given: 
         t_events=[arrays[f"t_events.{e}"] for e in events] if events else None,
         y_events=[arrays[f"y_events.{e}"] for e in events] if events else None,
         **{name: about[name] for name in PLAIN},
-        stats=Stats(**about["stats"]),
+        stats=_stats(about["stats"]),
         steps=_steps(arrays["steps"], about["methods"]) if "steps" in arrays else None,
         t_end=t_end,
         _invariants=bound,
@@ -289,7 +289,7 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         y_events=None if events is None else [arrays[f"y_events.{i}"] for i in range(events)],
         **{name: about[name] for name in PLAIN},
         t_end=about["t_end"] if about["version"] > 1 else _last_time(arrays, dense),
-        stats=Stats(**{"switches": 0, "products": 0, "linear_iterations": 0, **about["stats"]}),
+        stats=_stats(about["stats"]),
         steps=_steps(arrays["steps"], about.get("methods", [""])) if "steps" in arrays else None,
         _invariants=g,
         _rtol=arrays["rtol"].tolist(),
@@ -358,3 +358,16 @@ def _bind_again(
             f"solution is {now[i, p]:.3g} times the tolerance from its value, and was {before[i, p]:.3g} times"
         )
     return bound
+
+
+def _stats(stored: dict[str, Any]) -> Stats:
+    """What a file has; those of former versions have less, and JSON has no tuples."""
+    return Stats(
+        **{
+            "switches": 0,
+            "products": 0,
+            "linear_iterations": 0,
+            **stored,
+            "discontinuities": tuple(stored.get("discontinuities", ())),
+        }
+    )

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import inspect
-import io
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
-
-import numpy as np
 
 from ._arguments import call_name
 
 __all__ = ["html_of_check", "html_of_ensemble", "html_of_problem", "html_of_solution", "latex_of_polynomial"]
 
-#: The most components, failures and lines of source that are shown.
+#: The most components and failures that are shown.
 _MOST = 12
-
-#: A picture of a run with more outputs would take longer than the eye waits.
-_PICTURED = 200_000
 
 
 def html_of_problem(problem: Any) -> str:
@@ -38,8 +31,8 @@ def html_of_problem(problem: Any) -> str:
     return _titled(problem.name, _table(rows)) + _source(problem.fun)
 
 
-def html_of_solution(sol: Any) -> str:
-    """How the run went, what it kept, and a small picture if matplotlib is installed."""
+def html_of_solution(sol: Any, picture: str) -> str:
+    """How the run went and what it kept, beside a small picture."""
     stats = sol.stats
     rows = [
         ("status", f"{'✓' if sol.success else '✗'} {sol.message}"),
@@ -58,7 +51,7 @@ def html_of_solution(sol: Any) -> str:
         body += _table(
             [(name, f"{value:.6g}", f"{before:.1e}", f"{after:.1e}") for name, value, before, after in
              zip(drift.names, *columns, strict=True)], head)  # fmt: skip
-    return _titled(sol._names.problem, f'<div style="display:flex;gap:2em">{_picture(sol)}<div>{body}</div></div>')
+    return _titled(sol._names.problem, f'<div style="display:flex;gap:2em">{picture}<div>{body}</div></div>')
 
 
 def html_of_ensemble(ensemble: Any) -> str:
@@ -138,22 +131,3 @@ def _source(fun: Any) -> str:
     except (OSError, TypeError):  # typed at a prompt, or machine code
         return ""
     return f"<details><summary>fun</summary><pre>{html.escape(inspect.cleandoc(text))}</pre></details>"
-
-
-def _picture(sol: Any) -> str:
-    """The components over t; empty if there is nothing to draw, or no matplotlib."""
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        return ""
-    if not 2 <= len(sol.t) <= _PICTURED or not np.isfinite(sol.y).all():
-        return ""
-    figure = Figure(figsize=(3.2, 2.0), layout="constrained")
-    ax = figure.add_subplot()
-    for k in range(min(len(sol.y), _MOST)):
-        ax.plot(sol.t, sol.y[k].real, linewidth=1)
-    ax.tick_params(labelsize=7)
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=100)
-    picture = base64.b64encode(file.getvalue()).decode()
-    return f'<img alt="components over t" src="data:image/png;base64,{picture}">'

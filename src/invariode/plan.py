@@ -15,7 +15,16 @@ from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times,
 from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
 from ._files import PathLike
-from ._messages import MESSAGES, Laws, inconsistent_start, limit_reached, out_of_bounds, refusal, status_and_message
+from ._messages import (
+    MESSAGES,
+    Laws,
+    inconsistent_start,
+    limit_reached,
+    out_of_bounds,
+    refusal,
+    remarked,
+    status_and_message,
+)
 from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
@@ -98,6 +107,13 @@ class Functions(NamedTuple):
     value: Array  # at which they are held
     limits: Limits | None  # of y
 
+    def in_lanes(self) -> dict[str, Any]:
+        """What is evaluated in each step, by how messages call it: f, and g and its Jacobian of the first invariant."""
+        functions = {"f": self.fun}
+        for invariant in self.invariants[:1]:
+            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
+        return functions
+
 
 class Plan(NamedTuple):
     """What a run does, and the names in its messages."""
@@ -134,10 +150,11 @@ class Plan(NamedTuple):
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
         ended = MESSAGES.get(run.state)
-        if ended is not None and not run.stiff:
+        if ended is not None and not run.remarkable:
             return ended
         if run.state == "limit_reached":
-            return LIMIT_REACHED, limit_reached(run, self.settings.limit(run.limit), self.settings.t0, self.settings.tf)
+            limit = self.settings.limit(run.limit)
+            return LIMIT_REACHED, remarked(limit_reached(run, limit, self.settings.t0, self.settings.tf), run)
         return status_and_message(run, self.laws, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
@@ -367,13 +384,15 @@ def _linear_algebra(
     if "jac" not in method.options:
         return None, problem.y0
     # SciPy's sparse matrices take longer to import than everything else
-    from ._matrices import prepare, too_large_to_be_dense
+    from ._matrices import Start, prepare, too_large_to_be_dense
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
     if "prefer" in method.options and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
-    linear = prepare(matrices, t0, y0, problem.args, parameters, _matrix_free(problem, matrices, options, parameters))
+    compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
+    start = Start(fed(problem.fun, problem.inputs), t0, y0, problem.args, parameters, complex_by_default=compiled)
+    linear = prepare(matrices, start, _matrix_free(problem, matrices, options, parameters))
     if not linear.algebraic:
         return linear, y0
     if options["linear_solver"] == "gmres":

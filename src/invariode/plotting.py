@@ -30,6 +30,9 @@ if TYPE_CHECKING:  # an extra, imported when a picture is drawn
 __all__ = ["animate", "plot", "plot_drift", "plot_phase", "plot_steps"]
 
 
+#: Points between a film and its title, for the clock, which narrow axes would not hold beside the title.
+_TITLE = 22
+
 _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
@@ -265,8 +268,8 @@ class Plots(Result):
 
         Notes
         -----
-        Frames are equally spaced in t, at states of ``sol.sol``. Without dense output each shows the nearest point of
-        the output: give ``dense_output=True``, or many points in `t_eval`, for smooth motion.
+        Frames are equally spaced in t, at states of ``sol.sol``, or without dense output on the curves of `plot`.
+        Output at `t_eval` says nothing about the solution in between: each frame shows the nearest point, so give many.
         """
         require_matplotlib()
         from .animation import Film, film_size, motion, polylines
@@ -283,7 +286,9 @@ class Plots(Result):
         projection = {"subplot_kw": {"projection": "3d"}} if space else {}
         ax = new(self, figsize=film_size(shown.points), **projection)
         ax.set(xlabel="$x$", ylabel="$y$", **({"zlabel": "$z$"} if space else {}))
+        ax.set_title(ax.get_title(), pad=_TITLE)
         film = Film(ax, shown, joined, fps, line)
+        film.show(0)
         film.figure.draw_without_rendering()  # laid out once: the frames stand still
         film.figure.set_layout_engine("none")
         return film

@@ -26,7 +26,7 @@ __all__ = ["PreparedSolver"]
 Cover: TypeAlias = tuple[float, float, float]
 """t0, tf and the largest step."""
 
-#: Options that the caller may change later.
+#: Options whose arrays the caller may change later: copies are kept.
 _KEPT: tuple[Literal["t_eval", "rtol", "atol", "breakpoints"], ...] = ("t_eval", "rtol", "atol", "breakpoints")
 #: Options that must fit the interval.
 _OF_SPAN: tuple[Literal["t_eval", "breakpoints", "first_step"], ...] = ("t_eval", "breakpoints", "first_step")
@@ -60,7 +60,7 @@ class PreparedSolver:
         self._members = core.members
         self._complex = plan.functions.complex
         self._max_step = None if options.get("max_step") is None else plan.settings.max_step
-        # Whether the plan stays as it is with another y0, other args, another interval.
+        # Whether the plan holds for another y0, for other args, for another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native
         free = not problem.inputs and not any(plan.senses)  # what is dissipated depends on the direction of time
@@ -115,9 +115,9 @@ class PreparedSolver:
         if self._complex:
             y0 = y0.view(float)
         run = core.integrate_anew(y0, args, cover)
-        if run is None and args is not None:  # not floats only
+        if run is None and args is not None:  # not only floats
             run = core.integrate_anew(y0, native_parameters(args, [self.problem.fun]), cover)
-        self._idle.append(core)  # but not one that an exception has left
+        self._idle.append(core)  # but not after an exception
         return run
 
     def _as_run(self, run: _core.Run, args: tuple[Any, ...] | None, cover: Cover | None) -> Plan:

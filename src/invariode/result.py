@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from ._arguments import Array, real_numbers
 from ._bound_invariants import BoundInvariants, as_columns
 from ._core import Dense
-from .notebook import html_of_solution
 
 __all__ = [
     "LIMIT_REACHED",
     "BeforeProjection",
     "DenseSolution",
+    "DiscontinuityWarning",
     "Drift",
     "Names",
     "Record",
@@ -66,7 +66,7 @@ class Stats(Record):
     nfev : int
         Evaluations of f by the method.
     nfev_check : int
-        Evaluations of f by the tests of invariants; not in `nfev`.
+        Evaluations of f by the tests of invariants, and in search of its jumps; not in `nfev`.
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
@@ -107,6 +107,13 @@ class Stats(Record):
         of the accelerations was factorised, 'sparse' and 'dense'.
     stiff_since : float or None
         From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
+    jacobian : str or None
+        How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
+        differences replaced complex steps, and the sparsity pattern if it was detected; 'products' with
+        ``linear_solver="gmres"``; None for explicit methods.
+    discontinuities : tuple of float
+        Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
+        value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
     """
 
     steps: int
@@ -130,10 +137,16 @@ class Stats(Record):
     clipped_amount: float = 0.0
     mechanics: dict[str, Any] | None = None
     stiff_since: float | None = None
+    jacobian: str | None = None
+    discontinuities: tuple[float, ...] = ()
 
 
 class StiffnessWarning(UserWarning):
     """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff."""
+
+
+class DiscontinuityWarning(UserWarning):
+    """f looks discontinuous where attempts fail: `breakpoints` and events save them."""
 
 
 class Steps(Record):
@@ -466,9 +479,6 @@ class Result(dict[str, Any]):
         if self.steps is None:
             raise ValueError('the run did not keep the corrections of its steps: solve with keep="all"')
         return self.steps.correction
-
-    def _repr_html_(self) -> str:
-        return html_of_solution(self)
 
     def __repr__(self) -> str:
         width = max((len(str(name)) for name in self), default=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -16,7 +17,14 @@ from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._bound_invariants import Jump, as_columns
 from ._calls import explain
 from ._interruption import stopped_by_interrupt
-from ._messages import MESSAGES, harmful_projection, limited_by_stability
+from ._messages import (
+    MESSAGES,
+    complex_steps_left,
+    discontinuous,
+    formed,
+    harmful_projection,
+    limited_by_stability,
+)
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
 from ._run_identity import identity
@@ -27,7 +35,7 @@ from .description import Description
 from .invariants import AccuracyWarning
 from .methods import find_method
 from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, Stats, Steps, StiffnessWarning
+from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, DiscontinuityWarning, Stats, Steps, StiffnessWarning
 from .solution import Solution
 
 __all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
@@ -162,6 +170,8 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
 def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
+        if "checkpoint_every" in source.options:
+            warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
     who = identity(source.problem, source.method, source.options)
     return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
@@ -193,9 +203,18 @@ def presented(
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
+    if not math.isnan(run.left_complex_steps) and source.problem.matrices.jac is not None:
+        warn(complex_steps_left(run.left_complex_steps))
+    if run.remarkable:
+        _warn_of_steps(run, plan)
+    return sol
+
+
+def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
     if run.stiff:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
-    return sol
+    if found := run.discontinuities:
+        warn(f"{plan.method.name}: {discontinuous(found)}", DiscontinuityWarning)
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
@@ -284,16 +303,20 @@ _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 def _stats(run: _core.Run, plan: Plan) -> Stats:
     if not plan.names:  # in the order of COUNTS, of which the last three are warnings
-        return Stats(*run.counts[:-3], None, plan.moved, run.clipped, None, run.stiff_since if run.stiff else None)
-    stats = Stats(
-        *run.counts[:-3],
-        derivatives=" and ".join(sorted(set(run.derivatives))) or None,
-        projected_start=run.projected_start or plan.moved,
-        clipped_amount=run.clipped,
-        stiff_since=run.stiff_since if run.stiff else None,
-    )
-    stats.ng += plan.bound.evaluations
-    stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
+        stats = Stats(*run.counts[:-3], None, plan.moved, run.clipped)
+    else:
+        stats = Stats(
+            *run.counts[:-3],
+            derivatives=" and ".join(sorted(set(run.derivatives))) or None,
+            projected_start=run.projected_start or plan.moved,
+            clipped_amount=run.clipped,
+        )
+        stats.ng += plan.bound.evaluations
+        stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
+    stats.jacobian = formed(plan.functions.linear, run)
+    if run.remarkable:
+        stats.stiff_since = run.stiff_since if run.stiff else None
+        stats.discontinuities = tuple(run.discontinuities)
     return stats
 
 

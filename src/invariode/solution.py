@@ -8,10 +8,12 @@ from typing import Any, Protocol, Unpack
 from ._arguments import Array, unknown_option, warn
 from ._options import TABLE, ExtensionOptions
 from .export import Exports
+from .notebook import html_of_solution
+from .pictures.thumbnail import thumbnail
 from .plotting import Plots
-from .result import DenseSolution, Drift, Stats, Steps, StiffnessWarning
+from .result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 
-__all__ = ["DenseSolution", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
+__all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
 
 
 class Origin(Protocol):
@@ -117,12 +119,12 @@ class Solution(Plots, Exports):
     def extend(self, t_end: float, **options: Unpack[ExtensionOptions]) -> Solution:
         """Continues the run to `t_end`: the solution on the old interval and the new one.
 
-        The method starts again from the final state, with the problem and the options of the run. Methods of one order
-        continue with the step they had planned; ode113 and ode15s, whose memory a solution does not hold, build their
-        order up again from a new first step. Invariants keep the values at which they are held. An event that ended the
-        run, or occurred at its very end, is not found again; one with ``terminal=True`` ends the extension at its next
-        occurrence, and an integer `terminal` continues its count. The action of an event that ended the run was not
-        taken, and is not taken now.
+        If the run ended between two steps, the method goes on from its memory; after a limit or Ctrl-C the run is, to
+        the last bit, the one that had not been ended. If it ended inside a step, at a terminal event, the method starts
+        anew from there, and one of several orders builds its order up again. Problem and options are those of the run.
+        Invariants keep the values at which they are held. An event that ended the run, or occurred at its very end, is
+        not found again; one with ``terminal=True`` ends the extension at its next occurrence, and an integer `terminal`
+        continues its count. The action of an event that ended the run was not taken, and is not taken now.
 
         Parameters
         ----------
@@ -170,6 +172,9 @@ class Solution(Plots, Exports):
                 "extended. Solve from its final state"
             )
         return self._origin.extend(self, t_end, options)
+
+    def _repr_html_(self) -> str:
+        return html_of_solution(self, thumbnail(self))
 
 
 def _of_the_run(name: str) -> TypeError:

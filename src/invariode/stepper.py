@@ -11,7 +11,7 @@ from scipy.integrate import DenseOutput, OdeSolver
 from . import _core
 from ._arguments import Array, flag, unknown_option, warn
 from ._docstrings import documented
-from ._messages import harmful_projection, limited_by_stability
+from ._messages import discontinuous, harmful_projection, limited_by_stability
 from ._options import TABLE, DescribingOptions, Options, StepperOptions, parted, table_of, unused
 from ._types import Numbers
 from .compiled import is_native
@@ -19,7 +19,7 @@ from .description import Description
 from .invariants import AccuracyWarning
 from .ivp import one_column
 from .plan import make_plan, solver
-from .result import DenseSolution, StiffnessWarning, default_labels
+from .result import DenseSolution, DiscontinuityWarning, StiffnessWarning, default_labels
 
 __all__ = ["Stepper"]
 
@@ -112,7 +112,7 @@ class Stepper(OdeSolver):
         if self._stepper.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
             raise self._plan.exception(self._stepper.result()) or AssertionError
         self.y = self._state()
-        self._steps, self._warned, self._warned_stiff = 0, False, False
+        self._steps, self._warned, self._warned_stiff, self._warned_discontinuous = 0, False, False, False
         self._count()
 
     @classmethod
@@ -136,8 +136,8 @@ class Stepper(OdeSolver):
         return True, None
 
     def _watch_run(self) -> None:
-        """One warning each, if projection does harm, and if stability limits the steps. A solver does not learn that a
-        run ends before t_bound, so this is checked in steps 64, 128, 256, … too."""
+        """One warning each, if projection does harm, if stability limits the steps, and if f jumps. A solver does not
+        learn that a run ends before t_bound, so this is checked in steps 64, 128, 256, … too."""
         self._steps += 1
         if self._stepper.state == "running" and not (self._steps >= FEW_STEPS and self._steps.bit_count() == 1):
             return
@@ -147,6 +147,10 @@ class Stepper(OdeSolver):
         if since is not None and not self._warned_stiff:
             self._warned_stiff = True
             warn(f"{self._plan.method.name}: {limited_by_stability(since)}", StiffnessWarning)
+        found = self._stepper.discontinuities
+        if found and not self._warned_discontinuous:
+            self._warned_discontinuous = True
+            warn(f"{self._plan.method.name}: {discontinuous(found)}", DiscontinuityWarning)
 
     def _watch_accuracy(self) -> None:
         harmed = self._stepper.harmed

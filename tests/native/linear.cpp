@@ -182,7 +182,7 @@ TEST(difference_jacobians_of_linear_functions_are_exact_and_cost_one_f_a_group) 
     Function f = linear(A);
     Callback callback = as_callback(f);
     const Weights weights(1e-3, std::vector<double>(20, 1e-3), {});
-    Jacobian jacobian(Jacobian::Kind::differences, A, {}, weights);
+    Jacobian jacobian({.kind = Jacobian::Kind::differences}, A, weights);
     std::vector<double> y(20), slope(20);
     for (std::size_t i = 0; i < 20; ++i) y[i] = 1 + 0.1 * static_cast<double>(i);
     f(0.5, y.data(), slope.data());
@@ -195,11 +195,51 @@ TEST(difference_jacobians_of_linear_functions_are_exact_and_cost_one_f_a_group) 
   }
 }
 
+TEST(the_check_of_a_jacobian_sees_every_entry_that_counts) {
+  std::mt19937 random(5);
+  for (const Structure& structure : structures) {
+    const check::Case label(name_of(structure.kind));
+    const Matrix A = random_matrix(structure, random);
+    Matrix J = A;
+    Function f = linear(A);
+    Callback callback = as_callback(f);
+    std::vector<double> y(20, 1.0), slope(20), reach(20, 1e-8);
+    f(0.5, y.data(), slope.data());
+    JacobianCheck check(20);
+    const auto verdict = [&](std::size_t turn) {
+      return check.examine(callback, 0.5, y.data(), slope.data(), J, reach.data(), turn);
+    };
+    for (std::size_t turn = 0; turn < 5; ++turn) CHECK(verdict(turn) == JacobianCheck::Verdict::right);
+    CHECK(callback.calls() == 5);
+    std::vector<double> row(20, 0.0);
+    A.for_each([&](std::size_t i, std::size_t, double value) { row[i] += std::abs(value); });
+    std::size_t missing = 0;
+    J.for_each([&](std::size_t i, std::size_t, double& value) {
+      if (std::abs(value) <= 0.02 * row[i]) return;  // the check lets 0.01 pass, and a component moves by half at least
+      const double whole = std::exchange(value, 0);
+      CHECK(verdict(++missing) == JacobianCheck::Verdict::wrong);
+      value = whole;
+    });
+    CHECK(missing >= 20);
+  }
+}
+
+TEST(curvature_does_not_make_a_jacobian_wrong) {
+  Function f = [](double, const double* y, double* out) { out[0] = y[0] * y[0]; };
+  Callback callback = as_callback(f);
+  Matrix J({.n = 1});
+  J.provide();
+  const double y = 0, slope = 0, reach = 1e-3;  // f' = 0, and all that f changes by is curvature
+  JacobianCheck check(1);
+  CHECK(check.examine(callback, 0, &y, &slope, J, &reach, 0) == JacobianCheck::Verdict::right);
+  CHECK(callback.calls() == 2);
+}
+
 TEST(differences_keep_their_accuracy_where_components_differ_by_twenty_orders) {
   Function f = [](double, const double* y, double* out) { out[0] = -1e-20 * y[1] * y[1], out[1] = 1e20 * y[0] * y[0]; };
   Callback callback = as_callback(f);
   const Weights weights(1e-3, {1e-16, 1e4}, {});
-  Jacobian jacobian(Jacobian::Kind::differences, Matrix({.n = 2}), {}, weights);
+  Jacobian jacobian({.kind = Jacobian::Kind::differences}, Matrix({.n = 2}), weights);
   const double y[] = {3e-10, 2e10};
   double slope[2];
   f(0, y, slope);
@@ -218,7 +258,7 @@ TEST(entries_that_are_roundoff_are_told_and_wide_increments_replace_them) {
   };
   Callback callback = as_callback(f);
   const Weights weights(1e-4, {1e-20, 1e-20}, {});
-  Jacobian jacobian(Jacobian::Kind::differences, Matrix({.n = 2}), {}, weights);
+  Jacobian jacobian({.kind = Jacobian::Kind::differences}, Matrix({.n = 2}), weights);
   const double y[] = {1, 0};
   double slope[2];
   f(0, y, slope);
@@ -236,7 +276,7 @@ TEST(differences_go_to_the_other_side_where_f_is_not_defined) {
   Function f = [](double, const double* y, double* out) { out[0] = std::sqrt(1 - y[0]); };
   Callback callback = as_callback(f);
   const Weights weights(1e-3, {1e-3}, {});
-  Jacobian jacobian(Jacobian::Kind::differences, Matrix({.n = 1}), {}, weights);
+  Jacobian jacobian({.kind = Jacobian::Kind::differences}, Matrix({.n = 1}), weights);
   const double y = 1 - 1e-12;
   double slope = 0;
   f(0, &y, &slope);
@@ -300,7 +340,7 @@ TEST(a_singular_iteration_matrix_ends_the_run_and_is_told) {
   const Weights weights(1e-3, {1e-3}, {});
   Callback f = as_callback(problem.f);
   Mass mass(diagonal({1}), {}, Mass::Basis(1, 0));
-  const Jacobian jacobian(Jacobian::Kind::constant, diagonal({0}), {}, weights);
+  const Jacobian jacobian({.kind = Jacobian::Kind::constant}, diagonal({0}), weights);
   auto step = named("ode15s").step(f, weights, {}, {.jacobian = &jacobian, .mass = &mass});
   Integration integration(std::move(step), weights, {}, {}, {}, {}, {.tf = 1, .hmax = 0.1});
   CHECK(integration.start(problem.y0.data()) == State::running);

@@ -224,7 +224,7 @@ inline Problem without_invariants(Problem problem) {
 inline bool operator==(const Buffer<double>& a, const std::vector<double>& b) { return a.copy() == b; }
 
 inline Jacobian differences(const Weights& weights) {
-  return {Jacobian::Kind::differences, Matrix({.n = weights.size()}), {}, weights};
+  return {{.kind = Jacobian::Kind::differences}, Matrix({.n = weights.size()}), weights};
 }
 
 /// A step of a method, as runs with invariants have it: with a Jacobian by differences where it takes one.

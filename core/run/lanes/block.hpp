@@ -8,12 +8,14 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <utility>
 
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
+#include "run/lanes/held.hpp"
 #include "run/lanes/lanes.hpp"
+#include "run/lanes/measures.hpp"
+#include "run/lanes/outputs.hpp"
 #include "run/lanes/pack.hpp"
 #include "run/lanes/power.hpp"
 
@@ -21,26 +23,9 @@ namespace invariode::lanes::INVARIODE_LANES {
 
 inline constexpr double hmin_ulps = 16;  // as in integrate.cpp
 inline constexpr double stretch = 1.1;
-inline constexpr double infinity = std::numeric_limits<double>::infinity();
 // Of `StiffnessDetector`: |h λ| near the limit, what a limited step changes, with room for roundoff; how many there are
 // before anything is said.
 inline constexpr double at_least = 0.499, at_most = 0.101, limited_looks = 10;
-inline constexpr double to_integer = 4503599627370496;  // 2⁵²: what is added to it is rounded to an integer
-
-/// MaxNorm of packs: NaN gets through.
-template <int W>
-class LaneNorm {
- public:
-  void add(const Pack<W>& a) {
-    const Pack<W> size = absolute(a);
-    max_ = larger(max_, size);
-    undefined_ += 0.0 * size;  // of infinity too, which no error test passes either
-  }
-  [[nodiscard]] Pack<W> value() const { return max_ + undefined_; }
-
- private:
-  Pack<W> max_{0}, undefined_{0};
-};
 
 /// The pair T in W lanes.
 template <const auto& T, int W>
@@ -48,6 +33,7 @@ class Block {
   using P = Pack<W>;
   using M = Mask<W>;
   using Kernel = runge_kutta::Kernel<T, P>;
+  using Series = FailedSeries<P>;
   static constexpr std::size_t last = T.stages - 1;
   static constexpr unsigned every_lane = one_lane(W) - 1;
   // With fewer trajectories than this in a block they are faster one at a time (benchmarks/lanes.py).
@@ -56,12 +42,16 @@ class Block {
 
  public:
   /// How many packs a block needs, and their size.
-  static std::size_t memory(const Job& job) { return sizeof(P) * (job.n * (T.stages + 5) + 2 * job.parameters); }
+  static std::size_t memory(const Job& job) {
+    return sizeof(P) *
+           (own_memory(job) + Held<W>::memory(job) + Between<W>::memory(job, extension) + Outputs<W>::memory(job));
+  }
 
-  Block(const Job& job, Host& host, void* memory) : job_(job), host_(host) {
+  Block(const Job& job, Host& host, void* memory)
+      : Block(job, host, memory, static_cast<P*>(memory) + own_memory(job)) {
     auto* next = static_cast<P*>(memory);
     const auto take = [&next](std::size_t rows) { return std::exchange(next, next + rows); };
-    for (std::size_t k = 0; k < T.stages; ++k) k_[k] = take(job.n);
+    for (std::size_t k = 0; k < (job.looks_inside() ? T.all_stages : T.stages); ++k) k_[k] = take(job.n);
     y_ = take(job.n);
     stage_ = take(job.n);
     candidate_ = take(job.n);
@@ -69,6 +59,7 @@ class Block {
     ready_y_ = take(job.n);
     ready_k_ = take(job.n);
     ready_p_ = take(job.parameters);
+    points_ = take(Series::points * job.n)->lanes();
   }
 
   /// Until there is nothing left to take.
@@ -101,6 +92,16 @@ class Block {
       k_[0][i].lanes()[0] = from.k[i * from.stride];
     }
     for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[0] = from.p[i * from.stride];
+    if (holds()) held_.go_on(from);
+    if (job_.output_at_times()) outputs_.go_on(0, from.trajectory, from.output);
+    looked_.lanes()[0] = from.looked;
+    checks_[0] = from.checks;
+    series_[0].go_on(from.series);
+    in_series_ = series_[0].any() ? 1 : 0;
+    for (std::size_t i = 0; i < job_.n; ++i) {
+      this->from(0)[i] = from.from[i];
+      latest(0)[i] = from.latest[i];
+    }
     occupied_ = 1;
     unsigned attempts = 0;
     while (occupied_ != 0) {
@@ -111,6 +112,19 @@ class Block {
   }
 
  private:
+  static constexpr Extension extension{T.all_stages, T.degree, T.B.front().data()};
+  static constexpr std::size_t extra = T.all_stages - T.stages;
+  static std::size_t own_memory(const Job& job) {
+    return job.n * ((job.looks_inside() ? T.all_stages : T.stages) + 5 + Series::points) + 2 * job.parameters;
+  }
+  Block(const Job& job, Host& host, void* /*own*/, P* further)
+      : job_(job),
+        host_(host),
+        held_(job, std::exchange(further, further + Held<W>::memory(job))),
+        between_(job, extension, std::exchange(further, further + Between<W>::memory(job, extension))),
+        outputs_(job, host, further) {}
+
+  [[nodiscard]] bool holds() const { return job_.invariant != nullptr; }
   static int count(unsigned set) {
     int n = 0;
     for (; set != 0; set &= set - 1) ++n;
@@ -145,6 +159,7 @@ class Block {
         k_[0][i].lanes()[l] = k_[0][i].lanes()[from];
       }
       for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[l] = p_[i].lanes()[from];
+      if (holds()) held_.copy(l, from);
     }
     defined_ = every_lane;
   }
@@ -161,7 +176,7 @@ class Block {
       load(l);
     }
     const P t0(job_.t0);
-    evaluate(t0, ready_y_, ready_k_, ready_p_);
+    evaluate(job_.f, t0, ready_y_, ready_k_, ready_p_);
     start(t0);
     return true;
   }
@@ -182,7 +197,9 @@ class Block {
     const P longest = smaller(P(job_.hmax), absolute(P(job_.tf) - t0));
     const P h = choose(P(1) < longest * reciprocal, P(1) / reciprocal, longest);
     ready_h_ = job_.first_step > 0 ? P(job_.first_step) : larger(h, smallest_step(t0));
-    const unsigned bad = bits(~(norm.value() < P(infinity)));
+    M odd = ~(norm.value() < P(infinity));
+    if (holds()) odd = odd | held_.start(t0, ready_y_, ready_k_, job_.forward() * ready_h_, ready_p_);
+    const unsigned bad = bits(odd);
     int kept = 0;
     for (int l = 0; l < prepared_; ++l) {
       if (has(bad, l))
@@ -201,11 +218,17 @@ class Block {
     h_.lanes()[lane] = ready_h_.lanes()[from];
     retries_.lanes()[lane] = 0;
     steps_.lanes()[lane] = failed_.lanes()[lane] = limited_.lanes()[lane] = 0;
+    checks_[lane] = 0;
+    series_[lane].forget();
+    in_series_ &= ~one_lane(lane);
     for (std::size_t i = 0; i < job_.n; ++i) {
       y_[i].lanes()[lane] = ready_y_[i].lanes()[from];
       k_[0][i].lanes()[lane] = ready_k_[i].lanes()[from];
     }
     for (std::size_t i = 0; i < job_.parameters; ++i) p_[i].lanes()[lane] = ready_p_[i].lanes()[from];
+    if (holds()) held_.adopt(lane, from);
+    looked_.lanes()[lane] = 0;
+    if (job_.output_at_times()) outputs_.adopt(lane, trajectory_[lane], ready_y_->lanes() + from);
     occupied_ |= one_lane(lane);
     defined_ |= one_lane(lane);
   }
@@ -214,24 +237,38 @@ class Block {
   unsigned settle() {
     const unsigned ended = reached_ & occupied_, odd = odd_ & occupied_;
     if ((ended | odd) == 0) return 0;
+    if (holds() && ended != 0) held_.measure(to_mask<W>(ended), t_, y_, p_);
     for (int l = 0; l < W; ++l) {
+      if (has(ended | odd, l)) outputs_.leave(l);
       if (has(odd, l))
         host_.leave(trajectory_[l]);
       else if (has(ended, l))
-        host_.keep({trajectory_[l], y_[0].lanes() + l, W, static_cast<std::int64_t>(steps_.lanes()[l]),
-                    static_cast<std::int64_t>(failed_.lanes()[l]), evaluations(l)});
+        host_.keep(at_end(l));
     }
     occupied_ &= ~(ended | odd);
     return every_lane & ~occupied_;
   }
 
+  [[nodiscard]] Ended at_end(int lane) const {
+    const double steps = steps_.lanes()[lane];
+    return {.trajectory = trajectory_[lane],
+            .y = y_[0].lanes() + lane,
+            .stride = W,
+            .steps = static_cast<std::int64_t>(steps),
+            .failed = static_cast<std::int64_t>(failed_.lanes()[lane]),
+            .evaluations = evaluations(lane),
+            .checks = checks_[lane],
+            .held = holds() ? held_.ended(lane) : HeldToEnd{}};
+  }
+
   /// Of f: at the start, then in each attempt those of all stages but the first; the last one only in accepted steps
-  /// where it has no part in the error estimate.
+  /// where it has no part in the error estimate; and those of the extension in steps that were looked into.
   [[nodiscard]] std::int64_t evaluations(int lane) const {
     const auto steps = static_cast<std::int64_t>(steps_.lanes()[lane]);
     const auto attempts = steps + static_cast<std::int64_t>(failed_.lanes()[lane]);
     constexpr auto all = static_cast<std::int64_t>(last);
-    return 1 + (T.last_in_error() ? attempts * all : attempts * (all - 1) + steps);
+    const auto inside = static_cast<std::int64_t>(looked_.lanes()[lane]) * static_cast<std::int64_t>(extra);
+    return 1 + inside + (T.last_in_error() ? attempts * all : attempts * (all - 1) + steps);
   }
 
   [[nodiscard]] Suspended suspended(int lane) const {
@@ -245,40 +282,100 @@ class Block {
             .y = y_[0].lanes() + lane,
             .k = k_[0][0].lanes() + lane,
             .p = job_.parameters > 0 ? p_[0].lanes() + lane : nullptr,
-            .stride = W};
+            .held = holds() ? held_.suspended(lane) : nullptr,
+            .stride = W,
+            .looked = looked_.lanes()[lane],
+            .output = outputs_.number(lane),
+            .checks = checks_[lane],
+            .series = series_[lane].memory(),
+            .from = from(lane),
+            .latest = latest(lane)};
   }
 
   // ---------------------------------------------------------------------------------------------------------- a step
 
   /// One attempt in each lane, from which those that are accepted go on.
   void attempt() {
-    const P rest = P(job_.tf) - t_, forward(job_.tf >= job_.t0 ? 1 : -1);
+    const P rest = P(job_.tf) - t_;
     const P hmin = smallest_step(t_), size = larger(hmin, smaller(P(job_.hmax), h_));
     const M landing = (absolute(rest) <= stretch * size) & ~retries_;
-    const P h = choose(landing, rest, forward * size), t1 = choose(landing, P(job_.tf), t_ + h);
+    const P h = choose(landing, rest, job_.forward() * size), t1 = choose(landing, P(job_.tf), t_ + h);
     const P purified = t1 - t_, length = absolute(h);
 
-    M odd = to_mask<W>(0);
+    M odd = no_lane<W>();
     inner_stages(h, odd, std::make_index_sequence<last - 1>{});
     Kernel::candidate(y_, purified, k_, job_.n, candidate_);
-    odd = odd | mend(candidate_);
-    if constexpr (T.last_in_error()) evaluate(t1, candidate_, k_[last], p_);
+    odd = odd | mend(candidate_, y_, job_.n);
+    if constexpr (T.last_in_error()) evaluate(job_.f, t1, candidate_, k_[last], p_);
     const P error = absolute(purified) * Kernel::template error<LaneNorm<W>>(k_, job_.n, [this](std::size_t i) {
                       return weight(i, larger(absolute(y_[i]), absolute(candidate_[i])));
                     });
     odd = odd | ~(error < P(infinity));
     M accepted = (error <= P(job_.rtol)) & ~odd;
+    const P* y1 = candidate_;
+    if (holds() && bits(accepted) != 0) {
+      odd = odd | held_.project(accepted, t1, y_, candidate_, p_);
+      accepted = accepted & ~odd;
+      y1 = held_.projected();
+    }
     if constexpr (!T.last_in_error()) {
-      evaluate(t1, candidate_, k_[last], p_);
-      const M undefined = accepted & not_finite(k_[last]);
+      evaluate(job_.f, t1, y1, k_[last], p_);
+      const M undefined = accepted & not_finite(k_[last], job_.n);
       odd = odd | undefined;
       accepted = accepted & ~undefined;
     }
+    if (holds() && bits(accepted) != 0) odd = odd | judge(accepted, purified, h, t1);
+    accepted = accepted & ~odd;
+    if (job_.looks_inside() && bits(accepted) != 0) odd = odd | put_out(accepted, purified, {t_, t1, y_, y1, p_});
     control(accepted, error, length, hmin);
-    note_stability(accepted);
-    commit(accepted, t1);
-    odd_ = bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
+    note_stability(accepted, purified, y1);
+    const unsigned jumping = note_failures(bits(accepted), h, t1, y1);
+    commit(accepted, t1, y1);
+    odd_ = jumping | bits(odd | (~accepted & (length <= hmin)) | (P(limited_looks) <= limited_));
     reached_ = bits(accepted & landing);
+  }
+
+  /// Whether steps that are about to be accepted speak against the invariant.
+  M judge(const M& accepted, const P& purified, const P& h, const P& t1) {
+    const M noted = held_.to_be_noted(accepted, steps_);
+    if (bits(noted) != 0) {
+      Kernel::errors(purified, k_, job_.n, stage_);
+      held_.note_harm(noted, stage_, candidate_);
+    }
+    return held_.judge(accepted, t1, h, k_[last], steps_ + P(1), p_);
+  }
+
+  /// The outputs of steps that are about to be accepted. Returns those where these are odd.
+  M put_out(const M& accepted, const P& h, const LaneStep<W>& step) {
+    const M due = outputs_.due(accepted, step.t1), inside = outputs_.inside(due, step.t1);
+    M odd = no_lane<W>();
+    if (bits(inside) != 0) {
+      if constexpr (extra > 0) odd = inside & further_stages(h, step);
+      between_.take(step, h, k_);
+      looked_ += choose(inside, P(1), P(0));
+    }
+    if (holds()) held_.look_inside(accepted, inside, step);
+    return bits(due) != 0 ? odd | outputs_.put_out(due, step, between_, holds() ? &held_ : nullptr) : odd;
+  }
+
+  /// Those of the extension, as `Pair::extension` evaluates them. Returns where they are not sound.
+  M further_stages(const P& h, const LaneStep<W>& step) {
+    P largest(0);
+    for (std::size_t k = 0; k < T.stages; ++k) largest = larger(largest, size_of_stage(k, step));
+    M odd = no_lane<W>();
+    for (std::size_t k = T.stages; k < T.all_stages; ++k) {
+      Kernel::extension_argument(k, step.y0, h, k_, job_.n, stage_);
+      odd = odd | mend(stage_, step.y0, job_.n);
+      evaluate(job_.f, step.t1 - (1 - T.c[k]) * h, stage_, k_[k], p_);
+      odd = odd | ~(size_of_stage(k, step) <= runge_kutta::largest_slope * largest);
+    }
+    return odd;
+  }
+  [[nodiscard]] P size_of_stage(std::size_t k, const LaneStep<W>& step) const {
+    LaneNorm<W> norm;
+    for (std::size_t i = 0; i < job_.n; ++i)
+      norm.add(k_[k][i] / weight(i, larger(absolute(step.y0[i]), absolute(step.y1[i]))));
+    return norm.value();
   }
 
   /// |h| of the next attempt, as `Pair::accept` and `Pair::reject` choose it; and the counts.
@@ -298,27 +395,64 @@ class Block {
 
   /// Looks at one step in 64 of each lane, as the `StiffnessDetector` of a single run does, with thresholds that find
   /// no fewer limited steps. So many of them may be a stiff problem: single runs find that out.
-  void note_stability(const M& accepted) {
-    const P looks = (1.0 / 64) * steps_, whole = (looks + P(to_integer)) - P(to_integer);
-    const M now = accepted & (looks <= whole) & (whole <= looks);
+  void note_stability(const M& accepted, const P& purified, const P* y1) {
+    const M now = accepted & multiple_of(steps_, 64);
     if (bits(now) == 0) return;
     LaneNorm<W> slopes, arguments, changes;
     for (std::size_t i = 0; i < job_.n; ++i) {
-      const P w = weight(i, larger(absolute(y_[i]), absolute(candidate_[i])));
-      const auto [slope, argument] = Kernel::probed(k_, i);
+      const P w = weight(i, larger(absolute(y_[i]), absolute(y1[i])));
+      auto [slope, argument] = Kernel::probed(k_, i);
+      if constexpr (!T.last_in_error())  // the last slope is that at y₁
+        argument += (y1[i] - candidate_[i]) / purified;
       slopes.add(slope / w);
       arguments.add(argument / w);
-      changes.add((candidate_[i] - y_[i]) / w);
+      changes.add((y1[i] - y_[i]) / w);
     }
     const M at_limit = P(at_least * job_.real_limit) * arguments.value() <= slopes.value();
     const M limited = now & at_limit & (changes.value() <= P(at_most));
     limited_ += choose(limited, P(1), P(0));
   }
 
-  void commit(const M& accepted, const P& t1) {
+  /// Where attempts fail one after the other, as `DiscontinuityDetector` of a single run sees it. Returns the lanes in
+  /// which f jumps: single runs tell where. Most attempts find no lane that is in a series.
+  unsigned note_failures(unsigned accepted, const P& h, const P& t1, const P* y1) {
+    const unsigned watched = occupied_ & (~accepted | in_series_);
+    unsigned jumping = 0;
+    if (watched == 0) return 0;
+    for (int l = 0; l < W; ++l) {
+      if (!has(watched, l)) continue;
+      Series& series = series_[l];
+      const double t0 = t_.lanes()[l], end = t1.lanes()[l];
+      if (!has(accepted, l))
+        series.add(end, h.lanes()[l]);
+      else if (series.accept(t0, y_[0].lanes() + l, W, job_.n, end, from(l), latest(l)) && jumps(l, end, y1))
+        jumping |= one_lane(l);
+      in_series_ = series.any() ? in_series_ | one_lane(l) : in_series_ & ~one_lane(l);
+    }
+    return jumping;
+  }
+  bool jumps(int lane, double t1, const P* y1) {
+    const auto attempts = static_cast<std::int64_t>(steps_.lanes()[lane] + failed_.lanes()[lane]);
+    const Suspicion suspicion{.trajectory = trajectory_[lane],
+                              .t0 = series_[lane].from_t(),
+                              .t1 = t1,
+                              .latest = series_[lane].latest(),
+                              .y0 = from(lane),
+                              .y1 = y1[0].lanes() + lane,
+                              .stride = W,
+                              .attempts = attempts};
+    return host_.jumps(suspicion, checks_[lane]);
+  }
+  /// The points of a series, (n,).
+  [[nodiscard]] double* from(int lane) const {
+    return points_ + static_cast<std::size_t>(lane) * Series::points * job_.n;
+  }
+  [[nodiscard]] double* latest(int lane) const { return from(lane) + job_.n; }
+
+  void commit(const M& accepted, const P& t1, const P* y1) {
     t_ = choose(accepted, t1, t_);
     for (std::size_t i = 0; i < job_.n; ++i) {
-      y_[i] = choose(accepted, candidate_[i], y_[i]);
+      y_[i] = choose(accepted, y1[i], y_[i]);
       k_[0][i] = choose(accepted, k_[last][i], k_[0][i]);
     }
   }
@@ -330,38 +464,18 @@ class Block {
   template <std::size_t I>
   void stage(const P& h, M& odd) {
     Kernel::template argument<I>(y_, h, k_, job_.n, stage_);
-    odd = odd | mend(stage_);
-    evaluate(t_ + T.c[I] * h, stage_, k_[I], p_);
+    odd = odd | mend(stage_, y_, job_.n);
+    evaluate(job_.f, t_ + T.c[I] * h, stage_, k_[I], p_);
   }
 
-  /// 0 · x is 0 where x is finite, and NaN where it is not.
-  [[nodiscard]] M not_finite(const P* v) const {
-    P sum(0);
-    for (std::size_t i = 0; i < job_.n; ++i) sum += 0.0 * v[i];
-    return ~(sum <= P(0));
-  }
-  /// f is never asked at points that are not finite: in such lanes y takes their place. Returns which they are.
-  M mend(P* v) const {
-    const M odd = not_finite(v);
-    if (bits(odd) != 0)
-      for (std::size_t i = 0; i < job_.n; ++i) v[i] = choose(odd, y_[i], v[i]);
-    return odd;
-  }
-
-  void evaluate(const P& t, const P* y, P* out, const P* p) const {
-    job_.f(job_.context, t.lanes(), y->lanes(), out->lanes(), reinterpret_cast<const double*>(p));
-  }
-
-  /// `Weights::at`, of |y|
-  [[nodiscard]] P weight(std::size_t i, const P& size) const {
-    return larger(job_.scale != nullptr ? job_.scale[i] * size : size, P(job_.threshold[i]));
-  }
+  [[nodiscard]] P weight(std::size_t i, const P& size) const { return lanes::INVARIODE_LANES::weight(job_, i, size); }
   static P smallest_step(const P& t) {
     const P size = absolute(t);
     return hmin_ulps * (next(size) - size);
   }
 
   P t_{0}, h_{0}, steps_{0}, failed_{0};
+  P looked_{0};   // steps that were looked into
   P limited_{0};  // looks at steps that stability limits
   M retries_ = to_mask<W>(0);
   P ready_h_{0};  // of those that are ready to take the place of such as end
@@ -369,13 +483,20 @@ class Block {
   Host& host_;
   P *y_, *stage_, *candidate_, *p_;
   P *ready_y_, *ready_k_, *ready_p_;
+  Held<W> held_;
+  Between<W> between_;
+  Outputs<W> outputs_;
+  double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0;  // lanes
   int prepared_ = 0, ready_ = 0;
   std::uint32_t trajectory_[W]{};
   std::uint32_t ready_trajectory_[W]{};
   int place_[W]{};
-  bool empty_ = false;  // there are no more to be made ready
+  Series series_[W];
+  std::int64_t checks_[W]{};
+  unsigned in_series_ = 0;  // lanes
+  bool empty_ = false;      // there are no more to be made ready
 };
 
 // ------------------------------------------------------------------------------------------------- what the host calls

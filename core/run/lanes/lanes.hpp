@@ -7,16 +7,37 @@
 #include <span>
 #include <string_view>
 
+#include "failed_series.hpp"
+
 namespace invariode::lanes {
 
-/// f in all lanes: t (lanes,), y (n, lanes), out (n, lanes), p (parameters, lanes), each aligned to 64 bytes. NaN in a
-/// lane of out: f is not defined there. It is asked at finite points only.
+/// A function in all lanes: t (lanes,), y (n, lanes), out (its values, lanes), p (parameters, lanes), each aligned to
+/// 64 bytes. NaN in a lane of out: it is not defined there. It is asked at finite points only.
 using Function = void(void* context, const double* t, const double* y, double* out, const double* p);
 
-/// What is integrated, without anything that only some runs have: invariants, events, output on the way, limits.
+/// A function with its context.
+struct Called {
+  Function* function = nullptr;
+  void* context = nullptr;
+};
+
+/// An invariant that is held.
+struct Invariant {
+  Called g, jacobian;  ///< (1, lanes), (n, lanes)
+  bool held;           ///< at its value at the start; else at `value`
+  double value;
+  int iterations;  ///< of the projection
+  bool tested;     ///< whether f conserves it
+  // Of these tests:
+  double interval;                               ///< length of the integration
+  double increment;                              ///< of differences, relative: ε^{1/3}
+  const double* direction;                       ///< (n,) in which the Jacobian is compared with a difference
+  double (*time_increment)(double t, double h);  ///< of differences with respect to t
+};
+
+/// What is integrated, without anything that only some runs have: events, limits.
 struct Job {
-  Function* f;
-  void* context;
+  Called f;
   std::size_t n, parameters;
   const double* y0;    ///< rows (n,) of all trajectories
   const double* rows;  ///< of their parameters
@@ -24,9 +45,27 @@ struct Job {
   double hmax;         ///< finite
   double first_step;   ///< 0: chosen by the method
   double rtol;
-  double real_limit;        ///< of the pair's stability on the negative real axis
-  const double* threshold;  ///< (n,)
-  const double* scale;      ///< (n,), or null: all 1
+  double real_limit;           ///< of the pair's stability on the negative real axis
+  const double* threshold;     ///< (n,)
+  const double* scale;         ///< (n,), or null: all 1
+  const Invariant* invariant;  ///< or null: none is held
+  // Output on the way:
+  const double* times;  ///< in the order of integration
+  std::size_t count_of_times;
+  bool corrects, projects;  ///< the extension at the ends of a step; values between them
+
+  [[nodiscard]] double forward() const { return tf >= t0 ? 1 : -1; }
+  [[nodiscard]] bool output_at_times() const { return count_of_times > 0; }
+  [[nodiscard]] bool looks_inside() const { return output_at_times(); }
+};
+
+/// What holding the invariant came to: its value, the largest residuals of candidates and at the end, the largest
+/// correction in units of rtol, evaluations of g, of f by its tests, and of its Jacobian, and sums of what the errors
+/// and the corrections of the components were in the looks of `HarmDetector`, with the stride of y.
+struct HeldToEnd {
+  double value, before, after, correction;  ///< `after`: at outputs and at the end
+  std::int64_t evaluations, checks, jacobians;
+  const double *errors, *corrections;
 };
 
 /// A trajectory that has reached tf: y (n,) with that stride.
@@ -35,17 +74,34 @@ struct Ended {
   const double* y;
   std::size_t stride;
   std::int64_t steps, failed, evaluations;
+  std::int64_t checks;  ///< evaluations of f in search of its jumps
+  HeldToEnd held;       ///< where there is an invariant
 };
 
 /// A trajectory between two attempts: where it is, f there, |h| of the next attempt, whether the last one failed, and
-/// its counts. y, k and p have that stride.
+/// its counts; and what belongs to the invariant. y, k, p and `held` have that stride.
 struct Suspended {
   std::uint32_t trajectory;
   double t, h;
   bool retries;
   double steps, failed, limited;
-  const double *y, *k, *p;
+  const double *y, *k, *p, *held;
   std::size_t stride;
+  double looked;       ///< into so many steps
+  std::size_t output;  ///< the number of the next one
+  std::int64_t checks;
+  SeriesMemory series;  ///< of failed attempts, and its points (n,)
+  const double *from, *latest;
+};
+
+/// A way on which f may jump, from (t0, y0) to (t1, y1), after so many attempts, the latest that failed of size
+/// `latest`. y1 (n,) has that stride.
+struct Suspicion {
+  std::uint32_t trajectory;
+  double t0, t1, latest;
+  const double *y0, *y1;
+  std::size_t stride;
+  std::int64_t attempts;
 };
 
 /// Who hands out trajectories and takes them back. One for each thread.
@@ -58,11 +114,15 @@ class Host {
 
   /// The next trajectory, whose initial value is finite; false: there are no more.
   virtual bool take(std::uint32_t& trajectory) = 0;
+  /// y (n,) with that stride, at output time number `output`.
+  virtual void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) = 0;
   virtual void keep(const Ended& ended) = 0;
   /// Something rare has happened to it: it is to be integrated from its start by the code that knows everything.
   virtual void leave(std::uint32_t trajectory) = 0;
   /// It has too few neighbours left: it is to go on alone.
   virtual void go_on(const Suspended& suspended) = 0;
+  /// Whether f jumps there; evaluations of f in search of it are added to `checks`.
+  virtual bool jumps(const Suspicion& suspicion, std::int64_t& checks) = 0;
   [[nodiscard]] virtual bool cancelled() const = 0;
 };
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <vector>
 
 #include "callback.hpp"
 #include "run/ensemble.hpp"
@@ -27,9 +28,13 @@ class LaneWorker final : public lanes::Host {
   void run();
 
   bool take(std::uint32_t& trajectory) override;
+  void put_out(std::uint32_t trajectory, std::size_t output, const double* y, std::size_t stride) override {
+    result_.put_out(trajectory, output, y, stride);
+  }
   void keep(const lanes::Ended& ended) override;
   void leave(std::uint32_t trajectory) override;
   void go_on(const lanes::Suspended& suspended) override;
+  bool jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) override;
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
 
  private:
@@ -52,11 +57,13 @@ class LaneWorker final : public lanes::Host {
   Queue& queue_;
   EnsembleResult& result_;
   const lanes::Pair& pair_;
-  const lanes::Pair& alone_;  // with one lane
-  Callback f_;                // for that
+  const lanes::Pair& alone_;   // with one lane
+  Callback f_, g_, jacobian_;  // for that
+  std::vector<double> direction_;
+  lanes::Invariant invariant_, invariant_alone_;
   lanes::Job job_, job_alone_;
   Memory memory_, memory_alone_;
-  std::size_t left_ = 0;
+  std::size_t kept_ = 0, left_ = 0;
 };
 
 }  // namespace invariode

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import io
 import sys
 
@@ -19,9 +21,10 @@ def main() -> None:
         package = (missing.name or "").partition(".")[0]
         if package not in _EXTRA:
             raise
-        print(f"The command line needs {package}: pip install invariode[cli]", file=sys.stderr)
+        print(f'The command line needs {package}: pip install "invariode[cli]"', file=sys.stderr)
         raise SystemExit(1) from None
     for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show ∂ shows ? instead
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    atexit.register(gc.freeze)  # the process ends: a last search for cycles would take longer than a short run
     app()

@@ -36,6 +36,7 @@ from .session import (
     method_of,
     numbers,
     stop,
+    without_collector,
     writable,
     write_to,
 )
@@ -262,7 +263,8 @@ def _times(problem: Problem, size: int) -> Array:
 
 def _summary(problem: Problem, sol: Solution, method: str, seconds: float) -> Table:
     stats, mark = sol.stats, ("✓", "green") if sol.success else ("✗", "bold red")
-    checks = f" and {stats.nfev_check} to test the invariants" if stats.nfev_check else ""
+    why = "to test the invariants" if problem.invariants else "in search of its jumps"
+    checks = f" and {stats.nfev_check} {why}" if stats.nfev_check else ""
     linear = f", {stats.njev} of its Jacobian; {stats.nlu} factorisations" if stats.njev or stats.nlu else ""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="dim", no_wrap=True)
@@ -334,10 +336,11 @@ def _save(sol: Any, path: Path) -> None:
 
 
 def _draw(sol: Any, name: str, drawn: list[int] | None, log: bool, path: Path) -> None:
-    import matplotlib as mpl
+    with without_collector():
+        import matplotlib as mpl
 
-    from ..paper.plots import STYLE
-    from ..pictures.whole_run import draw
+        from ..paper.plots import STYLE
+        from ..pictures.whole_run import draw
 
-    with mpl.rc_context(STYLE):
-        draw(sol, name, drawn, log).savefig(path, dpi=150)
+        with mpl.rc_context(STYLE):
+            draw(sol, name, drawn, log).savefig(path, dpi=150)

@@ -28,7 +28,7 @@ __all__ = ["matlab_rows"]
 SOURCE = "MATLAB"
 SUITE = {"ode45": ode45, "ode15s": ode15s}
 
-#: How the errors are met at these tolerances: round-off reaches the last digit at 1e-11, all of them at 1e-13.
+#: How the errors are met at these tolerances: roundoff reaches the last digit at 1e-11, all of them at 1e-13.
 RULES = {"1e-11": LAST_DIGIT, "1e-13": SIZE}
 
 

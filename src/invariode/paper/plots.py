@@ -226,7 +226,7 @@ FIGURES = (
         _rod_length,
         "Error in the length of the rod",
         "The largest among the four points of each step. With both invariants imposed and raw output, what is left is "
-        "the error of interpolation, as the paper explains; with the output projected too, it is round-off (zeros are "
+        "the error of interpolation, as the paper explains; with the output projected too, it is roundoff (zeros are "
         "drawn at half a unit of it).",
     ),
     Plot(

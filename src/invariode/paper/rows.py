@@ -10,7 +10,7 @@ from .published import PAPER
 
 __all__ = ["DIGITS", "LAST_DIGIT", "SIZE", "Row", "Rule", "at_digits_of", "of_the_paper", "within"]
 
-#: 'Only the size' of an error is to be met where round-off decides: within this factor.
+#: 'Only the size' of an error is to be met where roundoff decides: within this factor.
 SIZE_FACTOR = 3.0
 
 
@@ -50,12 +50,12 @@ def _last_digit(printed: str, value: float) -> bool:
 
 #: Rounded to the printed digits, the value is what is printed.
 DIGITS = Rule(lambda printed, value: float(at_digits_of(printed, value)) == float(printed))
-#: The last digit may be off by one: round-off has reached it.
+#: The last digit may be off by one: roundoff has reached it.
 LAST_DIGIT = Rule(_last_digit, "to one unit of the last digit")
 #: Round-off is all there is.
 SIZE = Rule(
     lambda printed, value: 1 / SIZE_FACTOR <= value / float(printed) <= SIZE_FACTOR,
-    "in size only: round-off decides",
+    "in size only: roundoff decides",
 )
 
 

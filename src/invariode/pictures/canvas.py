@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._arguments import Array
+from .._arguments import EPS, Array
 from .._style import COLOURS, DASHES, LOOK
 from ..result import Result
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 __all__ = [
     "FEW",
@@ -26,6 +27,7 @@ __all__ = [
     "joined",
     "legend",
     "listed",
+    "log_axis",
     "mark",
     "new",
     "new_panels",
@@ -41,12 +43,15 @@ FEW = 60
 #: Powers of ten from which on numbers at an axis have a common factor: written out they would run together.
 _PLAIN_POWERS = (-3, 5)
 
+#: A logarithmic axis that shows fewer powers of ten than this has numbers between them too, at these multiples.
+_POWERS, _BETWEEN = 2, (2, 5)
+
 _MARKERS = "o^Dvps"
 
 
 def require_matplotlib() -> None:
     if find_spec("matplotlib") is None:
-        raise ModuleNotFoundError("pictures need matplotlib: pip install invariode[plot]", name="matplotlib")
+        raise ModuleNotFoundError('pictures need matplotlib: pip install "invariode[plot]"', name="matplotlib")
 
 
 def new(sol: Result, **options: Any) -> Axes:
@@ -73,6 +78,32 @@ def new_panels(sol: Result, heights: Sequence[float], **options: Any) -> Array:
         axes[0, 0].set_title(drawable(sol._names.title))
     panels: Array = axes[:, 0]
     return panels
+
+
+def log_axis(axis: Axis, formulas: bool = True) -> None:
+    """Shows at least a factor of ten, with numbers that are few enough not to touch. `formulas`: 10⁻³, not 1e-3."""
+    from matplotlib.ticker import FuncFormatter, LogFormatter
+
+    name = axis.axis_name  # type: ignore[attr-defined]  # of XAxis and YAxis
+    ax = axis.axes
+    low, high = getattr(ax.dataLim, f"interval{name}")
+    free = getattr(ax, f"get_autoscale{name}_on")()
+    if free and 0 < low <= high < 10 * low:  # closer, rounding errors of equal values would fill the axis
+        middle = np.sqrt(low * high)
+        ax.set(**{f"{name}lim": (middle / np.sqrt(10), middle * np.sqrt(10))})
+        getattr(ax, f"set_autoscale{name}_on")(True)  # for curves that are yet to come
+
+    def between(value: float, place: int | None = None) -> str:
+        least, most = np.log10(axis.get_view_interval())
+        power = np.floor(np.log10(value) + EPS)
+        multiple = round(value / 10.0**power)
+        if np.floor(most) - np.ceil(least) + 1 >= _POWERS or multiple not in _BETWEEN:
+            return ""
+        return rf"${multiple} \times 10^{{{power:.0f}}}$" if formulas else f"{multiple}e{power:+03.0f}"
+
+    axis.set_minor_formatter(FuncFormatter(between))
+    if not formulas:
+        axis.set_major_formatter(LogFormatter())
 
 
 def drawable(name: str) -> str:

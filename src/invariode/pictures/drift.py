@@ -12,7 +12,7 @@ from .._bound_invariants import BoundInvariants, Jump, bind
 from .._style import LEVELS
 from ..invariants import Invariants, InvariantsLike, to_invariants
 from ..result import Result
-from .canvas import FEW, MOST, drawable, joined, legend, new, once, properties, unused
+from .canvas import FEW, MOST, drawable, joined, legend, log_axis, new, once, properties, unused
 from .curves import interrupted
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
             ax.plot(sol.t[[0, -1]], [before, before], ":", color=curve.get_color(), lw=1)
     if largest.any():
         ax.plot([], [], ":", color="0.5", lw=1, label=once(ax, "largest before\nprojection"))
+    log_axis(ax.yaxis)
     ax.set_xlabel("$t$")
     ax.set_ylabel(_label(g, relative))
     left_out = len(g) > MOST and not _has_levels(g)

@@ -81,5 +81,6 @@ def _quantiles(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
 def _threads(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
     some = np.unique(np.linspace(0, len(values) - 1, min(len(values), _THREADS)).astype(int))
     thin = {**look, "linewidth": 0.6, "alpha": max(0.1, min(1.0, 30 / len(some)))}
-    for k, row in enumerate(values[some]):
-        ax.plot(t, row, **{**thin, "label": look["label"] if k == 0 else "_nolegend_"})
+    for row in values[some]:
+        ax.plot(t, row, **{**thin, "label": "_nolegend_"})
+    ax.plot([], [], **look)  # the key: one thin line alone is too faint

@@ -102,11 +102,13 @@ def _new(sol: Result, space: bool) -> Axes:
 
 
 def _mark_ends(ax: Axes, sol: Result, place: Any, colour: Any) -> None:
+    ground = ax.get_facecolor()
     paint: dict[str, Any] = {"color": colour, "ls": "none", "zorder": 2.5}
     ends = sol.y if sol.sol is None else sol.sol(sol.sol.ts[[0, -1]])
     if ends.shape[1] > 1:
-        ax.plot(*place(ends[:, :1]), marker="o", ms=7, label=once(ax, "start"), **paint)
-    ax.plot(*place(ends[:, -1:]), marker="s", ms=4.5, mfc=ax.get_facecolor(), label=once(ax, "end"), **paint)
+        rim: dict[str, Any] = {"mec": ground, "mew": 0.8}  # it shows the dot on a curve that fills the page
+        ax.plot(*place(ends[:, :1]), marker="o", ms=7.8, label=once(ax, "start"), **paint, **rim)
+    ax.plot(*place(ends[:, -1:]), marker="s", ms=4.5, mfc=ground, label=once(ax, "end"), **paint)
 
 
 def _draw_field(ax: Axes, sol: Result, rows: list[int]) -> None:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._arguments import Array
-from .._style import BLACK, INK, SHADE
+from .._style import BLACK, INK, LOOK, SHADE
 from .._style import COLOURS as PALETTE
 from ..methods import METHODS, find_method
 from ..precision import WAYS, NoReferenceError, Reference, Row, able, compare_runs
 from ..precision import reference as agreed_reference
 from ..problem import Problem
-from .canvas import drawable, require_matplotlib
+from .canvas import drawable, log_axis, require_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,9 +104,11 @@ def plot_work_precision(
     if not any(math.isfinite(run.error) for row in rows for way in WAYS if (run := row.run(way))):
         raise ValueError("no run reached the end: raise limit, or choose other methods or tolerances")
     if axes is None:
+        import matplotlib
         import matplotlib.pyplot as plt
 
-        figure, axes = plt.subplots(1, 2, sharey=True, figsize=(7.2, 3.9), layout="constrained")
+        with matplotlib.rc_context(LOOK):
+            figure, axes = plt.subplots(1, 2, sharey=True, figsize=(7.2, 3.9), layout="constrained")
         _finish(figure, rows, problem.name)
     panels = np.ravel(np.asarray(axes, dtype=object))
     if len(panels) != 2:
@@ -154,7 +156,8 @@ def _draw_costs(axes: Any, rows: Sequence[Row], truth: Reference) -> None:
 def _finish(figure: Any, rows: Sequence[Row], name: str) -> None:
     """Title and legend."""
     figure.suptitle(drawable(name), fontsize=10.5, color=INK)
-    keys = _keys(list(dict.fromkeys(row.method for row in rows)), any(row.projected for row in rows))
+    drawn = [row for row in rows for way in WAYS if (run := row.run(way)) and math.isfinite(run.error)]
+    keys = _keys(list(dict.fromkeys(row.method for row in drawn)), any(row.projected for row in rows))
     columns = math.ceil(len(keys) / math.ceil(len(keys) / IN_A_LINE))
     figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=2.4, columnspacing=1.4)
 
@@ -167,8 +170,10 @@ def _curves(axes: Axes, rows: Sequence[Row], cost: str, truth: Reference) -> Non
             if runs:
                 work, errors = zip(*((getattr(run, cost), max(run.error, truth.floor)) for run in runs), strict=True)
                 axes.loglog(work, errors, **_style(method, way))
-    axes.grid(True)
+    axes.grid(True, color="0.5", alpha=0.2, lw=0.7)
     axes.set_axisbelow(True)
+    log_axis(axes.xaxis)
+    log_axis(axes.yaxis)
     low, high = axes.get_ylim()
     if low < truth.floor:
         axes.axhspan(low, truth.floor, color=SHADE, lw=0)
@@ -180,7 +185,7 @@ def _style(method: str, way: str) -> dict[str, Any]:
     colour, plain = COLOURS[k % len(COLOURS)], way == "plain"
     return {
         "color": colour,
-        "marker": MARKERS[k % len(MARKERS)],
+        "marker": MARKERS[(k + k // len(COLOURS)) % len(MARKERS)],  # no pair twice
         "markersize": 4,
         "markerfacecolor": colour if plain else "white",
         "markeredgewidth": 0.9,

@@ -10,7 +10,7 @@ import numpy as np
 from .._arguments import Array
 from .._style import COLOURS
 from ..result import Result, Steps
-from .canvas import joined, legend, new_panels, positive, properties, unused
+from .canvas import joined, legend, log_axis, new_panels, positive, properties, unused
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,9 +77,7 @@ def shade_turns(panels: Array, steps: Steps) -> None:
 def draw_sizes(ax: Axes, steps: Steps, paint: dict[str, Any]) -> None:
     ax.plot(*over_steps(steps, np.abs(steps.h)), **paint)
     ax.set(yscale="log", ylabel="step size $|h|$")
-    low, high = ax.dataLim.intervaly
-    if 0 < low <= high < 1.2 * low:  # equal but for roundoff: a logarithmic axis would show that and nothing else
-        ax.set_ylim(low / 2, 2 * high, auto=None)
+    log_axis(ax.yaxis)
     legend(ax)
 
 
@@ -100,13 +98,15 @@ def draw_errors(ax: Axes, steps: Steps, colour: Any, given: str | None) -> None:
     if not ax.lines:
         ax.axhline(1, color="0.5", lw=0.9, ls="--", zorder=1)
     ax.plot(steps.t, positive(steps.error), color=colour, label=joined("error", given), **dots)
-    if steps.correction.any():
+    top = max(steps.error.max(initial=0), steps.correction.max(initial=0))
+    lowest = min(_NEGLIGIBLE, top / 100)
+    if steps.correction.max(initial=0) > lowest:
         other = next(one for one in COLOURS if one not in [line.get_color() for line in ax.lines])
         ax.plot(steps.t, positive(steps.correction), color=other, label=joined("correction", given), **dots)
         ax.set_ylabel("in units of rtol")
     elif not ax.get_ylabel():
         ax.set_ylabel("error / rtol")
     ax.set_yscale("log")
-    top = max(steps.error.max(initial=0), steps.correction.max(initial=0))
-    ax.set_ylim(bottom=max(ax.get_ylim()[0], min(_NEGLIGIBLE, top / 100)), auto=None)
+    ax.set_ylim(bottom=max(ax.get_ylim()[0], lowest), auto=None)
+    log_axis(ax.yaxis)
     legend(ax)

@@ -6,7 +6,7 @@ The functions take SymPy symbols and expressions, and return a `SymbolicSystem`,
 from importlib.util import find_spec
 
 if find_spec("sympy") is None:
-    raise ModuleNotFoundError("invariode.symbolic needs sympy: pip install invariode[symbolic]", name="sympy")
+    raise ModuleNotFoundError('invariode.symbolic needs sympy: pip install "invariode[symbolic]"', name="sympy")
 
 from .mechanics import hamiltonian, lagrangian
 from .multibody import from_mechanics

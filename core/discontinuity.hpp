@@ -1,0 +1,93 @@
+#pragma once
+// Does f jump where attempts fail one after the other? (docs/algorithms.md, 'Jumps of f')
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "callback.hpp"
+#include "failed_series.hpp"
+#include "step.hpp"
+#include "weights.hpp"
+
+namespace invariode {
+
+/// Looks for a jump of f on a line between two points (t, y) of a solution, by halving it: of a smooth function each
+/// half keeps half of the change, of a jump one half keeps all.
+class JumpSearch {
+ public:
+  enum class Result { none, found, stop };
+
+  JumpSearch(Callback f, const Weights& weights) : f_(f), weights_(weights), calls_before_(f.calls()) {}
+
+  /// `resolved`: |h| of a step that would resolve f if it were smooth.
+  Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
+  /// Where the jump is: the first of the times with the new f.
+  [[nodiscard]] double t() const { return t1_; }
+  [[nodiscard]] std::int64_t evaluations() const { return f_.calls() - calls_before_; }
+
+ private:
+  struct Point {
+    double t;
+    std::vector<double> y, f;
+  };
+  Result narrow(Point& a, Point& b, double resolved);
+  [[nodiscard]] double change(const Point& a, const Point& b) const;
+  [[nodiscard]] bool evaluate(Point& point);
+
+  Callback f_;
+  const Weights& weights_;
+  std::int64_t calls_before_;
+  std::vector<double> weight_;
+  double t1_ = 0;
+  bool stopped_ = false;
+};
+
+/// Watches attempts fail. Where they suggest that f jumps, f is evaluated between the points around the place, at most
+/// about 50 times; where none fails this costs nothing.
+class DiscontinuityDetector {
+ public:
+  DiscontinuityDetector(Callback f, const Weights& weights) : f_(f), weights_(weights) {}
+
+  /// The attempt that led to t1 by a step of signed size h failed.
+  void failed(Cause cause, double t1, double h) {
+    if (cause == Cause::error || cause == Cause::newton)
+      series_.add(t1, h);
+    else
+      restart();
+  }
+  /// The step from (t0, y0) to (t1, y1) was accepted, after so many attempts in all. `stop`: a user function asks to.
+  Status accepted(double t0, const double* y0, double t1, const double* y1, std::int64_t attempts) {
+    return series_.any() ? look(t0, y0, t1, y1, attempts) : Status::ok;
+  }
+  /// The attempt from (t0, y0) to t1 failed, and none can be shorter. `slope`: y' at t0.
+  Status gave_up(double t0, const double* y0, const double* slope, double t1);
+  /// The method starts again, where the solution or f may have jumped.
+  void restart() { series_.forget(); }
+
+  /// Where f jumps, as far as it was seen: at most `most` places.
+  [[nodiscard]] const std::vector<double>& found() const { return found_; }
+  [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
+
+  void state(Archive& archive);
+
+  static constexpr std::size_t most = 64;
+  /// Whether there may be another search after so many attempts and evaluations in search of jumps: where f jumps all
+  /// the time, as in sliding friction, these stay few.
+  static constexpr bool may_search(std::int64_t attempts, std::int64_t evaluations) {
+    return evaluations <= 256 + attempts / 4;
+  }
+
+ private:
+  Status look(double t0, const double* y0, double t1, const double* y1, std::int64_t attempts);
+  Status search(double t0, const double* y0, double t1, const double* y1, double resolved);
+
+  Callback f_;
+  const Weights& weights_;
+  FailedSeries<void> series_;
+  std::vector<double> from_, latest_;  // of the series; empty: it has not needed them yet
+  std::vector<double> found_;
+  std::int64_t evaluations_ = 0;
+};
+
+}  // namespace invariode

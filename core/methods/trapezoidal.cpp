@@ -1,0 +1,117 @@
+#include "methods/trapezoidal.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "methods/runge_kutta.hpp"
+
+namespace invariode {
+namespace {
+
+constexpr double d = 0.5;  // y₁ = y + d (z₀ + z₁), where z = h y'
+
+/// The cubic through the last y serves as a prediction up to this many last steps ahead, the parabola beyond.
+constexpr double longest_reach = 2;
+
+}  // namespace
+
+Trapezoidal::Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+    : OrderTwo(f, weights, linear, d) {
+  for (std::vector<double>* v :
+       {&z0_, &z1_, &bend_, &bent_, &missed_, &last_missed_, &rise_[0], &rise_[1], &rise_[2], &scratch_})
+    v->resize(weights.size());
+}
+
+/// What multiplies `rise_` for the polynomials of degree 1, 2 and 3 through the last y at t₁. 0: too few steps.
+std::array<double, 3> Trapezoidal::growth() const {
+  if (last_h_ == 0) return {};
+  const double h = signed_h_, h1 = last_h_;
+  const double line = h / h1, parabola = line * ((h + h1) / (h1 + h2_));
+  const double cubic = parabola * ((h + h1 + h2_) / (h1 + h2_ + h3_));
+  return {line, h2_ == 0 ? 0 : parabola, h3_ == 0 || line > longest_reach ? 0 : cubic};
+}
+
+/// y₁ is predicted from values of y alone: the y' of stiff components may be of little worth.
+Newton::Result Trapezoidal::stages() {
+  const double h = signed_h_, ratio = h / last_h_;
+  const auto [line, parabola, cubic] = growth();
+  for (std::size_t i = 0; i < n(); ++i) {
+    z0_[i] = h * slope_[i];
+    bend_[i] = last_h_ == 0 ? h * h * second_[i] : ratio * ratio * bent_[i];
+    base_[i] = y_[i] + d * z0_[i];
+    psi_[i] = last_h_ == 0 ? d * (z0_[i] + bend_[i])
+                           : line * rise_[0][i] + parabola * rise_[1][i] + cubic * rise_[2][i] - d * z0_[i];
+  }
+  return solve_stage(t1_, candidate_.data(), z1_.data());
+}
+
+/// h³/6 times the divided difference of the last three y'.
+void Trapezoidal::estimate(double* error) {
+  const double part = signed_h_ / (signed_h_ + last_h_);
+  for (std::size_t i = 0; i < n(); ++i) error[i] = missed_[i] = part / 6 * (z1_[i] - z0_[i] - bend_[i]);
+}
+
+/// Whether y''' alternates from step to step in some component, and neither step's damped estimate sees it: the formula
+/// turns what is stiff around in each step, y into nearly −y and y' into nearly −y'.
+bool Trapezoidal::rings() {
+  if (last_h_ == 0) return false;
+  const double ratio = signed_h_ / last_h_, cube = ratio * ratio * ratio;
+  for (std::size_t i = 0; i < n(); ++i)
+    scratch_[i] = std::max(0.0, 0.5 * (std::abs(missed_[i] - cube * last_missed_[i]) - std::abs(missed_[i])));
+  return error_norm(scratch_) > std::max(error(), cube * last_error_);
+}
+
+/// Takes from the parabola through the last three y what is stiff in y'. That changes y' by O(h³).
+void Trapezoidal::smooth() {
+  const double line = signed_h_ / last_h_, part = signed_h_ / (signed_h_ + last_h_);
+  for (std::size_t i = 0; i < n(); ++i) {
+    const double rise = candidate_[i] - y_[i];
+    scratch_[i] = rise + part * (rise - line * rise_[0][i]);
+    z1_[i] -= scratch_[i];
+  }
+  damp(z1_.data());
+  for (std::size_t i = 0; i < n(); ++i) z1_[i] += scratch_[i];
+}
+
+void Trapezoidal::end_slope(double* slope) {
+  if (rings()) smooth();
+  const auto [line, parabola, cubic] = growth();
+  for (std::size_t i = 0; i < n(); ++i) {
+    slope[i] = z1_[i] / signed_h_;
+    bent_[i] = z1_[i] - z0_[i];
+    const double rise = candidate_[i] - y_[i], bend = rise - line * rise_[0][i];
+    rise_[2][i] = bend - parabola * rise_[1][i];
+    rise_[1][i] = bend;
+    rise_[0][i] = rise;
+  }
+  h3_ = last_h_ == 0 ? 0 : h2_;
+  h2_ = last_h_;
+  last_missed_ = missed_;
+  last_error_ = error();
+}
+
+std::size_t Trapezoidal::directions(const double** vectors) const {
+  for (const std::vector<double>* z : {&z0_, &z1_}) *vectors++ = z->data();
+  return 2;
+}
+
+void Trapezoidal::state(Archive& archive) {
+  OrderTwo::state(archive);
+  archive(second_, bent_, last_missed_, rise_[0], rise_[1], rise_[2], h2_, h3_, last_error_);
+}
+
+Interpolate Trapezoidal::interpolate() const { return runge_kutta::nested_polynomial; }
+
+/// The cubic Hermite interpolant, y + θ (Δ + (1 − θ) (z₀ − Δ + θ (2Δ − z₀ − z₁))) with Δ = y* − y.
+Status Trapezoidal::extension(double* data) {
+  data = std::copy(last_y_.begin(), last_y_.end(), data);
+  for (std::size_t i = 0; i < n(); ++i) {
+    const double rise = rise_[0][i];
+    data[i] = rise;
+    data[n() + i] = z0_[i] - rise;
+    data[2 * n() + i] = 2 * rise - z0_[i] - z1_[i];
+  }
+  return Status::ok;
+}
+
+}  // namespace invariode

@@ -1,0 +1,47 @@
+#pragma once
+// The trapezoidal rule with a free interpolant (docs/algorithms.md, 'Trapezoidal rule'; Shampine, Reichelt & Kierzenka,
+// Solving index-1 DAEs in MATLAB and Simulink, SIAM Rev. 41 (1999) 538-552; Hosea & Shampine, Analysis and
+// implementation of TR-BDF2, Appl. Numer. Math. 20 (1996) 21-37).
+
+#include <array>
+#include <vector>
+
+#include "methods/order_two.hpp"
+
+namespace invariode {
+
+/// The code ode23t, for M y' = f(t, y): A-stable, and without damping on the imaginary axis. Stiff components, and
+/// those that M leaves undetermined, would ring: their part of the stored y' is smoothed.
+class Trapezoidal final : public OrderTwo {
+ public:
+  Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+
+  void state(Archive& archive) override;
+
+  std::size_t directions(const double** vectors) const override;
+  [[nodiscard]] std::size_t max_directions() const override { return 2; }
+
+  [[nodiscard]] Interpolate interpolate() const override;
+  [[nodiscard]] std::size_t extension_size() const override { return 4 * n(); }
+  [[nodiscard]] int degree() const override { return 3; }
+  Status extension(double* data) override;
+
+ private:
+  Newton::Result stages() override;
+  void estimate(double* error) override;
+  void end_slope(double* slope) override;
+  [[nodiscard]] std::array<double, 3> growth() const;
+  [[nodiscard]] bool rings();
+  void smooth();
+
+  // All in units of the step: tiny steps divide by nothing.
+  std::vector<double> z0_, z1_;               // h y' at both ends of the step
+  std::vector<double> bend_, bent_;           // h² y'' before it, and of the last accepted step
+  std::vector<double> missed_, last_missed_;  // h³ y''' / 12, what the formula leaves out, here and in the last step
+  std::vector<double> rise_[3];               // the last y* − y, less what a constant, a line, a parabola made of it
+  std::vector<double> scratch_;
+  double h2_ = 0, h3_ = 0;  // the steps before the last one
+  double last_error_ = 0;
+};
+
+}  // namespace invariode

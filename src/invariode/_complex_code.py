@@ -1,0 +1,94 @@
+"""How numba compiles a function for complex numbers whose imaginary parts are derivatives. Imported with numba only."""
+
+from __future__ import annotations
+
+import operator
+from importlib import import_module
+from typing import Any
+
+__all__ = ["ComplexCompiler"]
+
+# numba has no types.
+_core: Any = import_module("numba.core")
+_compiler: Any = import_module("numba.core.compiler")
+_machinery: Any = import_module("numba.core.compiler_machinery")
+_passes: Any = import_module("numba.core.untyped_passes")
+_extending: Any = import_module("numba.extending")
+_ir, _ir_utils, _types = _core.ir, import_module("numba.core.ir_utils"), _core.types
+
+
+# numba compares the signatures below, with their annotations.
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    """base ** exponent. The polar form, which numba has for complex numbers, loses a tiny imaginary part if the real
+    part is negative: its angle is π, to the last digit. Integer powers are products, which keep it."""
+    return base**exponent
+
+
+@_extending.register_jitable  # type: ignore[untyped-decorator]
+def _whole_power(base: Any, exponent: Any) -> Any:
+    power, square, left = 1.0 + 0j, base, abs(exponent)
+    while left > 0:
+        if left & 1:
+            power *= square
+        left >>= 1
+        if left > 0:
+            square *= square
+    return 1 / power if exponent < 0 else power
+
+
+def _float_power(base: Any, exponent: Any) -> Any:
+    whole = int(exponent)
+    return _whole_power(base, whole) if whole == exponent else base**exponent
+
+
+@_extending.overload(_power)  # type: ignore[untyped-decorator]
+def _power_code(base: Any, exponent: Any) -> Any:
+    if isinstance(base, _types.Complex) and isinstance(exponent, _types.Integer):
+        return _whole_power
+    return _float_power if isinstance(base, _types.Complex) and isinstance(exponent, _types.Float) else _power
+
+
+def _is_power(value: Any) -> bool:
+    two = isinstance(value, _ir.Expr) and value.op in ("binop", "inplace_binop")
+    return two and value.fn in (operator.pow, operator.ipow)
+
+
+@_machinery.register_pass(mutates_CFG=False, analysis_only=False)
+class _Powers(_machinery.FunctionPass):  # type: ignore[misc]
+    """Every ** becomes a call of `_power`."""
+
+    _name = "invariode_powers"
+
+    def __init__(self) -> None:  # the base's is abstract
+        _machinery.FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        changed = False
+        for block in state.func_ir.blocks.values():
+            body: list[Any] = []
+            for statement in block.body:
+                value: Any = getattr(statement, "value", None)
+                if _is_power(value):
+                    loc = statement.loc
+                    power = block.scope.redefine("$power", loc)
+                    body.append(_ir.Assign(_ir.Global("_power", _power, loc), power, loc))
+                    call = _ir.Expr.call(power, [value.lhs, value.rhs], (), loc)
+                    statement = _ir.Assign(call, statement.target, loc)
+                    changed = True
+                body.append(statement)
+            block.body = body
+        if changed:
+            state.func_ir._definitions = _ir_utils.build_definitions(state.func_ir.blocks)
+        return changed
+
+
+class ComplexCompiler(_compiler.CompilerBase):  # type: ignore[misc]
+    """numba's pipeline, with powers that keep derivatives."""
+
+    def define_pipelines(self) -> list[Any]:
+        pipeline = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
+        pipeline.add_pass_after(_Powers, _passes.IRProcessing)
+        pipeline.finalize()
+        return [pipeline]

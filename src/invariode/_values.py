@@ -1,0 +1,152 @@
+"""Numbers of LLVM's language with the operators of arithmetic, so that formulas read as formulas."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from llvmlite import ir
+
+__all__ = ["Value", "bits_of", "looked_up"]
+
+
+_WORD = ir.IntType(64)
+
+
+def bits_of(x: float) -> int:
+    return int(struct.unpack("<Q", struct.pack("<d", x))[0])
+
+
+class Value:
+    """A number, integer or truth of LLVM's language, or a vector of them; operators append instructions."""
+
+    def __init__(self, builder: Any, ir: Any) -> None:
+        self.builder, self.ir = builder, ir
+
+    @property
+    def _element(self) -> str:
+        return str(getattr(self.ir.type, "element", self.ir.type))
+
+    def _like(self, other: Value | float) -> Any:
+        """A value, or a constant of the same type."""
+        if isinstance(other, Value):
+            return other.ir
+        kind = self.ir.type
+        if not isinstance(kind, ir.VectorType):
+            return ir.Constant(kind, other)
+        return ir.Constant(kind, [ir.Constant(kind.element, other)] * kind.count)
+
+    def _made(self, instruction: str, *operands: Any) -> Value:
+        return Value(self.builder, getattr(self.builder, instruction)(*operands))
+
+    def _arithmetic(self, of_numbers: str, of_integers: str, other: Value | float) -> Value:
+        return self._made(of_numbers if self._element == "double" else of_integers, self.ir, self._like(other))
+
+    def __add__(self, other: Value | float) -> Value:
+        return self._arithmetic("fadd", "add", other)
+
+    def __sub__(self, other: Value | float) -> Value:
+        return self._arithmetic("fsub", "sub", other)
+
+    def __rsub__(self, other: float) -> Value:
+        return Value(self.builder, self._like(other)) - self
+
+    def __mul__(self, other: Value | float) -> Value:
+        return self._arithmetic("fmul", "mul", other)
+
+    def __truediv__(self, other: Value) -> Value:
+        return self._made("fdiv", self.ir, other.ir)
+
+    def __rtruediv__(self, other: float) -> Value:
+        return Value(self.builder, self._like(other)) / self
+
+    def __and__(self, other: Value | int) -> Value:
+        return self._made("and_", self.ir, self._like(other))
+
+    def __or__(self, other: Value | int) -> Value:
+        return self._made("or_", self.ir, self._like(other))
+
+    def __xor__(self, other: Value | int) -> Value:
+        return self._made("xor", self.ir, self._like(other))
+
+    def __lshift__(self, other: Value | int) -> Value:
+        return self._made("shl", self.ir, self._like(other))
+
+    def __rshift__(self, other: Value | int) -> Value:
+        """Zeros come in."""
+        return self._made("lshr", self.ir, self._like(other))
+
+    def __neg__(self) -> Value:
+        return self._made("neg", self.ir)
+
+    def leading_zeros(self) -> Value:
+        """Of one integer; of 0 as many as it has bits."""
+        return self._made("ctlz", self.ir, ir.Constant(ir.IntType(1), 0))
+
+    def _called(self, name: str, *arguments: Value) -> Value:
+        """The value of an external function of such values."""
+        kind, module = self.ir.type, self.builder.module
+        function = module.globals.get(name) or ir.Function(module, ir.FunctionType(kind, [kind] * len(arguments)), name)
+        return Value(self.builder, self.builder.call(function, [one.ir for one in arguments]))
+
+    def square_root(self) -> Value:
+        """Correctly rounded, by the processor's instruction."""
+        vector = isinstance(self.ir.type, ir.VectorType)
+        return self._called(f"llvm.sqrt.{f'v{self.ir.type.count}' if vector else ''}f64", self)
+
+    def library_power(self, exponent: float) -> Value:
+        """Of one number, by the mathematical library."""
+        return self._called("pow", self, Value(self.builder, self._like(exponent)))
+
+    def compared(self, sign: str, other: Value | float) -> Value:
+        """False where a number is NaN."""
+        compare = "fcmp_ordered" if self._element == "double" else "icmp_signed"
+        return self._made(compare, sign, self.ir, self._like(other))
+
+    def choose(self, yes: Value | float, no: Value | float) -> Value:
+        """Of a truth."""
+        known = yes if isinstance(yes, Value) else no
+        assert isinstance(known, Value)
+        return self._made("select", self.ir, known._like(yes), known._like(no))
+
+    def resized(self, width: int) -> Value:
+        """Of one integer: zeros come in, or high bits are lost."""
+        return self._made("trunc" if width < self.ir.type.width else "zext", self.ir, ir.IntType(width))
+
+    @property
+    def as_number(self) -> Value:
+        """The number that is equal to one nonnegative integer."""
+        return self._made("uitofp", self.ir, ir.DoubleType())
+
+    def _cast(self, element: Any) -> Value:
+        vector = isinstance(self.ir.type, ir.VectorType)
+        return self._made("bitcast", self.ir, ir.VectorType(element, self.ir.type.count) if vector else element)
+
+    @property
+    def bits(self) -> Value:
+        return self._cast(_WORD)
+
+    @property
+    def number(self) -> Value:
+        return self._cast(ir.DoubleType())
+
+
+def looked_up(table: Sequence[int], index: Value, count: int) -> list[Value]:
+    """That many words of 64 bits of a table, from an index on; loads one by one are no slower than a gather."""
+    builder, kind = index.builder, index.ir.type
+    lanes = kind.count if isinstance(kind, ir.VectorType) else 0
+    stored = ir.GlobalVariable(builder.module, ir.ArrayType(_WORD, len(table)), f"{builder.function.name}_table")
+    stored.initializer = ir.Constant(stored.value_type, list(table))
+    stored.global_constant, stored.linkage = True, "private"
+
+    def word(at: Any) -> Any:
+        return builder.load(builder.gep(stored, [ir.Constant(_WORD, 0), at], inbounds=True))
+
+    found = []
+    for places in (index + i if i else index for i in range(count)):
+        loaded = ir.Constant(kind, ir.Undefined) if lanes else word(places.ir)
+        for lane in (ir.Constant(ir.IntType(32), i) for i in range(lanes)):
+            loaded = builder.insert_element(loaded, word(builder.extract_element(places.ir, lane)), lane)
+        found.append(Value(builder, loaded))
+    return found

@@ -1,0 +1,257 @@
+"""Where f jumps and that makes attempts fail, a run says so; where f is smooth, none does."""
+
+from __future__ import annotations
+
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from invariode import scipy as classes
+from stiff import PROBLEMS as STIFF
+
+untold = pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
+
+
+@iv.compile
+def switched(t, y, p):
+    """Decays to 0, from p[0] on to p[1]."""
+    return (-y[0] + (p[1] if t >= p[0] else 0.0),)
+
+
+def with_a_jump(k: int):
+    """Random problem k: f, the interval, y0 and when f jumps, by 0.3 to 30 times its other terms."""
+    r = np.random.default_rng(k)
+    scale = 10 ** r.uniform(-2, 2)
+    tf, jump, much = 10 * scale, scale * r.uniform(1, 9), 10 ** r.uniform(-0.5, 1.5)
+    if k % 3 == 0:
+        A = (r.normal(size=(3, 3)) - 1.5 * np.eye(3)) / scale
+        b = r.normal(size=3) / scale
+        return lambda t, y: A @ y + b * (np.sin(t / scale) + much * (t >= jump)), (0, tf), r.normal(size=3), jump
+    if k % 3 == 1:
+        return (
+            lambda t, y: np.array([y[1], much * (t >= jump) - np.sin(y[0])]) / scale,
+            (0, tf),
+            np.array([r.uniform(-2, 2), 0]),
+            jump,
+        )
+    rate = 10 ** r.uniform(1, 2)
+    return (
+        lambda t, y: np.array([rate * (np.cos(t / scale) + much * (t >= jump) - y[0]), -y[1]]) / scale,
+        (0, tf),
+        np.array([1.0, 1]),
+        jump,
+    )
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+def test_jumps_are_named_to_the_last_bit(method, rtol):
+    """Nearly all where four attempts or more fail (docs/algorithms.md, 'Jumps of f'), and no other time."""
+    found = looked = 0
+    for k in range(6):
+        fun, span, y0, jump = with_a_jump(k)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", iv.DiscontinuityWarning)
+            sol = iv.solve_ivp(fun, span, y0, method, rtol=rtol, atol=1e-2 * rtol, keep="end")
+        named = sol.stats.discontinuities
+        assert named in ((), (jump,))
+        assert sol.stats.nfev_check <= 256 + 60 + (sol.stats.steps + sol.stats.failed) / 4
+        if sol.stats.failed >= (4 if rtol < 1e-3 else 8):
+            looked += 1
+            found += bool(named)
+    assert found >= 0.8 * looked
+    assert looked >= (4 if rtol < 1e-3 else 0)
+
+
+def test_smooth_problems_have_none(method, problem):
+    """At random tolerances; all other tests of the package are such tests too, since warnings are errors."""
+    for rtol in 10.0 ** -np.random.default_rng(len(method + problem.name)).uniform(
+        2.5, 8 - 3 * (method[:5] == "ode23"), 2
+    ):
+        assert problem.solve(method, project=False, rtol=rtol, atol=1e-3 * rtol).stats.discontinuities == ()
+
+
+@pytest.mark.parametrize("name", ["Robertson", "HIRES", "Oregonator", "van der Pol, mu = 1e3"])
+def test_the_fast_phases_of_stiff_problems_are_none(name, code):
+    p = STIFF[name]
+    sol = code(p.fun, p.t_span, p.y0, args=p.args or None, rtol=1e-5, atol=1e-5 * p.scale, keep="end")
+    assert sol.stats.discontinuities == ()
+
+
+@pytest.mark.parametrize(
+    "fun",
+    [
+        lambda t, y: [abs(np.sin(3 * t))],
+        lambda t, y: [abs(t - 1) ** -0.5],
+        lambda t, y: [1 / (1 - t)],
+        lambda t, y: [np.tanh(1000 * (t - 1))],
+    ],
+    ids=["kinks", "integrable pole", "pole", "steep"],
+)
+def test_only_jumps_are_named(fun):
+    sol = iv.ode45(fun, (0, 3.1), [1.0], rtol=1e-6)
+    assert sol.stats.failed >= 3
+    assert sol.stats.discontinuities == ()
+
+
+def test_a_run_says_it_once_and_what_to_try(method):
+    with pytest.warns(iv.DiscontinuityWarning, match=f"{method}: fun looks discontinuous at t = 3, 5, where") as said:
+        sol = iv.solve_ivp(lambda t, y: [-y[0] + 9 * (3 <= t < 5)], (0, 10), [1.0], method, rtol=1e-6, atol=1e-9)
+    assert len(said) == 1
+    assert sol.stats.discontinuities == (3, 5)
+    assert "Fun looks discontinuous at t = 3, 5" in sol.message
+    assert "breakpoints=[3, 5]" in sol.message
+
+
+def test_breakpoints_silence_it_and_save_the_failures(method):
+    problem = iv.Problem(lambda t, y: [-y[0] + 9 * (3 <= t < 5)], (0, 10), [1.0])
+    with pytest.warns(iv.DiscontinuityWarning):
+        without = problem.solve(method, rtol=1e-6, atol=1e-9)
+    sol = problem.solve(method, rtol=1e-6, atol=1e-9, breakpoints=without.stats.discontinuities)
+    assert sol.stats.discontinuities == ()
+    assert sol.stats.failed < without.stats.failed
+    assert sol.nfev < without.nfev
+
+
+@untold
+def test_every_evaluation_is_counted(method):
+    calls = 0
+
+    def fun(t, y):
+        nonlocal calls
+        assert 0 <= t <= 10
+        calls += 1
+        return [-y[0] + 9 * (t >= 3)]
+
+    sol = iv.solve_ivp(fun, (0, 10), [1.0], method, rtol=1e-6, atol=1e-9)
+    assert sol.stats.nfev_check > 0
+    assert calls >= sol.nfev + sol.stats.nfev_check
+    if sol.njev == 0:
+        assert calls == sol.nfev + sol.stats.nfev_check
+
+
+@untold
+def test_where_the_smallest_step_fails_the_message_names_the_jump(method):
+    """Seconds of a clock: doubles are 1e-7 apart there."""
+    start = 1e9
+    sol = iv.solve_ivp(
+        lambda t, y: [-y[0] + 1e8 * (t >= start + 3)], (start, start + 10), [1.0], method, rtol=1e-6, keep="end"
+    )
+    assert sol.status == -1
+    assert sol.stats.discontinuities == (start + 3,)
+    assert "below its smallest size" in sol.message
+    assert "breakpoints=[1000000003]" in sol.message
+    assert "singularity" not in sol.message
+
+
+@untold
+def test_at_a_limit_the_message_names_it():
+    sol = iv.ode45(lambda t, y: [-y[0] + 9 * (t >= 3)], (0, 100), [1.0], rtol=1e-6, max_steps=60)
+    assert sol.status == -3
+    assert "max_steps = 60 is reached" in sol.message
+    assert "discontinuous at t = 3" in sol.message
+
+
+@untold
+def test_jumps_where_y_decides_are_found_where_the_solution_crosses(method):
+    """A relay: f jumps at y = 1, which the solution passes at t = log 2."""
+    sol = iv.solve_ivp(lambda t, y: [2 - y[0] if y[0] < 1 else 5 - y[0]], (0, 2), [0.0], method, rtol=1e-6, atol=1e-9)
+    assert np.allclose(sol.stats.discontinuities, [np.log(2)], rtol=1e-2)
+
+
+@untold
+def test_backwards_too(method):
+    sol = iv.solve_ivp(lambda t, y: [y[0] + 9 * (t <= 3)], (10, 0), [1.0], method, rtol=1e-6, atol=1e-9)
+    assert sol.stats.discontinuities == (3,)
+
+
+@untold
+def test_where_f_jumps_all_the_time_the_search_ends():
+    sol = iv.ode45(lambda t, y: [-y[0] + 9 * (np.floor(10 * t) % 2)], (0, 40), [1.0], rtol=1e-6, keep="end")
+    found = np.array(sol.stats.discontinuities)
+    assert 20 <= len(found) <= 64
+    assert np.abs(10 * found - np.round(10 * found)).max() < 1e-12
+    assert sol.stats.nfev_check < 0.1 * sol.nfev
+    assert f"and at {len(found) - 4} or more other times (stats.discontinuities)" in sol.message
+
+
+@untold
+def test_an_extension_remembers_and_a_file_does(method, tmp_path: Path):
+    problem = iv.Problem(switched, (0, 5), [1.0], args=(3.0, 20.0))
+    half = problem.solve(method, rtol=1e-6)
+    half.save(tmp_path / "half.npz")
+    whole = problem.replace(t_span=(0, 8)).solve(method, rtol=1e-6)
+    for sol in (half.extend(8), iv.load(tmp_path / "half.npz", problem).extend(8)):
+        assert sol.stats.discontinuities == half.stats.discontinuities == (3.0,)
+    inside = problem.replace(t_span=(0, 8)).solve(method, rtol=1e-6, max_steps=whole.stats.steps // 3)
+    inside = inside.extend(8, max_steps=1000)
+    assert dict(inside.stats) == dict(whole.stats)
+
+
+@pytest.mark.parametrize("how", ["lanes", "threads", "processes", "parts", "store"])
+def test_ensembles_tell_where(how, tmp_path: Path):
+    """The same in lanes, in the core one at a time, in Python, in parts and from a store: the first jump of each."""
+    N = 5
+    args = np.column_stack([np.arange(1.0, N + 1), [9.0, 0, 9, 0, 9]])
+    fun = switched if how != "processes" else lambda t, y, *p: switched.fun(t, y, p)
+    given = {
+        "lanes": {},
+        "threads": {"lanes": 1},
+        "processes": {},
+        "parts": {"executor": ThreadPoolExecutor(1), "chunk": 2},
+        "store": {"store": tmp_path / "out.zarr", "chunk": 2},
+    }[how]
+    if how == "store":
+        pytest.importorskip("zarr")
+    with pytest.warns(iv.DiscontinuityWarning, match="ode45: in 3 trajectories fun looks discontinuous") as said:
+        m = iv.solve_ensemble(fun, (0, 10), [1.0], args=args, rtol=1e-6, workers=1, **given)
+    assert len(said) == 1
+    m = m.load() if how == "store" else m
+    assert np.array_equal(m.stats.discontinuity, [1, np.nan, 3, np.nan, 5], equal_nan=True)
+    alone = [iv.Problem(switched, (0, 10), [1.0], args=tuple(row)) for row in args]
+    for i in (2, 3):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", iv.DiscontinuityWarning)
+            one = alone[i].solve(rtol=1e-6, keep="end")
+        assert m[i].stats.discontinuities == one.stats.discontinuities
+        assert m[i].stats.nfev_check == one.stats.nfev_check
+
+
+@untold
+def test_a_saved_ensemble_keeps_it(tmp_path: Path):
+    m = iv.solve_ensemble(switched, (0, 10), [1.0], args=[[3.0, 9.0], [4.0, 0.0]], rtol=1e-6, workers=1)
+    m.save(tmp_path / "m.npz")
+    again = iv.EnsembleSolution.load(tmp_path / "m.npz")
+    assert [one.stats.discontinuities for one in again] == [(3.0,), ()]
+
+
+def test_the_classes_for_scipy_say_it_once(method):
+    run = getattr(classes, {"auto": "LSODA"}.get(method, method.upper()), None)
+    if run is None:
+        pytest.skip("no class of this method")
+    with pytest.warns(iv.DiscontinuityWarning, match="discontinuous at t = 3") as said:
+        solver = run(lambda t, y: [-y[0] + 9 * (t >= 3)], 0, [1.0], 10, rtol=1e-6, atol=1e-9)
+        while solver.status == "running":
+            solver.step()
+    assert len(said) == 1
+
+
+def test_exceptions_of_the_search_come_out():
+    """Evaluations in the search are evaluations: what they raise ends the run."""
+
+    class BrokenError(Exception):
+        pass
+
+    seen = []
+
+    def fun(t, y):
+        seen.append(t)
+        if len(seen) > 2 and abs(t - 3) < 1e-9 and t != 3:
+            raise BrokenError
+        return [-y[0] + 9 * (t >= 3)]
+
+    with pytest.raises(BrokenError):
+        iv.ode45(fun, (0, 10), [1.0], rtol=1e-6)
