@@ -1,6 +1,6 @@
-// The Brusselator on a line, as in tests/stiff.py, for `benchmarks/banded.py`, which compiles this with the flags of the
-// core. p = [points, what a point takes from a neighbour per unit of time]; u and v alternate, u = 1 and v = 3 at both
-// ends.
+// The Brusselator on a line, as in tests/stiff.py, for `benchmarks/banded.py`, which compiles this with the flags of
+// the core. p = [points, what a point takes from a neighbour per unit of time]; u and v alternate, u = 1 and v = 3 at
+// both ends.
 
 #include <cstddef>
 
