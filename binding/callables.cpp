@@ -397,6 +397,33 @@ void require_columns(const ConstIndices& starts, const ConstIndices& rows, const
   }
 }
 
+/// What act(), which calls Python, comes to: an exception stays set.
+template <class Act>
+Status reported(Act act) noexcept {
+  try {
+    in_python(act);
+    return Status::ok;
+  } catch (nb::python_error& error) {
+    error.restore();
+  } catch (const std::bad_alloc&) {
+    PyErr_NoMemory();
+  } catch (const std::invalid_argument& error) {
+    PyErr_SetString(PyExc_ValueError, error.what());
+  } catch (const std::exception& error) {
+    PyErr_SetString(PyExc_RuntimeError, error.what());
+  }
+  return Status::stop;
+}
+
+/// A new array of these values, `size` reals or half as many complex numbers.
+nb::object new_array(const double* values, std::size_t size, bool complex) {
+  auto n = static_cast<npy_intp>(complex ? size / 2 : size);
+  PyObject* array = PyArray_SimpleNew(1, &n, complex ? NPY_CDOUBLE : NPY_DOUBLE);
+  if (array == nullptr) throw nb::python_error();
+  std::copy_n(values, size, static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array))));
+  return nb::steal(array);
+}
+
 /// A Python function of (t, y), or of t alone, as a core function that fills a matrix. It returns what `read_matrix`
 /// takes: Python's own layer has brought what the user's function returned into this form.
 class PythonMatrix final : public Callable {
@@ -412,31 +439,58 @@ class PythonMatrix final : public Callable {
  private:
   static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
     auto* me = static_cast<PythonMatrix*>(self);
-    try {
-      in_python([&] { read_matrix(y == nullptr ? me->function_(t) : me->function_(t, me->state(y, out.n())), out); });
-      return Status::ok;
-    } catch (nb::python_error& error) {
-      error.restore();
-    } catch (const std::bad_alloc&) {
-      PyErr_NoMemory();
-    } catch (const std::invalid_argument& error) {
-      PyErr_SetString(PyExc_ValueError, error.what());
-    } catch (const std::exception& error) {
-      PyErr_SetString(PyExc_RuntimeError, error.what());
-    }
-    return Status::stop;
-  }
-
-  [[nodiscard]] nb::object state(const double* y, std::size_t size) const {
-    auto n = static_cast<npy_intp>(complex_ ? size / 2 : size);
-    PyObject* array = PyArray_SimpleNew(1, &n, complex_ ? NPY_CDOUBLE : NPY_DOUBLE);
-    if (array == nullptr) throw nb::python_error();
-    std::copy_n(y, size, static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array))));
-    return nb::steal(array);
+    return reported([&] {
+      read_matrix(y == nullptr ? me->function_(t) : me->function_(t, new_array(y, out.n(), me->complex_)), out);
+    });
   }
 
   nb::object function_;
   bool complex_;
+};
+
+/// A Python function of (t, y, c) that returns a function x = solve(b), as a preconditioner. Python's own layer sees to
+/// it that x is a float64 array, complex numbers as pairs.
+class PythonPreconditioner final : public Callable {
+ public:
+  PythonPreconditioner(nb::handle function, Space space) : function_(nb::borrow(function)), space_(space) {}
+
+  [[nodiscard]] Preconditioner callback() { return {&set_up, &solve, this}; }
+  int visit(visitproc visit, void* arg) const override {
+    Py_VISIT(function_.ptr());
+    return 0;
+  }
+
+ private:
+  /// What was made may be given back by a thread that does not hold the interpreter.
+  struct Made {
+    explicit Made(nb::object&& made) : solve(std::move(made)) {}
+    Made(const Made&) = delete;
+    Made& operator=(const Made&) = delete;
+    ~Made() {
+      holding_interpreter([this] { solve.reset(); });
+    }
+    nb::object solve;
+  };
+
+  static Status set_up(void* self, double t, const double* y, double c, std::shared_ptr<void>& made) noexcept {
+    auto& me = *static_cast<PythonPreconditioner*>(self);
+    return reported([&] {
+      const nb::object state = new_array(y, me.space_.size, me.space_.complex);
+      made = std::make_shared<Made>(me.function_(t, state, c));
+    });
+  }
+  static Status solve(void* self, void* made, double* b) noexcept {
+    auto& me = *static_cast<PythonPreconditioner*>(self);
+    return reported([&] {
+      const nb::object right = new_array(b, me.space_.size, me.space_.complex);
+      const auto x = nb::cast<ConstVector>(static_cast<Made*>(made)->solve(right));
+      require(x.size() == me.space_.size, "what a preconditioner returned is not of the size of the state");
+      std::copy_n(x.data(), x.size(), b);
+    });
+  }
+
+  nb::object function_;
+  Space space_;
 };
 
 }  // namespace
@@ -556,6 +610,20 @@ MatrixFunction Functions::matrix(nb::handle f) {
   const MatrixFunction function = owner->callback();
   owned_.push_back(std::move(owner));
   return function;
+}
+
+Callback Functions::product(nb::handle f, const std::string& name) {
+  const auto n = static_cast<std::ptrdiff_t>(space_.components());
+  return add(f, args_, name, {.rows = n, .complex = space_.complex},
+             Takes{.n = n, .second = n, .complex = space_.complex});
+}
+
+Preconditioner Functions::preconditioner(nb::handle f) {
+  native_ = false;
+  auto owner = std::make_unique<PythonPreconditioner>(f, space_);
+  const Preconditioner made = owner->callback();
+  owned_.push_back(std::move(owner));
+  return made;
 }
 
 namespace {

@@ -12,6 +12,7 @@
 
 #include "callback.hpp"
 #include "linear/matrix.hpp"
+#include "linear/preconditioner.hpp"
 #include "run/input.hpp"
 
 namespace nb = nanobind;
@@ -92,6 +93,10 @@ class Functions {
   Callback rows(nb::handle f, const std::string& name, std::size_t m);
   /// f(t, y), or f(t), without args, -> what `read_matrix` takes
   MatrixFunction matrix(nb::handle f);
+  /// f(t, y, v) -> state
+  Callback product(nb::handle f, const std::string& name);
+  /// f(t, y, c), without args, -> a function that solves
+  Preconditioner preconditioner(nb::handle f);
 
   [[nodiscard]] std::size_t state_size() const { return space_.size; }
   /// Any other function of t and one vector or two.

@@ -133,7 +133,8 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
       .source = {.kind = spec.kind, .function = {}, .complex_f = {}, .found_pattern = spec.found_pattern > 0},
       .jacobian = Matrix::without_values(spec.structure),
       .mass = {},
-      .lapack = {}};
+      .lapack = {},
+      .krylov = {}};
   nb::object known = spec.jacobian;  // values or pattern
   if (spec.kind == Jacobian::Kind::function || spec.kind == Jacobian::Kind::complex_steps) {
     nb::object code = std::exchange(known, nb::none());
@@ -145,6 +146,12 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
   }
   if (!known.is_none()) read_matrix(known, linear.jacobian);
   if (!spec.lapack.is_none()) linear.lapack = read_lapack(spec.lapack);
+  if (spec.kind == Jacobian::Kind::products) {
+    KrylovTerms& krylov = linear.krylov.emplace();
+    if (!spec.product.is_none()) krylov.product = functions.product(spec.product, "jac_product(t, y, v)");
+    if (!spec.preconditioner.is_none()) krylov.preconditioner = functions.preconditioner(spec.preconditioner);
+    krylov.dimension = spec.dimension;
+  }
   if (spec.mass.is_none()) return linear;
   Matrix mass(spec.structure);
   MatrixFunction function;
@@ -192,7 +199,7 @@ int visit(const InvariantSpec& s, visitproc visit, void* arg) {
 int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
 int visit(const BreakpointSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.action}); }
 int visit(const LinearSpec& s, visitproc visit, void* arg) {
-  return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack});
+  return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack, s.product, s.preconditioner});
 }
 int visit(const ProblemSpec& s, visitproc visitor, void* arg) {
   int stop = visit_all(visitor, arg, {s.fun, s.args, s.callback});
@@ -251,18 +258,22 @@ void define_linear(nb::module_& module) {
           "__init__",
           [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
              const std::string& kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack,
-             std::int64_t found_pattern) {
+             std::int64_t found_pattern, nb::object product, nb::object preconditioner, std::size_t dimension) {
             new (self) LinearSpec{{choose(structure_names, structure, "structure"), n, lower, upper},
                                   choose(jacobian_names, kind, "kind of Jacobian"),
                                   std::move(jacobian),
                                   std::move(mass),
                                   std::move(null_basis),
                                   std::move(lapack),
-                                  found_pattern};
+                                  found_pattern,
+                                  std::move(product),
+                                  std::move(preconditioner),
+                                  dimension};
           },
           nb::kw_only(), nb::arg("structure"), nb::arg("n"), nb::arg("lower"), nb::arg("upper"), nb::arg("kind"),
           nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none(),
-          nb::arg("found_pattern") = 0)
+          nb::arg("found_pattern") = 0, nb::arg("product").none() = nb::none(),
+          nb::arg("preconditioner").none() = nb::none(), nb::arg("dimension") = 0)
       .def_prop_ro(
           "kind", [](const LinearSpec& l) { return name_in(jacobian_names, l.kind); }, "As it was given.")
       .def_prop_ro(

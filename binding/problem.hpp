@@ -59,7 +59,9 @@ struct LinearSpec {
   nb::object mass;        // None, the values of a constant one, or M(t)
   nb::object null_basis;  // (starts, rows, values) of Z
   nb::object lapack;      // None, or capsules by name
-  std::int64_t found_pattern;  // evaluations of f that found the pattern; 0: it was given
+  std::int64_t found_pattern;          // evaluations of f that found the pattern; 0: it was given
+  nb::object product, preconditioner;  // of the kind `products`: functions, or None
+  std::size_t dimension;               // of its Krylov space
 };
 
 struct ProblemSpec {

@@ -99,6 +99,7 @@ bool can_go_on(State state) {
 
 FinishedRun finish(Run& run, const Solver& solver) {
   Memory memory;
+  run.integration().end_attempts();
   if (can_go_on(run.integration().state())) memory = run.memory(most_kept);
   return present(run.take_result(), solver, std::move(memory));
 }
@@ -515,6 +516,7 @@ void define_report_of_run(RunClass& run) {
   property(run, "component", [](const RunResult& r) { return r.report.component; });
   property(run, "pure_relative", [](const RunResult& r) { return r.report.pure_relative; });
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
+  property(run, "unsolved", [](const RunResult& r) { return r.report.linear.unsolved; });
   property(run, "undefined_mass", [](const RunResult& r) { return r.report.linear.undefined_mass; });
   property(run, "undefined_jacobian", [](const RunResult& r) { return r.report.linear.undefined_jacobian; });
   property(run, "event", [](const RunResult& r) { return r.report.event; });

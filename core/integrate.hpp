@@ -77,6 +77,8 @@ class Integration {
   State resume(bool anew);
   /// All that a run remembers between two steps, but what it has put out.
   void state(Archive& archive);
+  /// The run is over, but for its memory and its results.
+  void end_attempts() { step_->end_attempts(); }
   State advance();
   State run();
 

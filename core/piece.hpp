@@ -4,9 +4,11 @@
 #include <cmath>
 #include <deque>
 #include <limits>
+#include <memory>
 
 #include "callback.hpp"
 #include "linear/matrix.hpp"
+#include "linear/preconditioner.hpp"
 
 namespace invariode {
 
@@ -38,6 +40,10 @@ class Piece {
     if (!function) return {};
     return {&Piece::matrix_entry, &matrices_.emplace_back(*this, function)};
   }
+  Preconditioner seen(const Preconditioner& preconditioner) {
+    if (!preconditioner) return {};
+    return {&Piece::set_up_entry, &Piece::solve_entry, &preconditioners_.emplace_back(*this, preconditioner)};
+  }
 
  private:
   template <class Function>
@@ -57,10 +63,19 @@ class Piece {
     auto& [piece, function] = *static_cast<Seen<MatrixFunction>*>(self);
     return function(piece.inside(t), y, out);
   }
+  static Status set_up_entry(void* self, double t, const double* y, double c, std::shared_ptr<void>& made) {
+    auto& [piece, function] = *static_cast<Seen<Preconditioner>*>(self);
+    return function.set_up_(function.context_, piece.inside(t), y, c, made);
+  }
+  static Status solve_entry(void* self, void* made, double* b) {
+    auto& [piece, function] = *static_cast<Seen<Preconditioner>*>(self);
+    return function.solve_(function.context_, made, b);
+  }
 
   double low_ = -std::numeric_limits<double>::infinity(), high_ = std::numeric_limits<double>::infinity();
   std::deque<Seen<Callback>> functions_;  // which stay where they are when there are more of them
   std::deque<Seen<MatrixFunction>> matrices_;
+  std::deque<Seen<Preconditioner>> preconditioners_;
 };
 
 }  // namespace invariode

@@ -20,10 +20,12 @@ struct Matrix;
 /// How an operation of a step ended. `not_finite`: a needed value of f is NaN or infinite.
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
 
-/// Jacobians, factorisations and solves so far; whether the last attempt met a singular iteration matrix, or a Jacobian
-/// or a mass matrix that is not finite.
+/// Jacobians, factorisations (or set-ups of a preconditioner) and solves so far, products with the Jacobian and
+/// iterations of GMRES; whether the last attempt met a linear system that GMRES did not solve, a singular iteration
+/// matrix, or a Jacobian or a mass matrix that is not finite.
 struct LinearWork {
-  std::int64_t jacobians = 0, factorizations = 0, solves = 0;
+  std::int64_t jacobians = 0, factorizations = 0, solves = 0, products = 0, iterations = 0;
+  bool unsolved = false;
   std::int64_t complex_calls = 0;                                        ///< of f at complex y, for Jacobians
   double left_complex_steps = std::numeric_limits<double>::quiet_NaN();  ///< t at which differences replaced them
   std::int64_t enlargements = 0;                                         ///< of a sparsity pattern that was found,
@@ -123,6 +125,9 @@ class Step {
   /// Of a method that consists of several: which of them made the last step, and how often they have changed.
   [[nodiscard]] virtual int member() const { return 0; }
   [[nodiscard]] virtual std::int64_t switches() const { return 0; }
+
+  /// There will be no further attempt: memory that only attempts need may be given back.
+  virtual void end_attempts() {}
 
   /// The memory between two steps: all that the next `attempt` and those after it read. Methods archive this part and
   /// then their own.

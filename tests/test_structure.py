@@ -152,6 +152,8 @@ class TestReplace:
             "lband": 0,
             "uband": 0,
             "mass": None,
+            "jac_product": lambda t, y, v, a: v,
+            "preconditioner": lambda t, y, c, a: None,
             "nonnegative": [0],
             "bounds": (None, 10.0),
             "inputs": [iv.Input([0], [1.0])],

@@ -69,8 +69,10 @@ void Jacobian::group_columns() {
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
+  if (kind_ == Kind::products) return Status::ok;
   matrix_.provide();
   switch (kind_) {
+    case Kind::products:
     case Kind::constant: return Status::ok;
     case Kind::function: {
       ++count_;

@@ -25,7 +25,8 @@ namespace invariode {
 /// complex steps, the pattern grows.
 class Jacobian {
  public:
-  enum class Kind { constant, function, differences, complex_steps };
+  /// Of `products` there is no matrix (linear/matrix_free.hpp): its entries are none.
+  enum class Kind { constant, function, differences, complex_steps, products };
 
   /// Where its entries come from. `complex_f`: f of complex y, pairs of reals in and out.
   struct Source {

@@ -57,12 +57,15 @@ class Mass {
   Basis Z_;
 };
 
+struct KrylovTerms;
+
 /// ∂f/∂y, M and the linear algebra of an implicit method, which belong to the caller. Those who evaluate the Jacobian
-/// take a copy, with increments of its own. Null: M is the identity; LAPACK is not at hand.
+/// take a copy, with increments of its own. Null: M is the identity; LAPACK is not at hand; the Jacobian is a matrix.
 struct LinearAlgebra {
   const Jacobian* jacobian = nullptr;
   Mass* mass = nullptr;
   const Lapack* lapack = nullptr;
+  const KrylovTerms* krylov = nullptr;  ///< if the Jacobian is known by its products alone
 };
 
 /// Solves M y' = f for y', with Zᵀ f = 0 kept along it: (M + Z Zᵀ J) y' = (I − Z Zᵀ) f − Z Zᵀ f_t.

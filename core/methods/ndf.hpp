@@ -37,6 +37,7 @@ class Ndf final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(options_.max_order) + 1; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void end_attempts() override { newton_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;

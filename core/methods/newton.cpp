@@ -17,6 +17,11 @@ constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobi
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
 
+// Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
+constexpr double linear_part = 0.05;      // of the error that Newton's iteration may leave: what GMRES may leave
+constexpr double tolerated_change = 0.3;  // of c, with a preconditioner for the old one
+constexpr int old_preconditioner = 20;    // steps
+
 }  // namespace
 
 void Convergence::begin(double rtol, double roundoff) {
@@ -44,6 +49,11 @@ Convergence::Verdict Convergence::judge(double size) {
   return iteration_ < rules_.most_iterations ? Verdict::go_on : Verdict::diverged;
 }
 
+void Convergence::settle(double size) {
+  rate_ = std::max(rate_memory * rate_, std::min(size / previous_, slowest_rate));
+  rate_known_ = true;
+}
+
 // -------------------------------------------------------------------------------------------------- f and its Jacobian
 
 AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear)
@@ -51,8 +61,9 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       weights_(weights),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
-      undefined_f_(weights.size()),
-      scratch_(weights.size()) {}
+      scratch_(linear.krylov ? 0 : weights.size()) {
+  if (linear.krylov) free_.emplace(f, weights, linear);
+}
 
 void AgingJacobian::forget() {
   factored_ = 0;
@@ -62,20 +73,12 @@ void AgingJacobian::forget() {
 
 Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
   const std::size_t n = weights_.size();
-  undefined_ = false;
+  undefined_ = -1;
   if (!all_finite(y, n)) return Outcome::not_finite;
   if (f_(t, y, out) == Status::stop) return Outcome::stop;
   if (all_finite(out, n)) return Outcome::ok;
-  std::copy(out, out + n, undefined_f_.begin());
-  undefined_ = true;
+  undefined_ = static_cast<int>(std::find_if_not(out, out + n, [](double x) { return std::isfinite(x); }) - out);
   return Outcome::not_finite;
-}
-
-int AgingJacobian::undefined_component() const {
-  if (!undefined_) return -1;
-  for (std::size_t i = 0; i < undefined_f_.size(); ++i)
-    if (!std::isfinite(undefined_f_[i])) return static_cast<int>(i);
-  return -1;
 }
 
 Status AgingJacobian::take_jacobian(double t, const double* y, const double* slope) {
@@ -85,6 +88,15 @@ Status AgingJacobian::take_jacobian(double t, const double* y, const double* slo
   current_ = true;
   age_ = 0;
   return jacobian_.evaluate(f_, t, y, slope);
+}
+
+Status AgingJacobian::multiply(double t, const double* y, const double* slope, const double* v, double* out) {
+  if (free_) {
+    free_->product().at(t, y, slope);
+    return free_->product().multiply(v, out);
+  }
+  jacobian().multiply(v, out);
+  return Status::ok;
 }
 
 Status AgingJacobian::repair(double t, const double* y, const double* slope) {
@@ -102,7 +114,7 @@ bool AgingJacobian::renew_if_old() {
 }
 
 bool AgingJacobian::renew() {
-  if (jacobian_.kind() == Jacobian::Kind::constant) return false;
+  if (jacobian_.kind() == Jacobian::Kind::constant || (free_ && !free_->preconditioned())) return false;
   return renew_ = true;
 }
 
@@ -131,8 +143,8 @@ bool AgingJacobian::defined_mass() {
 }
 
 /// Forgets the factors at hand if they are not those for c.
-bool AgingJacobian::needs_factors(double c) {
-  if (c == factored_) return false;
+bool AgingJacobian::needs_factors(double c, double tolerated) {
+  if (std::abs(c - factored_) <= tolerated * std::abs(factored_)) return false;
   if (first_c_ == 0) first_c_ = std::abs(c);
   factored_ = 0;
   work_.undefined_jacobian = !all_finite(jacobian().values.data(), jacobian().values.size());
@@ -149,6 +161,7 @@ Outcome AgingJacobian::factored(double c, double t1, bool regular) {
 
 bool AgingJacobian::stiff(double c, const double* w) {
   if (mass_) return true;
+  if (free_) return false;  // J is never an old one
   std::fill(scratch_.begin(), scratch_.end(), 0);
   jacobian().for_each([&](std::size_t i, std::size_t j, double value) { scratch_[i] += std::abs(value) * w[j]; });
   MaxNorm norm;
@@ -159,12 +172,17 @@ bool AgingJacobian::stiff(double c, const double* w) {
 void AgingJacobian::fields(Archive& archive) {
   jacobian_.state(archive);
   jacobian_.matrix_state(archive);
+  if (free_) free_->state(archive);
   archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_);
 }
 
 LinearWork AgingJacobian::work() const {
   LinearWork work = work_;
   work.jacobians = jacobian_.count();
+  if (free_) {
+    work.products = free_->products();
+    work.iterations = free_->iterations();
+  }
   work.complex_calls = jacobian_.complex_calls();
   work.left_complex_steps = jacobian_.left_complex_steps();
   work.enlargements = jacobian_.enlargements();
@@ -199,7 +217,7 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
     std::copy(f, f + n, slope);
     solver_.slope(*mass, ft, slope);
   }
-  jacobian.jacobian().multiply(slope, second);
+  if (jacobian.multiply(t, y, f, slope, second) == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < n; ++i) second[i] += ft[i];
   if (mass) solver_.slope(*mass, nullptr, second);
   return Status::ok;
@@ -210,7 +228,7 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
 Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules)
     : AgingJacobian(f, weights, linear),
       weights_(weights),
-      lu_(make_factorization(jacobian().structure, linear.lapack)),
+      lu_(linear.krylov ? nullptr : make_factorization(jacobian().structure, linear.lapack)),
       convergence_(rules),
       f_value_(weights.size()),
       residual_(weights.size()),
@@ -219,14 +237,40 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear,
 void Newton::restart() {
   forget();
   convergence_.forget();
+  last_c_ = 0;
+}
+
+Status Newton::repair(double t, const double* y) {
+  if (matrix_free()) {
+    matrix_free()->reach(t, y);
+    if (jacobian_age() >= old_preconditioner) renew();
+  }
+  return AgingJacobian::repair(t, y);
 }
 
 Outcome Newton::prepare(double c, double t1) {
+  note_unsolved(false);
+  if (matrix_free()) return prepare_matrix_free(c, t1);
   return AgingJacobian::prepare(c, t1, [&] {
     count_factorization();
     convergence_.forget();
     return lu_->factor(mass_matrix(), c, jacobian());
   });
+}
+
+/// The preconditioner may be one for another c. The rate of convergence may not: GMRES solves for this one.
+Outcome Newton::prepare_matrix_free(double c, double t1) {
+  if (c != last_c_) convergence_.forget();
+  last_c_ = c;
+  bool stopped = false;
+  const auto set_up = [&] {
+    if (matrix_free()->preconditioned()) count_factorization();
+    note_current();
+    stopped = matrix_free()->set_up(c) == Status::stop;
+    return true;
+  };
+  const Outcome outcome = AgingJacobian::prepare(c, t1, set_up, tolerated_change);
+  return stopped ? Outcome::stop : outcome;
 }
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
@@ -235,7 +279,10 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   const auto norm = [&](const double* v) { return max_norm(n, [v, w](std::size_t i) { return v[i] / w[i]; }); };
   std::fill(d, d + n, 0);
   std::copy(p, p + n, y);
-  convergence_.begin(weights_.rtol(), roundoff_units * eps * norm(p));
+  const double roundoff = roundoff_units * eps * norm(p);
+  convergence_.begin(weights_.rtol(), roundoff);
+  const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
+  place_ = {c, t1, y, w};
   for (;;) {
     switch (evaluate(t1, y, f_value_.data())) {
       case Outcome::stop: return Result::stop;
@@ -243,8 +290,12 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Outcome::ok: break;
     }
     residual(c, psi, d);
-    count_solve();
-    lu_->solve(residual_.data());
+    if (precondition(residual_.data()) == Status::stop) return Result::stop;
+    if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
+      convergence_.settle(tolerance);
+      return Result::converged;
+    }
+    if (const Result solved = solve_linear(tolerance, residual_.data()); solved != Result::converged) return solved;
     const double size = norm(residual_.data());
     for (std::size_t i = 0; i < n; ++i) {
       d[i] += residual_[i];
@@ -258,18 +309,45 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   }
 }
 
-void Newton::state(Archive& archive) {
-  convergence_.state(archive);
-  AgingJacobian::state(archive, [this](double c) { return lu_->factor(mass_matrix(), c, jacobian()); });
+Status Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Status::ok; }
+
+/// b, preconditioned, becomes the solution; matrix-free with J at the place, where f is at hand.
+Newton::Result Newton::solve_linear(double tolerance, double* b) {
+  count_solve();
+  if (!matrix_free()) {
+    lu_->solve(b);
+    return Result::converged;
+  }
+  matrix_free()->product().at(place_.t, place_.y, f_value_.data());
+  switch (matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b)) {
+    case Gmres::Result::stop: return Result::stop;
+    case Gmres::Result::failed: note_unsolved(true); return Result::failed;
+    case Gmres::Result::converged: break;
+  }
+  return Result::converged;
 }
 
-void Newton::damp(double* v) {
+void Newton::state(Archive& archive) {
+  convergence_.state(archive);
+  if (matrix_free()) archive(last_c_);
+  AgingJacobian::state(archive, [&](double c) {
+    if (!matrix_free()) return lu_->factor(mass_matrix(), c, jacobian());
+    if (matrix_free()->set_up_again(c) == Status::stop) archive.stop();
+    return true;
+  });
+}
+
+Newton::Result Newton::damp(double* v) {
   if (const Matrix* M = mass_matrix()) {
     std::copy(v, v + sum_.size(), sum_.begin());
     M->multiply(sum_.data(), v);
   }
-  count_solve();
-  lu_->solve(v);
+  if (matrix_free()) {
+    const Outcome outcome = evaluate(place_.t, place_.y, f_value_.data());
+    if (outcome != Outcome::ok) return outcome == Outcome::stop ? Result::stop : Result::failed;
+  }
+  if (precondition(v) == Status::stop) return Result::stop;
+  return solve_linear(linear_part * weights_.rtol(), v);
 }
 
 /// c f − M (ψ + d), with f at hand.

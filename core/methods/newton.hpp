@@ -4,9 +4,11 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "linear/mass.hpp"
+#include "linear/matrix_free.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -32,6 +34,10 @@ class Convergence {
   void begin(double rtol, double roundoff);
   /// After an update of that size.
   Verdict judge(double size);
+  /// Ends an iteration whose next update would have this size at most.
+  void settle(double size);
+  /// The error that an iteration may leave, in units of the weights.
+  [[nodiscard]] double goal() const { return rules_.goal * rtol_; }
   /// Iterations since `begin`, and the rate of convergence, if two of them have told it.
   [[nodiscard]] int iterations() const { return iteration_; }
   [[nodiscard]] double rate() const { return rate_; }
@@ -47,7 +53,8 @@ class Convergence {
 };
 
 /// f and its Jacobian J as implicit formulas use them: J serves several steps, and is taken anew where it is too old or
-/// was not good enough. Knows M, and for which c the factors of M − c J were made.
+/// was not good enough. Knows M, and for which c the factors of M − c J were made. Where J is known by its products
+/// alone, it is always that of the iterate at hand, and a preconditioner takes the part of J and of the factors.
 class AgingJacobian {
  public:
   AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear);
@@ -59,9 +66,12 @@ class AgingJacobian {
   /// What `renew` has asked for: takes J at (t, y) anew, where f is `slope`. Null: f is evaluated if J comes from
   /// differences.
   Status repair(double t, const double* y, const double* slope = nullptr);
-  /// M at t₁ and, by `factor()`, the factors for c, unless they are at hand. `not_finite`: M − c J is singular.
+  /// J v, with J at (t, y), where f is `slope`; of a matrix, with the J at hand.
+  Status multiply(double t, const double* y, const double* slope, const double* v, double* out);
+  /// M at t₁ and, by `factor()`, the factors for c, unless they are at hand, for this c or one that differs by no more
+  /// than the tolerated part of it. `not_finite`: M − c J is singular.
   template <class Factor>
-  Outcome prepare(double c, double t1, Factor&& factor);
+  Outcome prepare(double c, double t1, Factor&& factor, double tolerated = 0);
 
   void forget_factors() { factored_ = 0; }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
@@ -94,13 +104,22 @@ class AgingJacobian {
 
   /// f(t, y), which must be finite; a component that is not is remembered until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
-  [[nodiscard]] int undefined_component() const;
-  void forget_undefined() { undefined_ = false; }
+  [[nodiscard]] int undefined_component() const { return undefined_; }
+  void forget_undefined() { undefined_ = -1; }
   void note_singular() { work_.singular = true; }
+
+ protected:
+  [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
+  void note_unsolved(bool unsolved) { work_.unsolved = unsolved; }
+  /// J, or the preconditioner, is that of the point reached.
+  void note_current() {
+    current_ = true;
+    age_ = 0;
+  }
 
  private:
   bool defined_mass();
-  bool needs_factors(double c);
+  bool needs_factors(double c, double tolerated);
   Outcome factored(double c, double t1, bool regular);
   void fields(Archive& archive);
 
@@ -108,7 +127,8 @@ class AgingJacobian {
   const Weights& weights_;
   Jacobian jacobian_;
   Mass* mass_;
-  std::vector<double> undefined_f_, scratch_;
+  std::optional<MatrixFree> free_;
+  std::vector<double> scratch_;  // empty if matrix-free
   LinearWork work_;
   double factored_ = 0;     // c of the factors; 0: there are none
   double factored_at_ = 0;  // t of the M in them
@@ -116,15 +136,15 @@ class AgingJacobian {
   bool noisy_ = false;      // roundoff in a J of this run has counted
   bool current_ = false;    // J is that of the point reached
   bool renew_ = false;
-  bool undefined_ = false;  // f, at the last evaluation
+  int undefined_ = -1;  // component of f, at the last evaluation
   int age_ = 0;
 };
 
 template <class Factor>
-Outcome AgingJacobian::prepare(double c, double t1, Factor&& factor) {
+Outcome AgingJacobian::prepare(double c, double t1, Factor&& factor, double tolerated) {
   if (mass_ && mass_->evaluate(t1) == Status::stop) return Outcome::stop;
   if (!defined_mass()) return Outcome::not_finite;
-  return needs_factors(c) ? factored(c, t1, factor()) : Outcome::ok;
+  return needs_factors(c, tolerated) ? factored(c, t1, factor()) : Outcome::ok;
 }
 
 template <class Factor>
@@ -154,7 +174,7 @@ class InitialSlopes {
 };
 
 /// The equations of an implicit formula, c f(t₁, p + d) = M (ψ + d) for d, with the iteration matrix M − c J, which is
-/// factorised when c or J has changed.
+/// factorised when c or J has changed, or by GMRES (docs/algorithms.md, 'Matrix-free').
 class Newton : public AgingJacobian {
  public:
   enum class [[nodiscard]] Result { converged, failed, stop };
@@ -166,20 +186,37 @@ class Newton : public AgingJacobian {
 
   /// Memory as it is before any step.
   void restart();
-  /// M at t₁ and the factors of M − c J. `not_finite`: it is singular.
+  /// What is due before an attempt from (t, y): see `AgingJacobian::repair`.
+  Status repair(double t, const double* y);
+  /// M at t₁ and the factors of M − c J, or the preconditioner. `not_finite`: it is singular.
   Outcome prepare(double c, double t1);
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
-  /// v becomes (M − c J)⁻¹ M v, with the factors at hand.
-  void damp(double* v);
+  /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
+  Result damp(double* v);
+  /// See `Step::end_attempts`.
+  void end_attempts() {
+    if (matrix_free()) matrix_free()->end_attempts();
+  }
   void state(Archive& archive);
 
  private:
+  /// Where an iteration is: all of this stays with the caller.
+  struct Place {
+    double c, t;
+    const double *y, *w;
+  };
+
   void residual(double c, const double* psi, const double* d);
+  Result solve_linear(double tolerance, double* b);
+  Status precondition(double* b);
+  Outcome prepare_matrix_free(double c, double t1);
 
   const Weights& weights_;
-  std::unique_ptr<Factorization> lu_;
+  std::unique_ptr<Factorization> lu_;  // null: matrix-free
   Convergence convergence_;
+  Place place_{};
+  double last_c_ = 0;  // for which the rate of convergence is known
   std::vector<double> f_value_, residual_, sum_;
 };
 

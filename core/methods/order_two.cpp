@@ -63,11 +63,11 @@ Step::Attempt OrderTwo::attempt(double h, double t1) {
   newton_.renew_if_noise(d_ * h);
   if (newton_.jacobian_age() >= old_jacobian) newton_.renew();
   if (newton_.repair(t_, y()) == Status::stop) return {Outcome::stop, error_, candidate_.data(), false};
-  const Newton::Result result = stages();
+  Newton::Result result = stages();
   if (result == Newton::Result::converged) {
     estimate(error_vector_.data());
-    newton_.damp(error_vector_.data());
-    error_ = error_norm(error_vector_);
+    result = newton_.damp(error_vector_.data());
+    if (result == Newton::Result::converged) error_ = error_norm(error_vector_);
   }
   return {result == Newton::Result::stop ? Outcome::stop : Outcome::ok, error_, candidate_.data(),
           result == Newton::Result::converged};

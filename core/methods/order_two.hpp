@@ -22,6 +22,7 @@ class OrderTwo : public Step {
   bool errors(double* out) const final;
   bool reject(Cause cause, double hmin) final;
   Outcome accept(const double* y1) final;
+  void end_attempts() final { newton_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] std::size_t max_extension_size() const final { return extension_size(); }
@@ -37,8 +38,9 @@ class OrderTwo : public Step {
 
   /// y = base + d z with M z = h f(t, y), from the prediction ψ of d z.
   Newton::Result solve_stage(double t, double* y, double* z);
-  /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone.
-  void damp(double* v) { newton_.damp(v); }
+  /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone. For a formula that is never matrix-free, where it could
+  /// fail.
+  void damp(double* v) { static_cast<void>(newton_.damp(v)); }
   /// The norm of the error of the attempt, damped.
   [[nodiscard]] double error() const { return error_; }
   /// That of v in the weights of the error test.

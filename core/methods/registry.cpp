@@ -43,7 +43,8 @@ std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& w
 /// What one Jacobian costs, in evaluations of f.
 double calls_per_jacobian(const Jacobian& jacobian) {
   switch (jacobian.kind()) {
-    case Jacobian::Kind::constant: return 0;
+    case Jacobian::Kind::constant:
+    case Jacobian::Kind::products: return 0;
     case Jacobian::Kind::function: return 1;
     case Jacobian::Kind::differences:
     case Jacobian::Kind::complex_steps: break;
@@ -106,7 +107,8 @@ constexpr Method others[] = {
      .min_order = 1,
      .order = Ndf::highest_order,
      .extension_order = Ndf::highest_order,
-     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate"},
+     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate", "linear_solver",
+                 "krylov_dimension", "jac_product", "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_ndf},
     {.name = "ode23s",
@@ -138,7 +140,8 @@ constexpr Method others[] = {
      .min_order = TrBdf2::formula_order,
      .order = TrBdf2::formula_order,
      .extension_order = TrBdf2::formula_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension", "jac_product",
+                 "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_implicit<TrBdf2>},
     {.name = "radau",

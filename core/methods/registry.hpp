@@ -32,7 +32,7 @@ enum class MassMatrices { none, constant_regular, any };
 
 /// A method as data: what it is called, what it can do, where it comes from, how a step of it is made.
 struct Method {
-  static constexpr std::size_t most_options = 8;
+  static constexpr std::size_t most_options = 12;
 
   const char* name;
   const char* summary;  ///< what it is and what it is for, in a few words

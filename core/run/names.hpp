@@ -75,7 +75,8 @@ inline constexpr Named<Structure::Kind> structure_names[] = {
 inline constexpr Named<Jacobian::Kind> jacobian_names[] = {{"constant", Jacobian::Kind::constant},
                                                            {"function", Jacobian::Kind::function},
                                                            {"differences", Jacobian::Kind::differences},
-                                                           {"complex-step", Jacobian::Kind::complex_steps}};
+                                                           {"complex-step", Jacobian::Kind::complex_steps},
+                                                           {"products", Jacobian::Kind::products}};
 
 inline constexpr Named<Fsal> fsal_names[] = {{"reuse", Fsal::reuse}, {"evaluate", Fsal::evaluate}};
 

@@ -12,6 +12,7 @@
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "linear/matrix.hpp"
+#include "linear/matrix_free.hpp"
 #include "manifold/bounds.hpp"
 #include "manifold/invariants.hpp"
 #include "methods/registry.hpp"
@@ -26,6 +27,7 @@ struct LinearTerms {
   Matrix jacobian;  ///< the values of a constant one, else the structure
   std::optional<Mass> mass;
   std::optional<Lapack> lapack;
+  std::optional<KrylovTerms> krylov;  ///< with the kind `products`
 };
 
 /// An initial value problem but for the initial value. Whoever makes it keeps what its callbacks point to.

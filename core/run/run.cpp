@@ -21,6 +21,8 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
           ngjac,
           ngdiff,
           switches,
+          linear.products,
+          linear.iterations,
           static_cast<std::int64_t>(dropped.size()),
           harm.component + 1,
           stiffness.found ? 1 : 0};
@@ -52,6 +54,10 @@ void Run::see_pieces() {
   Jacobian::Source& source = problem.linear->source;
   source.function = piece_.seen(source.function);
   source.complex_f = piece_.seen(source.complex_f);
+  if (std::optional<KrylovTerms>& krylov = problem.linear->krylov) {
+    krylov->product = piece_.seen(krylov->product);
+    krylov->preconditioner = piece_.seen(krylov->preconditioner);
+  }
   if (problem.linear->mass) problem.linear->mass->see([this](const MatrixFunction& m) { return piece_.seen(m); });
 }
 
@@ -67,7 +73,11 @@ void Run::copy_linear_terms() {
 LinearAlgebra Run::linear_algebra() {
   if (!jacobian_) return {};
   const std::optional<Lapack>& lapack = solver_.problem().linear->lapack;
-  return {.jacobian = &*jacobian_, .mass = mass_ ? &*mass_ : nullptr, .lapack = lapack ? &*lapack : nullptr};
+  const std::optional<KrylovTerms>& krylov = problem().linear->krylov;
+  return {.jacobian = &*jacobian_,
+          .mass = mass_ ? &*mass_ : nullptr,
+          .lapack = lapack ? &*lapack : nullptr,
+          .krylov = krylov ? &*krylov : nullptr};
 }
 
 /// With a mass matrix that is not diagonal f_i is not a multiple of y_i', and f stays as it is.

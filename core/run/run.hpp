@@ -51,9 +51,10 @@ struct RunResult {
   std::optional<std::vector<double>> y_end;  ///< nothing: the last of the points
   double next_h = 0;
 
-  static constexpr const char* count_names[] = {"steps",  "failed",      "nfev",    "nfev_check", "njev", "nlu",
-                                                "nsolve", "projections", "skipped", "clipped",    "ng",   "ngjac",
-                                                "ngdiff", "switches",    "dropped", "harmed",     "stiff"};
+  static constexpr const char* count_names[] = {
+      "steps",   "failed",  "nfev", "nfev_check", "njev",   "nlu",      "nsolve",   "projections",
+      "skipped", "clipped", "ng",   "ngjac",      "ngdiff", "switches", "products", "linear_iterations",
+      "dropped", "harmed",  "stiff"};
   static constexpr std::size_t count_size = std::size(count_names);
   /// In the order of `count_names`. "dropped" is of invariants; "harmed" is 1 + the component of `harm`, 0: none;
   /// "stiff" is 1 where `stiffness` was found.

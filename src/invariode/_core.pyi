@@ -48,7 +48,7 @@ class Event:
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
 
-    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0) -> None: ...
+    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0, product: object | None = None, preconditioner: object | None = None, dimension: int = 0) -> None: ...
 
     @property
     def kind(self) -> str:
@@ -293,6 +293,9 @@ class Run:
     def singular(self) -> bool: ...
 
     @property
+    def unsolved(self) -> bool: ...
+
+    @property
     def undefined_mass(self) -> bool: ...
 
     @property
@@ -329,7 +332,7 @@ class Run:
     def finding_distance(self) -> float: ...
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
+    def counts(self) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int, int]:
         """Numbers, in the order of COUNTS."""
 
     @property

@@ -17,6 +17,7 @@ from scipy.sparse.linalg import splu
 from . import _core
 from ._arguments import EPS, Array, as_array, shown, warn
 from ._complex_steps import compiled_at_complex, python_at_complex
+from ._krylov import Krylov, is_operator
 from ._sparsity import find_pattern
 from .compiled import is_native, to_native
 from .description import Matrices
@@ -104,9 +105,12 @@ class Start:
     complex_by_default: bool = True
 
 
-def prepare(given: Matrices, start: Start) -> _core.Linear:
-    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns."""
-    storage, kind, source, found = _jacobian(given, start)
+def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
+    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns.
+
+    With `matrix_free` there is no Jacobian, and the mass matrix is sparse.
+    """
+    storage, kind, source, found = _jacobian(given, start) if matrix_free is None else _no_jacobian(given, start.y)
     mass = None if given.mass is None else _mass(given.mass, storage, start.args)
     reals = 2 if storage.complex else 1
     banded = storage.kind == "banded"
@@ -122,7 +126,14 @@ def prepare(given: Matrices, start: Start) -> _core.Linear:
         null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, start.t)),
         lapack=_lapack(),
         found_pattern=found,
+        **({} if matrix_free is None else vars(matrix_free)),
     )
+
+
+def _no_jacobian(given: Matrices, y0: Array) -> _Jacobian:
+    """It is known by its products. The structure is that of the mass matrix; bands of nothing take no memory."""
+    stored = "banded" if given.mass is None else "sparse"
+    return _Jacobian(_Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None)
 
 
 def _jacobian(given: Matrices, start: Start) -> _Jacobian:
@@ -144,7 +155,7 @@ def _jacobian(given: Matrices, start: Start) -> _Jacobian:
             return _Storage("banded", n, is_complex, *bands)
         return _Storage("sparse" if is_sparse else "dense", n, is_complex)
 
-    if callable(given.jac):
+    if callable(given.jac) and not is_operator(given.jac):
         first = given.jac(start.t, y0.copy(), *args)
         held = storage(sp.issparse(first))
         return _Jacobian(held, "function", _JacobianFunction(given.jac, args, held, start.t, y0, first))
@@ -306,6 +317,10 @@ def _regular(A: sp.csc_array) -> bool:
 
 def _matrix(name: str, given: Any, is_complex: bool) -> Any:
     """A 2-d array or sparse matrix of numbers of the right kind, its values not checked."""
+    if is_operator(given):
+        raise TypeError(
+            f"{name} is a LinearOperator, whose entries are not known: give linear_solver='gmres' (ode15s and ode23tb)"
+        )
     matrix: Any = _sound(name, given) if sp.issparse(given) else as_array(name, given)
     if matrix.ndim == 0 and not sp.issparse(matrix):  # one component
         matrix = matrix.reshape(1, 1)

@@ -181,6 +181,11 @@ def _newton_failed(run: Run, pairs: bool) -> str:
         return "The Jacobian of fun is NaN or infinite, even with the smallest step,"
     if run.singular:
         return "The iteration matrix M - h c J is singular even with the smallest step,"
+    if run.unsolved:
+        return (
+            "GMRES does not solve the linear systems of Newton's iteration even with the smallest step (give a better "
+            "preconditioner, or a larger krylov_dimension),"
+        )
     if run.component >= 0:
         return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration even with the smallest step,"
     return (

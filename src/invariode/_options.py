@@ -21,6 +21,7 @@ from ._types import (
     Function,
     Interpolation,
     Keep,
+    LinearSolver,
     MethodName,
     Numbers,
     OnInterrupt,
@@ -162,6 +163,31 @@ class MethodOptions(TypedDict, total=False):
             "'ode15s', which evaluate f least often. With a compiled, cheap f the pairs 'ode45' and 'ode78' are faster "
             "than 'ode113'.",
             to_members,
+            every_method=False,
+        ),
+    ]
+    linear_solver: Annotated[
+        LinearSolver,
+        Option(
+            "direct",
+            "{'direct', 'gmres'}",
+            "How the linear systems of Newton's iteration are solved: by LU factors of M - c J, or by restarted GMRES, "
+            "which needs products with J only and a few vectors of memory, for systems too large for a matrix. "
+            "Products are those of `jac_product` or of `jac` (which may be, or return, a "
+            "`scipy.sparse.linalg.LinearOperator`), else differences of f. It stops where what it leaves does not "
+            "matter to Newton's iteration. Without a `preconditioner` it may need many iterations.",
+            partial(choice, known=get_args(LinearSolver)),
+            every_method=False,
+        ),
+    ]
+    krylov_dimension: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Iterations after which GMRES starts anew; it keeps one vector more, and gives up after six such cycles. "
+            "Default: 10.",
+            count,
             every_method=False,
         ),
     ]
@@ -399,6 +425,29 @@ class DescribingOptions(TypedDict, total=False):
             "(n, n) array_like or sparse matrix, or callable",
             "M in M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
             "(index 1); y0 is then moved to consistent values.",
+            every_method=False,
+        ),
+    ]
+    jac_product: Annotated[
+        Any,
+        Option(
+            None,
+            "callable",
+            "``jac_product(t, y, v, *args)``, the product of the Jacobian of f with v, of shape (n,), for "
+            "``linear_solver='gmres'``.",
+            every_method=False,
+        ),
+    ]
+    preconditioner: Annotated[
+        Any,
+        Option(
+            None,
+            "callable",
+            "``preconditioner(t, y, c, *args)`` for ``linear_solver='gmres'``: returns what solves ``(M - c J) x = b`` "
+            "approximately, with J at (t, y) and M the mass matrix or the identity: an object with ``solve(b)``, such "
+            "as `scipy.sparse.linalg.spilu` returns, a `scipy.sparse.linalg.LinearOperator` that maps b to x, or a "
+            "function of b. It is called again where c has changed by more than 30 %, after 20 steps, and where "
+            "GMRES or Newton's iteration has failed.",
             every_method=False,
         ),
     ]

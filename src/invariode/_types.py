@@ -19,6 +19,7 @@ __all__ = [
     "Interpolation",
     "JacobianKind",
     "Keep",
+    "LinearSolver",
     "LowLevelCallable",
     "MethodName",
     "Numbers",
@@ -51,5 +52,6 @@ Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
+LinearSolver: TypeAlias = Literal["direct", "gmres"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
 OnInterrupt: TypeAlias = Literal["raise", "return"]

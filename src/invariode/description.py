@@ -25,13 +25,16 @@ __all__ = ["Description", "Matrices"]
 
 @dataclass(frozen=True)
 class Matrices:
-    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure."""
+    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure; products with
+    ∂f/∂y, and a preconditioner."""
 
     jac: Any
     jac_sparsity: Any
     lband: Any
     uband: Any
     mass: Any
+    jac_product: Any = None
+    preconditioner: Any = None
 
 
 class Description:
@@ -51,6 +54,8 @@ class Description:
         lband: int | None = None,
         uband: int | None = None,
         mass: Any = None,
+        jac_product: Any = None,
+        preconditioner: Any = None,
         nonnegative: Any = None,
         bounds: Any = None,
         inputs: InputsLike | None = None,
@@ -65,7 +70,7 @@ class Description:
         self.events = to_events(events)
         for event in self.events:
             terminal_count(event), direction_sign(event)
-        self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass)
+        self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass, jac_product, preconditioner)
         self.inputs = to_inputs(inputs, self.t_span)
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")

@@ -116,6 +116,8 @@ class EnsembleStats(Record):
     ngdiff: Array
     stiff: Array
     switches: Array
+    products: Array
+    linear_iterations: Array
     clipped_amount: Array
     stiff_since: Array
     discontinuity: Array
@@ -391,12 +393,14 @@ class EnsembleSolution:
                 for name in [name for name in arrays if "." in name]:
                     room, _, field = name.rpartition(".")
                     parts.setdefault(room, {})[field] = arrays.pop(name)
+                counts = {"switches", "products", "linear_iterations"}  # of which 0.1 had none
+                none = {name: np.zeros(len(arrays["status"]), dtype=np.int64) for name in counts}
                 arrays.setdefault("attempt", np.zeros(len(arrays["status"]), dtype=np.int8))  # 0.1 had no `retry`
                 nowhere = np.full(len(arrays["status"]), np.nan)  # nor these
                 parts["stats"] = {"stiff_since": nowhere, "discontinuity": nowhere, **parts["stats"]}
                 return cls(
                     **arrays,
-                    stats=EnsembleStats(**parts["stats"]),
+                    stats=EnsembleStats(**{**none, **parts["stats"]}),
                     events=[EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])],
                     messages={int(i): text for i, text in about["messages"].items()},
                 )

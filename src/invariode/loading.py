@@ -362,4 +362,12 @@ def _bind_again(
 
 def _stats(stored: dict[str, Any]) -> Stats:
     """What a file has; those of former versions have less, and JSON has no tuples."""
-    return Stats(**{"switches": 0, **stored, "discontinuities": tuple(stored.get("discontinuities", ()))})
+    return Stats(
+        **{
+            "switches": 0,
+            "products": 0,
+            "linear_iterations": 0,
+            **stored,
+            "discontinuities": tuple(stored.get("discontinuities", ())),
+        }
+    )

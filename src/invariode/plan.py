@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import _core
 from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
@@ -29,12 +29,15 @@ from ._options import Options, checked
 from ._types import MethodName, Numbers, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
 from .compiled import native_parameters, to_native
-from .description import Description
+from .description import Description, Matrices
 from .events import EventSpec, event_spec
 from .inputs import fed
 from .invariants import InvariantError
 from .methods import Method, find_method
 from .result import LIMIT_REACHED, Names
+
+if TYPE_CHECKING:
+    from ._krylov import Krylov
 
 __all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
 
@@ -203,6 +206,7 @@ def solver(plan: Plan) -> _core.Solver:
 def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     """The plan, with everything that the core needs but y0."""
     chosen, implied = find_method(method)
+    _require_linear_solver(chosen, given)
     options = checked(given, chosen)
     if options["bdf"] is None:
         options["bdf"] = implied.get("bdf", False)
@@ -220,7 +224,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     if options["breakpoints"] or problem.inputs:
         breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
     parameters, fun = _native_functions(problem, breakpoints)
-    linear, y0 = _linear_algebra(problem, chosen, fun, parameters, weights)
+    linear, y0 = _linear_algebra(problem, chosen, options, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     if bound.specs:
         bound.forward = settings.forward
@@ -333,7 +337,7 @@ def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tu
 
 
 def _called(problem: Description, breakpoints: list[Breakpoint]) -> Iterator[Any]:
-    yield from (problem.fun, problem.matrices.jac)
+    yield from (problem.fun, problem.matrices.jac, problem.matrices.jac_product)
     yield from (f for one in problem.invariants for f in (one.fun, one.jac))
     yield from (f for event in problem.events for f in (event.fun, event.action))
     yield from (point.action for point in breakpoints)
@@ -373,7 +377,7 @@ def _functions(
 
 
 def _linear_algebra(
-    problem: Description, method: Method, fun: Any, parameters: Array, weights: Tolerances
+    problem: Description, method: Method, options: Options, fun: Any, parameters: Array, weights: Tolerances
 ) -> tuple[_core.Linear | None, Array]:
     """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
@@ -388,9 +392,14 @@ def _linear_algebra(
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
     start = Start(fed(problem.fun, problem.inputs), t0, y0, problem.args, parameters, complex_by_default=compiled)
-    linear = prepare(matrices, start)
+    linear = prepare(matrices, start, _matrix_free(problem, matrices, options, parameters))
     if not linear.algebraic:
         return linear, y0
+    if options["linear_solver"] == "gmres":
+        raise ValueError(
+            "linear_solver='gmres' cannot be used with a singular mass matrix, whose algebraic equations need the "
+            "Jacobian as a matrix: use linear_solver='direct' with jac_sparsity, or lband and uband"
+        )
     if any(event.action for event in problem.events):
         raise ValueError("actions of events are not possible with a singular mass matrix")
     algebraic = _core.Problem(
@@ -405,6 +414,28 @@ def _linear_algebra(
     if verdict in ("index_too_high", "not_found"):
         raise ValueError(inconsistent_start(verdict, t0))
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
+
+
+def _require_linear_solver(method: Method, given: Options) -> None:
+    if given.get("linear_solver") == "gmres" and "jac" in method.options and "linear_solver" not in method.options:
+        raise ValueError(
+            f"linear_solver='gmres': {method.name} needs the Jacobian as a matrix; use ode15s or ode23tb, or "
+            "linear_solver='direct' with jac_sparsity"
+        )
+
+
+def _matrix_free(problem: Description, matrices: Matrices, options: Options, parameters: Array) -> Krylov | None:
+    from ._krylov import krylov, unused_without_krylov
+
+    if options["linear_solver"] == "direct":
+        unused_without_krylov(matrices)
+        return None
+    if problem.inputs and (matrices.jac_product is not None or matrices.preconditioner is not None):
+        raise ValueError(
+            "jac_product and preconditioner are not possible together with inputs: call the inputs inside these "
+            "functions, and pass them to the problem by args"
+        )
+    return krylov(matrices, problem.y0, problem.args, parameters, options["krylov_dimension"])
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ class Stats(Record):
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
-        Factorisations.
+        Factorisations; with ``linear_solver="gmres"`` set-ups of the preconditioner.
     nsolve : int
         Solutions of linear systems.
     projections : int
@@ -87,6 +87,11 @@ class Stats(Record):
         Those of `ng` that served Jacobians: complex steps and differences, and the choice between them at the start.
     switches : int
         How often ``method="auto"`` continued with its other method.
+    products : int
+        Products of the Jacobian of f with a vector, with ``linear_solver="gmres"``. By differences each of them is one
+        of `nfev`.
+    linear_iterations : int
+        Iterations of GMRES.
     derivatives : str or None
         How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
         differences', several of these, or None.
@@ -104,7 +109,8 @@ class Stats(Record):
         From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
     jacobian : str or None
         How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
-        differences replaced complex steps, and the sparsity pattern if it was detected; None for explicit methods.
+        differences replaced complex steps, and the sparsity pattern if it was detected; 'products' with
+        ``linear_solver="gmres"``; None for explicit methods.
     discontinuities : tuple of float
         Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
         value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
@@ -124,6 +130,8 @@ class Stats(Record):
     ngjac: int
     ngdiff: int
     switches: int
+    products: int
+    linear_iterations: int
     derivatives: str | None
     projected_start: bool
     clipped_amount: float = 0.0

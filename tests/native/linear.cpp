@@ -4,6 +4,7 @@
 #include <random>
 
 #include "check.hpp"
+#include "linear/gmres.hpp"
 #include "problems.hpp"
 
 using namespace invariode;
@@ -104,6 +105,54 @@ TEST(banded_factors_solve_in_bands_of_every_width) {
     solve_with_factors<double>(structure, 0.3, random);
     solve_with_factors<std::complex<double>>(structure, {0.3, -0.2}, random);
   }
+}
+
+/// v -> A v
+class Product final : public LinearOperator {
+ public:
+  explicit Product(const Matrix& A) : A_(A) {}
+  Status multiply(const double* v, double* out) override {
+    A_.multiply(v, out);
+    return Status::ok;
+  }
+
+ private:
+  const Matrix& A_;
+};
+
+TEST(gmres_leaves_a_residual_within_the_tolerance_in_one_cycle_or_several) {
+  std::mt19937 random(5);
+  Matrix A = random_matrix({Kind::dense, 20}, random);
+  for (double& a : A.values) a *= 0.1;
+  for (std::size_t i = 0; i < 20; ++i) A.values[21 * i] += 1;
+  std::vector<double> b(20), w(20), x, Ax(20);
+  for (std::size_t i = 0; i < 20; ++i) b[i] = std::sin(1.0 + i), w[i] = 1 + 0.1 * i;
+  Product product(A);
+  for (const std::size_t dimension : {5, 20})
+    for (const double tolerance : {1e-2, 1e-5, 1e-8}) {
+      const check::Case label(dimension, ", ", tolerance);
+      Gmres gmres(20, dimension);
+      x = b;
+      CHECK(gmres.solve(product, w.data(), tolerance, x.data()) == Gmres::Result::converged);
+      A.multiply(x.data(), Ax.data());
+      CHECK(max_norm(20, [&](std::size_t i) { return (Ax[i] - b[i]) / w[i]; }) < 1.001 * tolerance);
+    }
+}
+
+TEST(gmres_tells_what_it_does_not_solve) {
+  const std::vector<double> w(3, 1);
+  Gmres gmres(3, 3);
+  const auto solve = [&](std::vector<double> entries, std::vector<double> b) {
+    const Matrix A = diagonal(std::move(entries));
+    Product product(A);
+    return gmres.solve(product, w.data(), 1e-6, b.data());
+  };
+  CHECK(solve({1, 2, 3}, {1, 1, 1}) == Gmres::Result::converged);
+  CHECK(solve({1, 2, 3}, {0, 0, 0}) == Gmres::Result::converged);
+  CHECK(solve({1, 2, 0}, {1, 1, 1}) == Gmres::Result::failed);
+  CHECK(solve({0, 0, 0}, {1, 1, 1}) == Gmres::Result::failed);
+  CHECK(solve({1, 2, NaN}, {1, 1, 1}) == Gmres::Result::failed);
+  CHECK(solve({1, 2, 3}, {1, 1, NaN}) == Gmres::Result::failed);
 }
 
 TEST(singular_and_undefined_matrices_are_told) {

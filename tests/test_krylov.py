@@ -1,0 +1,326 @@
+"""Matrix-free Newton: GMRES solves what LU factors solve, without the Jacobian; what is kept, counted, continued and
+refused."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, aslinearoperator, splu
+
+import invariode as iv
+from invariode.methods import METHODS
+
+MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in about.options]
+WITH_MATRIX = [name for name, about in METHODS.items() if "jac" in about.options and name not in MATRIX_FREE]
+
+SIDE = 12
+N = SIDE**2
+_LINE = (
+    sp.diags_array([np.ones(SIDE - 1), np.full(SIDE, -2.0), np.ones(SIDE - 1)], offsets=[-1, 0, 1]) * (SIDE + 1) ** 2
+)
+DIFFUSION = sp.csc_array(sp.kron(_LINE, sp.eye_array(SIDE)) + sp.kron(sp.eye_array(SIDE), _LINE))
+_X = np.arange(1, SIDE + 1) / (SIDE + 1)
+Y0 = np.outer(np.sin(np.pi * _X), np.sin(np.pi * _X) + 0.3 * np.sin(5 * np.pi * _X)).ravel()
+EYE = sp.csc_array(sp.eye_array(N))
+
+
+def reacting(t, y):
+    """Diffusion and reaction on a square, 0 around it: eigenvalues down to -1300."""
+    return DIFFUSION @ y + 5 * y * (1 - y) + np.sin(5 * t)
+
+
+def jacobian(t, y):
+    return sp.csc_array(DIFFUSION + sp.diags_array(5 - 10 * y))
+
+
+def product(t, y, v):
+    return DIFFUSION @ v + (5 - 10 * y) * v
+
+
+def diffusive(t, y, c):
+    """Without the reaction."""
+    return splu(sp.csc_array(EYE - c * DIFFUSION))
+
+
+def solve(method="ode15s", rtol=1e-4, **options):
+    return iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, linear_solver="gmres", **options)
+
+
+FORMS = {
+    "differences": {},
+    "jac='differences'": {"jac": "differences"},
+    "jac_product": {"jac_product": product},
+    "jac, sparse": {"jac": jacobian},
+    "jac, dense": {"jac": lambda t, y: jacobian(t, y).toarray()},
+    "jac, operator": {"jac": lambda t, y: aslinearoperator(jacobian(t, y))},
+    "jac, constant": {"jac": aslinearoperator(DIFFUSION)},  # not quite that of f
+    "preconditioned": {"preconditioner": diffusive},
+    "short cycles": {"krylov_dimension": 3},
+}
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return iv.radau(reacting, (0, 0.5), Y0, rtol=1e-9, atol=1e-10, jac=jacobian).y[:, -1]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
+    """GMRES leaves a twentieth of what Newton's iteration may leave: a fraction of the tolerance in all."""
+    for rtol in (1e-3, 1e-6):
+        direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, jac=jacobian)
+        free = solve(method, rtol, **FORMS[form])
+        assert free.success
+        errors = [np.abs(sol.y[:, -1] - exact).max() for sol in (free, direct)]
+        assert errors[0] < errors[1] + 0.5 * rtol
+        if form != "jac, constant":
+            assert free.stats.steps < 1.1 * direct.stats.steps
+
+
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_counts(method):
+    """Each iteration takes one product, and y'' at the start another one; by differences each is a call of f."""
+    plain, given = solve(method), solve(method, jac_product=product)
+    for stats in (plain.stats, given.stats):
+        assert stats.products == stats.linear_iterations + 1
+        assert stats.linear_iterations >= stats.nsolve > 0
+        assert stats.njev == stats.nlu == 0
+    assert plain.nfev > plain.stats.products
+    assert given.nfev < given.stats.products
+    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian)
+    assert direct.stats.products == direct.stats.linear_iterations == 0
+
+
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_a_preconditioner_saves_more_than_half_of_the_iterations(method):
+    plain, preconditioned = solve(method, rtol=1e-3), solve(method, rtol=1e-3, preconditioner=diffusive)
+    assert 2 * preconditioned.stats.linear_iterations < plain.stats.linear_iterations
+    assert 0 < preconditioned.stats.nlu < preconditioned.stats.steps
+
+
+def test_all_forms_of_a_preconditioner_are_the_same():
+    def operator(t, y, c):
+        lu = diffusive(t, y, c)
+        return LinearOperator((N, N), matvec=lu.solve, dtype=float)
+
+    def function(t, y, c):
+        return diffusive(t, y, c).solve
+
+    ends = [solve(preconditioner=one).y[:, -1] for one in (diffusive, operator, function)]
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_array_equal(ends[0], ends[2])
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_the_scale_of_a_preconditioner_does_not_matter(scale):
+    def scaled(t, y, c):
+        lu = diffusive(t, y, c)
+        return lambda b: scale * lu.solve(b)
+
+    right, other = solve(preconditioner=diffusive), solve(preconditioner=scaled)
+    assert np.abs(right.y[:, -1] - other.y[:, -1]).max() < 0.5e-4
+
+
+def test_what_is_localised_is_solved_too():
+    """The mean of a residual over many components hides one that is large: the largest one counts."""
+    size = 2000
+
+    def mostly_at_rest(t, y):
+        slope = np.zeros(size)
+        slope[:2] = 1e3 * (np.cos(t) - y[0]) + y[1], -10 * y[1]
+        return slope
+
+    sol = iv.ode15s(mostly_at_rest, (0, 1), np.ones(size), linear_solver="gmres", rtol=1e-6, atol=1e-9)
+
+    def at_work(t, y):
+        return mostly_at_rest(t, np.append(y, np.ones(size - 2)))[:2]
+
+    few = iv.ode15s(at_work, (0, 1), [1.0, 1.0], rtol=1e-8)
+    assert np.abs(sol.y[:2, -1] - few.y[:, -1]).max() < 1e-5
+
+
+def test_complex_states():
+    """They are pairs of reals, also in products and preconditioners."""
+    A = 1j * DIFFUSION / 50 - 5 * EYE
+    options = {"rtol": 1e-6, "atol": 1e-8}
+    y0 = Y0 * np.exp(1j * Y0)
+    exact = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "ode15s", jac=A, **options).y[:, -1]
+    for form in ({}, {"jac": A}, {"preconditioner": lambda t, y, c: splu(sp.csc_array(EYE - c * A))}):
+        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "ode15s", linear_solver="gmres", **form, **options)
+        assert np.abs(sol.y[:, -1] - exact).max() < 1e-5
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_mass_matrices(moving):
+    """M y' = M f, with a preconditioner, takes the steps of y' = f."""
+    M = sp.csc_array(sp.diags_array(np.linspace(1e-3, 10, N)) + sp.eye_array(N, k=1) * 1e-3)
+
+    def mass(t):
+        return M * (1 + t) if moving else M
+
+    def weighted(t, y):
+        return mass(t) @ reacting(t, y)
+
+    sol = iv.solve_ivp(
+        weighted,
+        (0, 0.5),
+        Y0,
+        "ode15s",
+        rtol=1e-4,
+        atol=1e-4,
+        linear_solver="gmres",
+        mass=mass if moving else M,
+        preconditioner=lambda t, y, c: splu(sp.csc_array(mass(t) @ (EYE - c * DIFFUSION))),
+    )
+    plain = solve(preconditioner=diffusive)
+    assert abs(sol.stats.steps - plain.stats.steps) <= 5
+    assert np.abs(sol.y[:, -1] - plain.y[:, -1]).max() < 1e-4
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What is kept
+
+
+def no_flux(t, y):
+    """The sum is kept."""
+    flux = 400 * np.diff(y) * (1 + y[1:])
+    return np.diff(flux, prepend=0, append=0)
+
+
+def no_flux_product(t, y, v):
+    flux = 400 * (np.diff(v) * (1 + y[1:]) + np.diff(y) * v[1:])
+    return np.diff(flux, prepend=0, append=0)
+
+
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_linear_invariants(method):
+    """What vanishes on f vanishes on J v: exact products keep it to roundoff, differences to the noise of f over √ε, a
+    preconditioner that does not know it to the tolerance. Projection repairs that."""
+    y0 = 1 + np.cos(np.linspace(0, np.pi, 40)) ** 2
+    rtol = 1e-5
+
+    def drift(**options):
+        sol = iv.solve_ivp(no_flux, (0, 0.5), y0, method, rtol=rtol, atol=rtol, linear_solver="gmres", **options)
+        assert sol.success
+        return np.abs(sol.y.sum(axis=0) - y0.sum()).max() / y0.sum()
+
+    def diagonal(t, y, c):
+        return lambda b: b / (1 + 800 * c * (1 + y))
+
+    assert drift(jac_product=no_flux_product) < 1e-12
+    assert drift() < 1e-9
+    preconditioned = drift(preconditioner=diagonal)
+    assert 1e-12 < preconditioned < 10 * rtol
+    assert drift(preconditioner=diagonal, invariants=lambda t, y: y.sum()) < 1e-14
+
+
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_events_output_and_breakpoints_work_as_with_lu_factors(method):
+    def middle(t, y):
+        return y[N // 2] - 0.2
+
+    options = {"events": middle, "dense_output": True, "breakpoints": [0.2], "rtol": 1e-6}
+    free = iv.solve_ivp(reacting, (0, 0.5), Y0, method, linear_solver="gmres", preconditioner=diffusive, **options)
+    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian, **options)
+    assert len(free.t_events[0]) == len(direct.t_events[0]) > 0
+    np.testing.assert_allclose(free.t_events[0], direct.t_events[0], atol=1e-4)
+    t = np.linspace(0, 0.5, 7)
+    np.testing.assert_allclose(free.sol(t), direct.sol(t), atol=1e-4)
+
+
+@pytest.mark.parametrize("form", ["differences", "preconditioned"])
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_runs_continue_bit_for_bit(method, form):
+    whole = solve(method, **FORMS[form])
+    half = solve(method, max_steps=whole.stats.steps // 2, **FORMS[form])
+    assert half.status == -3
+    both = half.extend(0.5, max_steps=None)
+    np.testing.assert_array_equal(both.t, whole.t)
+    np.testing.assert_array_equal(both.y, whole.y)
+    # A preconditioner is set up again where the run was cut.
+    assert both.stats.linear_iterations == whole.stats.linear_iterations
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Failure and misuse
+
+
+def test_systems_that_are_not_solved_are_a_failure_with_advice():
+    sol = iv.ode15s(lambda t, y: -y, (1, 2), [1.0, 2.0], linear_solver="gmres", jac_product=lambda t, y, v: np.nan * v)
+    assert sol.status == -1
+    assert "GMRES does not solve the linear systems" in sol.message
+    assert "give a better preconditioner, or a larger krylov_dimension" in sol.message
+
+
+def test_native_products():
+    """y and v one behind the other, as machine code gets them: the bits of the Python function."""
+    address = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
+
+    @address
+    def native(t, yv, out, p):
+        y, v = (np.ctypeslib.as_array(yv, (2 * N,))[k * N : (k + 1) * N] for k in (0, 1))
+        np.ctypeslib.as_array(out, (N,))[:] = product(t, y, v)
+
+    np.testing.assert_array_equal(solve(jac_product=native).y, solve(jac_product=product).y)
+
+
+def test_exceptions_come_out_unchanged():
+    class UsersError(Exception):
+        pass
+
+    def raising(*_):
+        raise UsersError
+
+    for options in (
+        {"jac_product": raising},
+        {"preconditioner": raising},
+        {"preconditioner": lambda t, y, c: raising},
+        {"jac": raising},
+    ):
+        with pytest.raises(UsersError):
+            solve(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "match"),
+    [
+        ({"jac_product": lambda t, y, v: v[:-1]}, ValueError, r"jac_product\(t, y, v\) returned shape \(143,\)"),
+        ({"jac_product": 3.0}, TypeError, "jac_product must be a function"),
+        ({"jac": "complex-step"}, ValueError, "with linear_solver='gmres' give jac_product"),
+        ({"jac_product": product, "jac": jacobian}, ValueError, "jac and jac_product say the same"),
+        ({"jac": lambda t, y: np.eye(3)}, ValueError, r"jac\(t, y\) has shape \(3, 3\), expected shape \(144, 144\)"),
+        ({"preconditioner": lambda t, y, c: 3.0}, TypeError, "expected an object with solve"),
+        ({"preconditioner": lambda t, y, c: lambda b: b[:2]}, ValueError, r"preconditioner returned shape \(2,\)"),
+        ({"preconditioner": lambda t, y, c: lambda b: 1j * b}, TypeError, "preconditioner returned complex numbers"),
+        ({"preconditioner": aslinearoperator(DIFFUSION)}, TypeError, "preconditioner must be a function"),
+        ({"mass": EYE}, ValueError, "needs a preconditioner if there is a mass matrix"),
+        (
+            {"mass": sp.diags_array(np.append(0.0, np.ones(N - 1))), "preconditioner": diffusive},
+            ValueError,
+            "singular mass matrix",
+        ),
+        ({"krylov_dimension": 0}, ValueError, "krylov_dimension"),
+    ],
+)
+def test_misuse_is_an_error(options, error, match):
+    with pytest.raises(error, match=match):
+        solve(**options)
+
+
+@pytest.mark.parametrize("method", WITH_MATRIX)
+def test_methods_that_need_a_matrix_say_so(method):
+    with pytest.raises(ValueError, match=f"{method} needs the Jacobian as a matrix; use ode15s or ode23tb"):
+        solve(method)
+
+
+def test_what_has_no_effect_draws_a_warning():
+    with pytest.warns(UserWarning, match="jac_sparsity has no effect with linear_solver='gmres'"):
+        solve(jac_sparsity=DIFFUSION)
+    with pytest.warns(UserWarning, match="preconditioner has no effect without linear_solver='gmres'"):
+        iv.ode15s(reacting, (0, 0.01), Y0, preconditioner=diffusive)
+    with pytest.raises(TypeError, match="LinearOperator, whose entries are not known: give linear_solver='gmres'"):
+        iv.ode15s(reacting, (0, 0.01), Y0, jac=aslinearoperator(DIFFUSION))
