@@ -318,7 +318,7 @@ def test_all_codes_run_on_all_problems_and_gain_by_projection():
         plain, projected = code.residuals
         assert projected < 0.02 * plain, f"{code.problem}, {code.method}"
         if code.gaps:
-            gain = 0.8 if iv.METHODS[code.method].order == 2 else 0.2  # of order 2 the errors along the orbit are large
+            gain = 0.9 if iv.METHODS[code.method].order == 2 else 0.2  # of order 2 the errors along the orbit are large
             assert code.gaps[1] < max(gain * code.gaps[0], 1e-3)  # the pairs of order 8 have 3e-4 with and without
 
 

@@ -198,7 +198,7 @@ def require_same(stored: Identity, problem: Description) -> None:
         ]
     for what, value, was in pairs:
         raise ValueError(
-            f"the file is of another problem: {what}: {value} here, {was} in the file. Give the problem of the run"
+            f"the file belongs to another problem: {what}: {value} here, {was} in the file. Give the problem of the run"
         )
 
 

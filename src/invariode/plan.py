@@ -417,7 +417,9 @@ def _linear_algebra(
 
 
 def _require_linear_solver(method: Method, given: Options) -> None:
-    if given.get("linear_solver") == "gmres" and "jac" in method.options and "linear_solver" not in method.options:
+    chosen: object = given.get("linear_solver")  # whatever it is: options are checked later
+    implicit_by_matrices = "jac" in method.options and "linear_solver" not in method.options
+    if isinstance(chosen, str) and chosen == "gmres" and implicit_by_matrices:
         raise ValueError(
             f"linear_solver='gmres': {method.name} needs the Jacobian as a matrix; use ode15s or ode23tb, or "
             "linear_solver='direct' with jac_sparsity"
