@@ -118,6 +118,14 @@ def test_pictures_need_times_and_known_kinds():
         ensemble().plot("lines")
 
 
+def test_statistics_show_their_ranges():
+    m = iv.solve_ensemble(lambda t, y, a: -a * y, (0, 1), [1.0], args=[[1.0], [100.0]], workers=1)
+    low, high = m.stats.nfev
+    assert f"nfev: {low} to {high}" in repr(m.stats)
+    assert "clipped" not in repr(m.stats)
+    assert "lanes: one at a time: functions are in Python" in repr(m.stats)
+
+
 def test_labelled_arrays_and_tables():
     pytest.importorskip("xarray")
     m = ensemble()

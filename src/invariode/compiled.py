@@ -218,7 +218,7 @@ class CompiledFunction:
         try:
             code = numba.cfunc(signature, error_model="numpy")(namespace["code"])
         except numba.core.errors.NumbaError as error:
-            raise self._cannot_compile(error) from error
+            raise self._cannot_compile(error, shape.parameters) from error
         own = _with_own_functions(code) if self.elementary == "own" else None
         if own is None:
             return code
@@ -285,11 +285,14 @@ class CompiledFunction:
         try:
             jitted.compile(arguments)
         except (numba.core.errors.NumbaError, TypeError) as error:
-            raise self._cannot_compile(error) from error
+            raise self._cannot_compile(error, shape.parameters) from error
         return jitted.overloads[arguments].signature.return_type
 
-    def _cannot_compile(self, error: Exception) -> TypeError:
-        return TypeError(f"compile({self.__name__}): numba cannot compile this function: {error}")
+    def _cannot_compile(self, error: Exception, parameters: int = 0) -> TypeError:
+        text = f"compile({self.__name__}): numba cannot compile this function: {error}"
+        if parameters > 0:
+            text += f"\nWith args a compiled function is f(t, y, p), p an array of {parameters}: p[0] is the first"
+        return TypeError(text)
 
 
 def compile(

@@ -129,6 +129,18 @@ class EnsembleStats(Record):
         files."""
         return self._lanes
 
+    def __repr__(self) -> str:
+        """What is not 0 or NaN in all trajectories, from the least to the largest."""
+        rows = [f"EnsembleStats of {len(self.steps)} trajectories"]
+        for name, values in self.items():
+            known = values[np.isfinite(values)]
+            if known.any():
+                low, high = (
+                    f"{one:,}" if values.dtype.kind == "i" else f"{one:.6g}" for one in (known.min(), known.max())
+                )
+                rows.append(f"{name:>17}: {low}" + (f" to {high}" if low != high else ""))
+        return "\n".join([*rows, f"{'lanes':>17}: {self.lanes}"])
+
 
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleSolution:
