@@ -5,6 +5,7 @@
 #include <deque>
 #include <limits>
 #include <memory>
+#include <utility>
 
 #include "callback.hpp"
 #include "linear/matrix.hpp"
@@ -48,7 +49,7 @@ class Piece {
  private:
   template <class Function>
   struct Seen {
-    Seen(const Piece& piece_, const Function& function_) : piece(piece_), function(function_) {}
+    Seen(const Piece& piece_, Function function_) : piece(piece_), function(std::move(function_)) {}
     const Piece& piece;
     Function function;
   };

@@ -125,9 +125,9 @@ class Block {
         held_(job, std::exchange(further, further + Held<W>::memory(job))),
         job_(job),
         host_(host),
-        beside_(job.invariant != nullptr || job.looks_inside() || job.max_steps < infinity),
         between_(job, extension, std::exchange(further, further + Between<W>::memory(job, extension))),
-        watched_(job, further) {}
+        watched_(job, further),
+        beside_(job.invariant != nullptr || job.looks_inside() || job.max_steps < infinity) {}
 
   [[nodiscard]] bool holds() const { return job_.invariant != nullptr; }
   [[nodiscard]] bool watches() const { return job_.count_of_events > 0; }
@@ -574,19 +574,19 @@ class Block {
   P *ready_y_, *ready_k_, *ready_p_, *reached_y_;
   double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
-  bool beside_;                  // runs have something beside f
   Between<W> between_;
   Watched<W> watched_;
+  std::int64_t checks_[W]{};
+  Series series_[W];
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0, cut_ = 0;  // lanes
   unsigned doubted_ = 0, inside_ = 0, jumping_ = 0;                        // why some are odd
+  unsigned in_series_ = 0;                                                 // lanes in which attempts have failed
   int prepared_ = 0, ready_ = 0;
   std::uint32_t trajectory_[W]{};
   std::uint32_t ready_trajectory_[W]{};
   int place_[W]{};
-  Series series_[W];
-  std::int64_t checks_[W]{};
-  unsigned in_series_ = 0;  // lanes
-  bool empty_ = false;      // there are no more to be made ready
+  bool beside_;         // runs have something beside f
+  bool empty_ = false;  // there are no more to be made ready
 };
 
 // ------------------------------------------------------------------------------------------------- what the host calls
