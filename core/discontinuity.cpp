@@ -10,8 +10,8 @@ namespace {
 
 constexpr double kept = 1.0 / 8;  // of the change, which a jump keeps: less is left of a smooth one after 3 halvings
 constexpr double grown = 2;       // more than this times the change is a pole, which no breakpoint helps
-constexpr double sharp =
-    1e-3;  // of a step that failed: a change within this is a jump, though f may be smooth on a finer scale
+// Of a step that failed: a change within this is a jump, though f may be smooth on a finer scale.
+constexpr double sharp = 1e-3;
 constexpr double noise = 1000 * eps;  // of f, in units of its size: a smaller change tells nothing
 
 }  // namespace

@@ -273,7 +273,7 @@ struct Stoppable {
     settings.refine = 2;
     settings.dense = true;
     ExplicitSlope slope(rhs);
-    Integration integration(make_step(method, rhs, weights, fsal), weights,
+    Integration integration(make_step(method, rhs, weights, fsal), weights, rhs,
                             {.steps = &invariants, .between = &invariants, .slope = &slope}, {{as_callback(event)}}, {},
                             as_callback(callback), settings);
     (void)integration.start(problem.y0.data());

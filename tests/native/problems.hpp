@@ -297,7 +297,7 @@ class Run {
     settings.iterations = method.iterations;
     if (settings.hmax == 0) settings.hmax = std::abs(settings.tf - settings.t0) / 10;
     Invariants* g = invariants ? &*invariants : nullptr;
-    integration.emplace(make_step(method, f, weights, options.fsal), weights,
+    integration.emplace(make_step(method, f, weights, options.fsal), weights, f,
                         Integration::Manifold{.steps = g, .between = g, .slope = &slope}, std::move(options.events),
                         Integration::Breaks{}, options.callback, std::move(settings));
   }
