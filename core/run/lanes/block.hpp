@@ -5,6 +5,7 @@
 // (INVARIODE_LANES: see pack.hpp.)
 
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -505,9 +506,8 @@ class Block {
   unsigned note_failures(unsigned accepted, const P& h, const P& t1, const P* y1) {
     const unsigned watched = occupied_ & (~accepted | in_series_);
     unsigned jumping = 0;
-    if (watched == 0) return 0;
-    for (int l = 0; l < W; ++l) {
-      if (!has(watched, l)) continue;
+    for (unsigned rest = watched; rest != 0; rest &= rest - 1) {
+      const int l = std::countr_zero(rest);
       Series& series = series_[l];
       const double t0 = t_.lanes()[l], end = t1.lanes()[l];
       if (!has(accepted, l))
