@@ -25,7 +25,7 @@ namespace invariode {
 /// complex steps, the pattern grows.
 class Jacobian {
  public:
-  /// Of `products` there is no matrix (linear/matrix_free.hpp): its entries are none.
+  /// `products` has no matrix and no entries: J is known by its products with vectors (linear/matrix_free.hpp).
   enum class Kind { constant, function, differences, complex_steps, products };
 
   /// Where its entries come from. `complex_f`: f of complex y, pairs of reals in and out.

@@ -30,18 +30,18 @@ def find_pattern(
 ) -> tuple[tuple[Array, Array, Array], int] | None:
     """The pattern of ∂f/∂y as (starts, rows, values), and the evaluations of f that it took. None: the Jacobian is
     dense, or not large, or is not to be examined."""
-    wanted = given.jac_sparsity
-    if wanted not in (None, *_WAYS):
-        raise ValueError(f"jac_sparsity must be a matrix, {' or '.join(map(repr, _WAYS))}, got {wanted!r}")
+    way = given.jac_sparsity
+    if way not in (None, *_WAYS):
+        raise ValueError(f"jac_sparsity must be a matrix, {' or '.join(map(repr, _WAYS))}, got {way!r}")
     reals = y.view(float)
     n = len(reals)
-    if wanted == "dense" or n == 0 or (wanted is None and (n < _LARGE or not _sparse(given.mass))):
+    if way == "dense" or n == 0 or (way is None and (n < _LARGE or not _sparse(given.mass))):
         return None
     form = to_native("fun", fun, n, n, parameters) if is_native(fun) else _Anywhere(fun, y)
     problem = _core.Problem(n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters)
-    most = int(_PART_OF_DENSE * n) if wanted is None else 4 * n + 100
-    found, evaluations, each = _core.sparsity(t, reals, problem, most, wanted is None)
-    if found is None or (wanted is None and (len(found[1]) > _FULL * n**2 or each > _PART_OF_COLUMNS * n)):
+    most = int(_PART_OF_DENSE * n) if way is None else 4 * n + 100
+    found, evaluations, each = _core.sparsity(t, reals, problem, most, way is None)
+    if found is None or (way is None and (len(found[1]) > _FULL * n**2 or each > _PART_OF_COLUMNS * n)):
         return None
     starts, rows = found
     return (starts, rows, np.ones(len(rows))), evaluations

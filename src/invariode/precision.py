@@ -409,7 +409,7 @@ def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_Curve, _Curv
 
 
 def _decades(least: float, largest: float) -> list[float]:
-    """The powers of ten between the two, from the largest on; if there is none, their geometric mean."""
+    """The powers of ten between the two, the largest first; if no power lies between, their geometric mean."""
     if not 0 < least < largest < math.inf:
         return []
     powers = range(math.floor(math.log10(largest)), math.ceil(math.log10(least)) - 1, -1)
