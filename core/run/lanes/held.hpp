@@ -225,7 +225,7 @@ class Held {
     for (std::size_t i = 0; i < size_of_state(job_); ++i) to[i].lanes()[lane] = source[i].lanes()[from];
   }
 
-  /// ∇g at `point_`, its length in the weights, and the unit vector along it. Returns the lanes that have no such vector.
+  /// ∇g at `point_`, its length in the weights, and the unit vector along it. Returns the lanes without such a vector.
   M linearize(const P& t, const P* p) {
     evaluate(invariant().jacobian, t, point_, jacobian_, p);
     P sum(0);
