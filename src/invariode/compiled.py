@@ -299,9 +299,8 @@ class CompiledFunction:
             )
         rows, columns = len(lengths), lengths[0]
         if rows * columns != size:
-            raise TypeError(
-                f"compile({self.__name__}): the function returns {rows} rows of {columns} values, expected {size} values"
-            )
+            what = f"{rows} rows of {columns} values"
+            raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size} values")
         return [f"out[{i * columns + j}] = r[{i}][{j}]" for i in range(rows) for j in range(columns)]
 
     def _result(self, jitted: Any, shape: _Shape) -> Any:
