@@ -222,7 +222,7 @@ void transform(const double* matrix, std::size_t n, const double* in, double* ou
 }
 
 template <const auto& of>
-constexpr RadauFormula formula() {
+constexpr RadauFormula formula() noexcept {
   constexpr std::size_t s = of.c.size();
   constexpr const Matrices<s>& m = matrices<of>;
   static_assert(is_diagonal(of, m) && has_its_order(of, m));
