@@ -114,8 +114,8 @@ bool OrderTwo::reject(Cause cause, double hmin) {
 
 /// The slope belongs to y*: that projection has moved it is of higher order (as in explicit pairs), and costs no f.
 Outcome OrderTwo::accept(const double* y1) {
+  if (end_slope(last_slope_.data()) == Status::stop) return Outcome::stop;
   last_slope_.swap(slope_);
-  end_slope(slope_.data());
   last_y_.swap(y_);
   std::copy(y1, y1 + n(), y_.begin());
   t_ = t1_;

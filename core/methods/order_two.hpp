@@ -38,9 +38,8 @@ class OrderTwo : public Step {
 
   /// y = base + d z with M z = h f(t, y), from the prediction ψ of d z.
   Newton::Result solve_stage(double t, double* y, double* z);
-  /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone. For a formula that is never matrix-free, where it could
-  /// fail.
-  void damp(double* v) { static_cast<void>(newton_.damp(v)); }
+  /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone. It may fail matrix-free only.
+  Newton::Result damp(double* v) { return newton_.damp(v); }
   /// The norm of the error of the attempt, damped.
   [[nodiscard]] double error() const { return error_; }
   /// That of v in the weights of the error test.
@@ -59,8 +58,9 @@ class OrderTwo : public Step {
   virtual Newton::Result stages() = 0;
   /// The error of the candidate, O(h³), before it is damped by (M − d h J)⁻¹ M: of stiff components it says too much.
   virtual void estimate(double* error) = 0;
-  /// y' at the end of the step, which is accepted but not committed yet.
-  virtual void end_slope(double* slope) = 0;
+  /// y' at the end of the step, which is accepted but not committed yet. Commits what the formula itself remembers,
+  /// unless it stops.
+  virtual Status end_slope(double* slope) = 0;
 
   Newton newton_;
   InitialSlopes initial_;

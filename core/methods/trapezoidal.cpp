@@ -61,20 +61,26 @@ bool Trapezoidal::rings() {
   return error_norm(scratch_) > std::max(error(), cube * last_error_);
 }
 
-/// Takes from the parabola through the last three y what is stiff in y'. That changes y' by O(h³).
-void Trapezoidal::smooth() {
+/// Takes from the parabola through the last three y what is stiff in y'. That changes y' by O(h³). Where GMRES does not
+/// solve the system, y' stays as it is, and the next step looks again.
+Status Trapezoidal::smooth() {
   const double line = signed_h_ / last_h_, part = signed_h_ / (signed_h_ + last_h_);
   for (std::size_t i = 0; i < n(); ++i) {
     const double rise = candidate_[i] - y_[i];
     scratch_[i] = rise + part * (rise - line * rise_[0][i]);
-    z1_[i] -= scratch_[i];
+    psi_[i] = z1_[i] - scratch_[i];
   }
-  damp(z1_.data());
-  for (std::size_t i = 0; i < n(); ++i) z1_[i] += scratch_[i];
+  switch (damp(psi_.data())) {
+    case Newton::Result::stop: return Status::stop;
+    case Newton::Result::failed: return Status::ok;
+    case Newton::Result::converged: break;
+  }
+  for (std::size_t i = 0; i < n(); ++i) z1_[i] = psi_[i] + scratch_[i];
+  return Status::ok;
 }
 
-void Trapezoidal::end_slope(double* slope) {
-  if (rings()) smooth();
+Status Trapezoidal::end_slope(double* slope) {
+  if (rings() && smooth() == Status::stop) return Status::stop;
   const auto [line, parabola, cubic] = growth();
   for (std::size_t i = 0; i < n(); ++i) {
     slope[i] = z1_[i] / signed_h_;
@@ -88,6 +94,7 @@ void Trapezoidal::end_slope(double* slope) {
   h2_ = last_h_;
   last_missed_ = missed_;
   last_error_ = error();
+  return Status::ok;
 }
 
 std::size_t Trapezoidal::directions(const double** vectors) const {

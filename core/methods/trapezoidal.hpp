@@ -29,10 +29,10 @@ class Trapezoidal final : public OrderTwo {
  private:
   Newton::Result stages() override;
   void estimate(double* error) override;
-  void end_slope(double* slope) override;
+  Status end_slope(double* slope) override;
   [[nodiscard]] std::array<double, 3> growth() const;
   [[nodiscard]] bool rings();
-  void smooth();
+  Status smooth();
 
   // All in units of the step: tiny steps divide by nothing.
   std::vector<double> z0_, z1_;               // h y' at both ends of the step

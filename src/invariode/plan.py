@@ -33,7 +33,7 @@ from .description import Description, Matrices
 from .events import EventSpec, event_spec
 from .inputs import fed
 from .invariants import InvariantError
-from .methods import Method, find_method
+from .methods import METHODS, Method, find_method
 from .result import LIMIT_REACHED, Names
 
 if TYPE_CHECKING:
@@ -420,8 +420,9 @@ def _require_linear_solver(method: Method, given: Options) -> None:
     chosen: object = given.get("linear_solver")  # whatever it is: options are checked later
     implicit_by_matrices = "jac" in method.options and "linear_solver" not in method.options
     if isinstance(chosen, str) and chosen == "gmres" and implicit_by_matrices:
+        others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
         raise ValueError(
-            f"linear_solver='gmres': {method.name} needs the Jacobian as a matrix; use ode15s or ode23tb, or "
+            f"linear_solver='gmres': {method.name} needs the Jacobian as a matrix; use one of {others}, or "
             "linear_solver='direct' with jac_sparsity"
         )
 
