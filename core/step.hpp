@@ -122,6 +122,8 @@ class Step {
   [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
   /// ∂f/∂y as an implicit method has it; null: it needs none.
   [[nodiscard]] virtual const Matrix* jacobian() const { return nullptr; }
+  /// ∂f/∂y at the point reached, where f is `slope`, times v, both (n,), of a method that knows ∂f/∂y by its products.
+  virtual Status multiply_jacobian(const double*, const double*, double*) { return Status::ok; }
   /// Of a method that consists of several: which of them made the last step, and how often they have changed.
   [[nodiscard]] virtual int member() const { return 0; }
   [[nodiscard]] virtual std::int64_t switches() const { return 0; }

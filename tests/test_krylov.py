@@ -83,10 +83,13 @@ def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
 
 @pytest.mark.parametrize("method", MATRIX_FREE)
 def test_counts(method):
-    """Each iteration takes one product, and y'' at the start another one; by differences each is a call of f."""
+    """Each iteration takes one product, and y'' at the start another one; by differences each is a call of f. auto takes
+    twelve more where it looks at the spectral radius: as it hands over, and after 25 steps."""
     plain, given = solve(method), solve(method, jac_product=product)
-    for stats in (plain.stats, given.stats):
-        assert stats.products == stats.linear_iterations + 1
+    for sol in (plain, given):
+        stats = sol.stats
+        looks = sum(1 + (sol.steps.method == "ode15s").sum() // 25 for _ in range(stats.switches))
+        assert stats.products == stats.linear_iterations + 1 + 12 * looks
         assert stats.linear_iterations >= stats.nsolve > 0
         assert stats.njev == stats.nlu == 0
     assert plain.nfev > plain.stats.products
@@ -179,6 +182,69 @@ def test_mass_matrices(moving):
     plain = solve(preconditioner=diffusive)
     assert abs(sol.stats.steps - plain.stats.steps) <= 5
     assert np.abs(sol.y[:, -1] - plain.y[:, -1]).max() < 1e-4
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# auto
+
+
+def relaxation(t, y):
+    return [y[1], 100 * (1 - y[0] ** 2) * y[1] - y[0]]
+
+
+def relaxation_product(t, y, v):
+    return [v[1], (-200 * y[0] * y[1] - 1) * v[0] + 100 * (1 - y[0] ** 2) * v[1]]
+
+
+RELAXATION = {"differences": {}, "jac_product": {"jac_product": relaxation_product}}
+
+
+@pytest.mark.parametrize("form", RELAXATION)
+def test_auto_hands_over_where_it_does_with_matrices(form):
+    options = {"rtol": 1e-5, "atol": 1e-8}
+    direct = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **options)
+    free = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", linear_solver="gmres", **RELAXATION[form], **options)
+    assert free.stats.switches == direct.stats.switches >= 3
+    assert abs(free.y[0, -1] - direct.y[0, -1]) < 1e-3
+    turns = [np.flatnonzero(sol.steps.method[1:] != sol.steps.method[:-1]) for sol in (free, direct)]
+    np.testing.assert_allclose(*[sol.steps.t[at] for sol, at in zip((free, direct), turns, strict=True)], atol=5)
+
+
+@pytest.mark.parametrize("form", RELAXATION)
+def test_auto_continues_bit_for_bit_wherever_it_is_cut(form):
+    options = {"rtol": 1e-4, "linear_solver": "gmres", **RELAXATION[form]}
+    whole = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **options)
+    assert whole.stats.switches >= 3
+    for steps in range(40, whole.stats.steps, 60):
+        part = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", max_steps=steps, **options)
+        both = part.extend(220, max_steps=None)
+        np.testing.assert_array_equal(both.t, whole.t)
+        np.testing.assert_array_equal(both.y, whole.y)
+        assert both.stats.products == whole.stats.products
+
+
+def test_auto_needs_no_pattern_for_a_large_stiff_problem():
+    """With matrices it would be explicit throughout."""
+    sol = iv.solve_ivp(lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), np.ones(20_000), "auto", linear_solver="gmres")
+    assert sol.stats.switches == 1
+    np.testing.assert_allclose(sol.y[:, -1], np.cos(3), atol=1e-3)
+
+
+def test_an_exception_in_a_look_at_the_spectral_radius_comes_out_unchanged():
+    """The first product of all is one of the start of ode15s, the second one of the look."""
+    calls = 0
+
+    def product(t, y, v):
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise KeyError("the second one")
+        return -1e4 * v
+
+    with pytest.raises(KeyError, match="the second one"):
+        iv.solve_ivp(
+            lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), [1.0], "auto", linear_solver="gmres", jac_product=product
+        )
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -315,6 +381,8 @@ def test_misuse_is_an_error(options, error, match):
 def test_methods_that_need_a_matrix_say_so(method):
     with pytest.raises(ValueError, match=f"{method} needs the Jacobian as a matrix; use one of ode15s, "):
         solve(method)
+    with pytest.raises(ValueError, match=f"{method} needs the Jacobian as a matrix; use one of ode15s, "):
+        solve("auto", prefer=("ode45", method))
 
 
 def test_what_has_no_effect_draws_a_warning():

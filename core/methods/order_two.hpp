@@ -31,6 +31,9 @@ class OrderTwo : public Step {
   [[nodiscard]] int undefined_component() const final { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const final { return newton_.work(); }
   [[nodiscard]] const Matrix* jacobian() const final { return &newton_.jacobian(); }
+  Status multiply_jacobian(const double* slope, const double* v, double* out) final {
+    return newton_.multiply(t_, y(), slope, v, out);
+  }
 
  protected:
   /// The mass matrix, if there is one, belongs to the caller and outlives this.

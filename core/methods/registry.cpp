@@ -63,6 +63,8 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
   if (linear.jacobian != nullptr) {
     two.implicit_one = implicit_one.step(f, weights, own, linear);
     two.jacobian_cost = calls_per_jacobian(*linear.jacobian);
+    two.matrix_free = linear.krylov != nullptr;
+    two.differences = two.matrix_free && !linear.krylov->product;
   }
   return std::make_unique<Switching>(f, weights, std::move(two));
 }
@@ -166,7 +168,8 @@ constexpr Method others[] = {
      .min_order = 1,
      .order = Adams::highest_order,
      .extension_order = Adams::highest_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer", "linear_solver", "krylov_dimension",
+                 "jac_product", "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_switching},
 };

@@ -206,8 +206,10 @@ def solver(plan: Plan) -> _core.Solver:
 def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     """The plan, with everything that the core needs but y0."""
     chosen, implied = find_method(method)
-    _require_linear_solver(chosen, given)
+    _require_linear_solver(chosen, given.get("linear_solver"))
     options = checked(given, chosen)
+    if options["prefer"]:
+        _require_linear_solver(find_method(options["prefer"][1])[0], options["linear_solver"])
     if options["bdf"] is None:
         options["bdf"] = implied.get("bdf", False)
     if problem.matrices.mass is not None and "mass" not in chosen.options:
@@ -388,7 +390,8 @@ def _linear_algebra(
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
-    if "prefer" in method.options and matrices.mass is None and too_large_to_be_dense(matrices, y0):
+    direct = options["linear_solver"] == "direct"
+    if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
     start = Start(fed(problem.fun, problem.inputs), t0, y0, problem.args, parameters, complex_by_default=compiled)
@@ -416,8 +419,8 @@ def _linear_algebra(
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
 
 
-def _require_linear_solver(method: Method, given: Options) -> None:
-    chosen: object = given.get("linear_solver")  # whatever it is: options are checked later
+def _require_linear_solver(method: Method, chosen: object) -> None:
+    """`chosen` may be anything: options are checked later."""
     implicit_by_matrices = "jac" in method.options and "linear_solver" not in method.options
     if isinstance(chosen, str) and chosen == "gmres" and implicit_by_matrices:
         others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
