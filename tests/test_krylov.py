@@ -14,6 +14,7 @@ import invariode as iv
 from invariode.methods import METHODS
 
 MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in about.options]
+ALONE = [name for name in MATRIX_FREE if "prefer" not in METHODS[name].options]  # auto has an explicit way out
 WITH_MATRIX = [name for name, about in METHODS.items() if "jac" in about.options and name not in MATRIX_FREE]
 
 SIDE = 12
@@ -315,11 +316,58 @@ def test_runs_continue_bit_for_bit(method, form):
 # Failure and misuse
 
 
-def test_systems_that_are_not_solved_are_a_failure_with_advice():
-    sol = iv.ode15s(lambda t, y: -y, (1, 2), [1.0, 2.0], linear_solver="gmres", jac_product=lambda t, y, v: np.nan * v)
+@pytest.mark.parametrize("method", ALONE)
+def test_systems_that_are_not_solved_are_a_failure_with_advice(method):
+    """With a cyclic shift as preconditioner GMRES gets nowhere until its space is the whole one; and f is so large that
+    it matters in the smallest step."""
+    shift = {"preconditioner": lambda t, y, c: lambda b: np.roll(b, 1), "jac_product": lambda t, y, v: -1e20 * v}
+    sol = iv.solve_ivp(lambda t, y: -1e20 * y, (1, 2), np.eye(40)[0], method, linear_solver="gmres", **shift)
     assert sol.status == -1
     assert "GMRES does not solve the linear systems" in sol.message
     assert "give a better preconditioner, or a larger krylov_dimension" in sol.message
+
+
+UNDEFINED = {
+    "jac_product": ({"jac_product": lambda t, y, v: np.nan * v}, "by jac_product or jac, is NaN or infinite at t = "),
+    "jac": ({"jac": lambda t, y: np.full((N, N), np.nan)}, "by jac_product or jac, is NaN or infinite at t = "),
+    "preconditioner, NaN": ({"preconditioner": lambda t, y, c: lambda b: np.nan * b}, "returns NaN or infinity"),
+    "preconditioner, 0": ({"preconditioner": lambda t, y, c: lambda b: 0 * b}, "returns 0 for a b that is not 0"),
+}
+
+
+@pytest.mark.parametrize("t0", [0, 1])
+@pytest.mark.parametrize("form", UNDEFINED)
+@pytest.mark.parametrize("method", ALONE)
+def test_what_is_never_defined_ends_a_run_after_eight_attempts(method, form, t0):
+    """The smallest step at t = 0 is so small that hundreds would follow."""
+    options, message = UNDEFINED[form]
+    sol = iv.solve_ivp(reacting, (t0, t0 + 0.5), Y0, method, linear_solver="gmres", **options)
+    assert (sol.status, sol.stats.steps, sol.stats.failed) == (-1, 0, 8)
+    assert message in sol.message
+    assert "leave it out" in sol.message
+    assert f"The run ends at t = {float(t0)}." in sol.message
+
+
+@pytest.mark.parametrize("method", ALONE)
+def test_what_is_not_defined_farther_on_ends_a_run_there(method):
+    sol = solve(method, jac_product=lambda t, y, v: product(t, y, v) if t < 0.3 else np.nan * v)
+    assert sol.status == -1
+    assert sol.t[-1] == pytest.approx(0.3, abs=1e-3)
+    assert "is NaN or infinite at t = 0.3" in sol.message
+
+
+@pytest.mark.parametrize("method", ALONE)
+def test_what_is_undefined_now_and_then_costs_attempts_only(method):
+    calls = 0
+
+    def product_with_gaps(t, y, v):
+        nonlocal calls
+        calls += 1
+        return product(t, y, v) if calls % 20 else np.nan * v
+
+    sol = solve(method, jac_product=product_with_gaps)
+    assert sol.success
+    assert np.abs(sol.y[:, -1] - solve(method).y[:, -1]).max() < 1e-3
 
 
 def test_native_products():

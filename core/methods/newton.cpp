@@ -66,6 +66,7 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
 }
 
 void AgingJacobian::forget() {
+  if (free_) free_->forget_failures();
   factored_ = 0;
   renew_ = false;
   noisy_ = false;
@@ -131,6 +132,7 @@ void AgingJacobian::renew_if_noise(double c) {
 }
 
 void AgingJacobian::step_accepted() {
+  if (free_) free_->forget_failures();
   current_ = false;
   ++age_;
 }
@@ -182,6 +184,8 @@ LinearWork AgingJacobian::work() const {
   if (free_) {
     work.products = free_->products();
     work.iterations = free_->iterations();
+    work.unsolved = free_->unsolved();
+    work.unsolved_t = free_->unsolved_t();
   }
   work.complex_calls = jacobian_.complex_calls();
   work.left_complex_steps = jacobian_.left_complex_steps();
@@ -207,7 +211,7 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
   return Outcome::ok;
 }
 
-/// M y'' = f_t + J y'
+/// M y'' = f_t + J y'. A product that is not finite is no part of it: whether it matters the attempts will tell.
 Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f,
                              double* slope, double* ft, double* second) {
   const std::size_t n = jacobian.jacobian().n();
@@ -218,6 +222,7 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
     solver_.slope(*mass, ft, slope);
   }
   if (jacobian.multiply(t, y, f, slope, second) == Status::stop) return Status::stop;
+  if (jacobian.matrix_free() && !all_finite(second, n)) std::fill(second, second + n, 0);
   for (std::size_t i = 0; i < n; ++i) second[i] += ft[i];
   if (mass) solver_.slope(*mass, nullptr, second);
   return Status::ok;
@@ -242,6 +247,7 @@ void Newton::restart() {
 
 Status Newton::repair(double t, const double* y) {
   if (matrix_free()) {
+    matrix_free()->begin_attempt();
     matrix_free()->reach(t, y);
     if (jacobian_age() >= old_preconditioner) renew();
   }
@@ -249,7 +255,6 @@ Status Newton::repair(double t, const double* y) {
 }
 
 Outcome Newton::prepare(double c, double t1) {
-  note_unsolved(false);
   if (matrix_free()) return prepare_matrix_free(c, t1);
   return AgingJacobian::prepare(c, t1, [&] {
     count_factorization();
@@ -290,7 +295,11 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Outcome::ok: break;
     }
     residual(c, psi, d);
-    if (precondition(residual_.data()) == Status::stop) return Result::stop;
+    switch (precondition(residual_.data())) {
+      case Outcome::stop: return Result::stop;
+      case Outcome::not_finite: return Result::failed;
+      case Outcome::ok: break;
+    }
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
       return Result::converged;
@@ -309,7 +318,7 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   }
 }
 
-Status Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Status::ok; }
+Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }
 
 /// b, preconditioned, becomes the solution; matrix-free with J at the place, where f is at hand.
 Newton::Result Newton::solve_linear(double tolerance, double* b) {
@@ -320,9 +329,10 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
   }
   matrix_free()->product().at(place_.t, place_.y, f_value_.data());
   switch (matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b)) {
-    case Gmres::Result::stop: return Result::stop;
-    case Gmres::Result::failed: note_unsolved(true); return Result::failed;
-    case Gmres::Result::converged: break;
+    case GmresResult::stop: return Result::stop;
+    case GmresResult::failed:
+    case GmresResult::undefined: return Result::failed;
+    case GmresResult::converged: break;
   }
   return Result::converged;
 }
@@ -346,7 +356,8 @@ Newton::Result Newton::damp(double* v) {
     const Outcome outcome = evaluate(place_.t, place_.y, f_value_.data());
     if (outcome != Outcome::ok) return outcome == Outcome::stop ? Result::stop : Result::failed;
   }
-  if (precondition(v) == Status::stop) return Result::stop;
+  if (const Outcome outcome = precondition(v); outcome != Outcome::ok)
+    return outcome == Outcome::stop ? Result::stop : Result::failed;
   return solve_linear(linear_part * weights_.rtol(), v);
 }
 

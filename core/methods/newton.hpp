@@ -107,10 +107,12 @@ class AgingJacobian {
   [[nodiscard]] int undefined_component() const { return undefined_; }
   void forget_undefined() { undefined_ = -1; }
   void note_singular() { work_.singular = true; }
+  /// Null: J is a matrix.
+  [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
+  /// Shorter steps will not help: see MatrixFree.
+  [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
  protected:
-  [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
-  void note_unsolved(bool unsolved) { work_.unsolved = unsolved; }
   /// J, or the preconditioner, is that of the point reached.
   void note_current() {
     current_ = true;
@@ -209,7 +211,7 @@ class Newton : public AgingJacobian {
 
   void residual(double c, const double* psi, const double* d);
   Result solve_linear(double tolerance, double* b);
-  Status precondition(double* b);
+  Outcome precondition(double* b);
   Outcome prepare_matrix_free(double c, double t1);
 
   const Weights& weights_;

@@ -98,6 +98,7 @@ bool OrderTwo::errors(double* out) const {
 }
 
 bool OrderTwo::reject(Cause cause, double hmin) {
+  if (cause == Cause::newton && newton_.hopeless()) return false;
   if (cause == Cause::newton && newton_.renew_if_old()) return true;
   if (h_ <= hmin) return false;
   double factor = 0.5;
