@@ -195,7 +195,7 @@ def random_case(seed: int, method: str | None = None) -> Case:
     if "fsal" in about.options:
         options["fsal"] = rng.choice(["reuse", "evaluate"])
     if "max_order" in about.options and rng.random() < 0.3:
-        options["max_order"] = 3
+        options["max_order"] = about.min_order + 2
     case = Case(method, problem, MappingProxyType(options), 0)
     steps = case.solve().stats.steps
     return Case(method, problem, case.options, rng.randrange(0, steps) + 1 if steps else 1)

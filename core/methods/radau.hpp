@@ -1,55 +1,64 @@
 #pragma once
-// The Radau IIA method of order 5 (docs/algorithms.md, 'Radau'; Hairer & Wanner, Solving Ordinary Differential
-// Equations II, 2nd ed., 1996, section IV.8).
+// Radau IIA methods of order 5, 9 and 13 (docs/algorithms.md, 'Radau'; Hairer & Wanner, Solving Ordinary Differential
+// Equations II, 2nd ed., 1996, section IV.8, and Stiff differential equations solved by Radau methods, J. Comput. Appl.
+// Math. 111 (1999) 93-111).
 
 #include <complex>
 #include <memory>
 #include <vector>
 
 #include "methods/newton.hpp"
+#include "methods/radau_formula.hpp"
 #include "step.hpp"
 
 namespace invariode {
 
-/// Radau IIA of three stages, stiffly accurate, for M y' = f(t, y).
+/// Radau IIA of 3, 5 or 7 stages, stiffly accurate, for M y' = f(t, y). How fast Newton's iteration converges decides
+/// how many there are.
 ///
-/// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, one real and a complex
-/// pair, Newton's linear system of 3 n equations becomes a real and a complex one of n.
+/// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, a real one and complex
+/// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n.
 class Radau final : public Step {
  public:
-  static constexpr int formula_order = 5;
-  static constexpr int extension_order = 3;
-  static constexpr std::size_t stages = 3;
+  static constexpr int lowest_order = 5;
+  static constexpr int highest_order = 13;
+  static constexpr int highest_extension_order = 7;
 
-  /// The mass matrix, if there is one, belongs to the caller and outlives this.
-  Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+  /// Orders of the formulas; those between that belong to none count as the next lower one. The mass matrix, if there
+  /// is one, belongs to the caller and outlives this.
+  Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, int max_order = highest_order,
+        int min_order = lowest_order);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
   bool errors(double* out) const override;
   std::size_t directions(const double** vectors) const override;
-  [[nodiscard]] std::size_t max_directions() const override { return stages; }
+  [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
-  [[nodiscard]] std::size_t extension_size() const override { return (stages + 1) * n(); }
-  [[nodiscard]] std::size_t max_extension_size() const override { return extension_size(); }
-  [[nodiscard]] int degree() const override { return static_cast<int>(stages); }
+  [[nodiscard]] std::size_t extension_size() const override { return (accepted_->stages + 1) * n(); }
+  [[nodiscard]] std::size_t max_extension_size() const override { return (highest_->stages + 1) * n(); }
+  [[nodiscard]] int degree() const override { return static_cast<int>(accepted_->stages); }
+  [[nodiscard]] int max_degree() const override { return static_cast<int>(highest_->stages); }
   Status extension(double* data) override;
 
-  [[nodiscard]] int order() const override { return formula_order; }
+  [[nodiscard]] int order() const override { return accepted_->order(); }
   [[nodiscard]] const double* slope() const override { return slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
   [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
 
  private:
-  using Complex = std::complex<double>;
+  using Complex = RadauFormula::Complex;
 
+  [[nodiscard]] std::size_t stages() const { return formula_->stages; }
   double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
+  [[nodiscard]] const double* last_increment() const { return increments_.data() + (stages() - 1) * n(); }
   [[nodiscard]] double norm(const double* v) const;
+  void use(const RadauFormula* formula);
   Outcome factor();
   bool factorize();
   Status take_masses();
@@ -62,15 +71,23 @@ class Radau final : public Step {
   void solve_for_error(const double* f);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
+  void choose_order(double h);
+  [[nodiscard]] bool may_raise_order() const;
+  void lower_order();
 
+  const RadauFormula *lowest_, *highest_;
+  const RadauFormula* formula_;   // of the next attempt
+  const RadauFormula* accepted_;  // of the last accepted step
   AgingJacobian jacobian_;
   InitialSlopes initial_;
+  const Lapack* lapack_;
   std::unique_ptr<Factorization> real_lu_;
-  std::unique_ptr<ComplexFactorization> complex_lu_;
+  std::vector<std::unique_ptr<ComplexFactorization>> complex_lu_;  // of the pairs, as many as were needed so far
   Convergence convergence_;
-  std::vector<double> increments_;         // Z_1 Z_2 Z_3
-  std::vector<double> polynomial_;         // a_1 a_2 a_3 of the last accepted step, Z = Σ a_k θ^k; y at θ = 1 is known
-  std::vector<double> residuals_;          // of the three stages
+  std::vector<double> increments_;         // Z_1 … Z_s
+  std::vector<double> polynomial_;         // of the last accepted step, in nested form, 0 at θ = 0
+  std::vector<double> residuals_;          // of the stages
+  std::vector<double> rates_;              // h Y' of the stages
   std::vector<Complex> complex_residual_;  // of the transformed system
   std::vector<Matrix> stage_masses_;       // M(t) at the stages
   std::vector<double> f_, slope_;          // f and y' at (t, y)
@@ -80,6 +97,7 @@ class Radau final : public Step {
   double error_ = 0;                    // of the last attempt
   double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
   bool failed_ = false;                 // an attempt of this step
+  int steps_until_raise_ = 0;           // of the order, at least
 };
 
 }  // namespace invariode

@@ -34,6 +34,11 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
   return std::make_unique<Ndf>(f, weights, linear, options);
 }
 
+std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
+                                 const LinearAlgebra& linear) {
+  return std::make_unique<Radau>(f, weights, linear, told.max_order > 0 ? told.max_order : method.order);
+}
+
 template <class Implicit>
 std::unique_ptr<Step> make_implicit(const Method&, Callback& f, const Weights& weights, const MethodOptions&,
                                     const LinearAlgebra& linear) {
@@ -148,17 +153,17 @@ constexpr Method others[] = {
      .mass = MassMatrices::any,
      .make = make_implicit<TrBdf2>},
     {.name = "radau",
-     .summary = "Radau IIA formula of order 5, for stiff problems at tight tolerances and M y' = f",
-     .family = "implicit Runge-Kutta, for stiff problems and M y' = f",
-     .source = "E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer, Berlin, 1996, "
-               "section IV.8",
+     .summary = "Radau IIA formulas of order 5, 9 and 13, for stiff problems at tight tolerances and M y' = f",
+     .family = "implicit Runge-Kutta, variable order, for stiff problems and M y' = f",
+     .source = "E. Hairer, G. Wanner, Stiff differential equations solved by Radau methods, J. Comput. Appl. Math. 111 "
+               "(1999) 93-111",
      .scipy_name = "Radau",
-     .min_order = Radau::formula_order,
-     .order = Radau::formula_order,
-     .extension_order = Radau::extension_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .min_order = Radau::lowest_order,
+     .order = Radau::highest_order,
+     .extension_order = Radau::highest_extension_order,
+     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass"},
      .mass = MassMatrices::any,
-     .make = make_implicit<Radau>},
+     .make = make_radau},
     {.name = "auto",
      .summary = "ode113 and ode15s taking turns, for problems that may or may not be stiff",
      .family = "explicit and implicit methods that take turns",
