@@ -1,7 +1,7 @@
 """A million stiff components, matrix-free: ``python benchmarks/krylov.py [--write]``, or ``make bench``.
 
 The Brusselator in three dimensions by finite differences, no flux through the boundary: time, memory and error of
-ode15s with ``linear_solver="gmres"`` and of CVODE with its GMRES (scikit-sundae), plain and with one preconditioner,
+methods with ``linear_solver="gmres"`` and of CVODE with its GMRES (scikit-sundae), plain and with one preconditioner,
 the 2 × 2 blocks of the diagonal. f and the preconditioner are C++ of `krylov.cpp`, which CVODE calls by way of Python
 functions, since scikit-sundae takes no others. Each run has a process of its own, and its time is that of the process.
 ``--write`` puts the table into docs/benchmarks.
@@ -14,6 +14,7 @@ import ctypes
 import json
 import sys
 from collections.abc import Callable
+from functools import partial
 from time import process_time
 from typing import Any
 
@@ -30,7 +31,7 @@ SPAN = (0.0, 0.5)
 DIFFUSIVITY = 1 / 50
 RTOLS = (1e-4, 1e-5)
 REFERENCE = 1e-8
-SOLVERS = ("ode15s", "CVODE")
+SOLVERS = ("ode15s", "radau", "ode23t", "auto", "CVODE")
 
 
 def start(side: int) -> Array:
@@ -45,7 +46,9 @@ def pointer(a: Array) -> Any:
     return a.ctypes.data_as(POINTER)
 
 
-def ours(library: ctypes.CDLL, side: int, rtol: float, preconditioned: bool, y0: Array) -> tuple[Array, dict[str, Any]]:
+def ours(
+    method: str, library: ctypes.CDLL, side: int, rtol: float, preconditioned: bool, y0: Array
+) -> tuple[Array, dict[str, Any]]:
     p = np.array([side, DIFFUSIVITY * (side - 1) ** 2])
 
     def preconditioner(t: float, y: Array, c: float, *args: float) -> Callable[[Array], Array]:
@@ -59,7 +62,7 @@ def ours(library: ctypes.CDLL, side: int, rtol: float, preconditioned: bool, y0:
         user_function(library, "brusselator_f"),
         SPAN,
         y0,
-        "ode15s",
+        method,
         args=tuple(p),
         rtol=rtol,
         atol=rtol,
@@ -103,7 +106,7 @@ def measured(solver: str, side: int, rtol: float, preconditioned: bool) -> dict[
     library = build("krylov.cpp")
     library.brusselator_solve.restype, library.brusselator_f.restype = None, None
     library.brusselator_f.argtypes = library.brusselator_solve.argtypes = (DOUBLE, POINTER, POINTER, POINTER)
-    run = ours if solver == "ode15s" else cvodes
+    run = cvodes if solver == "CVODE" else partial(ours, solver)
     run(library, 4, 1e-2, preconditioned, start(4))  # what is imported or compiled once is not counted
     y0, found = start(side), []
     begin = process_time()
@@ -111,7 +114,7 @@ def measured(solver: str, side: int, rtol: float, preconditioned: bool) -> dict[
     seconds = process_time() - begin
     (y, counts), error = found[0], None
     if side == SIDES[0]:
-        exact = ours(library, side, REFERENCE, True, y0)[0]
+        exact = ours("ode15s", library, side, REFERENCE, True, y0)[0]
         error = float((np.abs(y - exact) / (1 + np.abs(exact))).max())
     return {**counts, "seconds": seconds, "vectors": vectors, "error": error}
 

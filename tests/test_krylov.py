@@ -17,6 +17,9 @@ MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in abo
 ALONE = [name for name in MATRIX_FREE if "prefer" not in METHODS[name].options]  # auto has an explicit way out
 WITH_MATRIX = [name for name, about in METHODS.items() if "jac" in about.options and name not in MATRIX_FREE]
 
+#: What makes a method with LU factors the one without: the order of radau is 5 unless max_order allows more.
+LIKE = {name: {"max_order": 5} if name == "radau" else {} for name in MATRIX_FREE}
+
 SIDE = 12
 N = SIDE**2
 _LINE = (
@@ -73,7 +76,7 @@ def exact():
 def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
     """GMRES leaves a twentieth of what Newton's iteration may leave: a fraction of the tolerance in all."""
     for rtol in (1e-3, 1e-6):
-        direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, jac=jacobian)
+        direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, jac=jacobian, **LIKE[method])
         free = solve(method, rtol, **FORMS[form])
         assert free.success
         errors = [np.abs(sol.y[:, -1] - exact).max() for sol in (free, direct)]
@@ -84,13 +87,14 @@ def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
 
 @pytest.mark.parametrize("method", MATRIX_FREE)
 def test_counts(method):
-    """Each iteration takes one product, and y'' at the start another one; by differences each is a call of f. auto takes
-    twelve more where it looks at the spectral radius: as it hands over, and after 25 steps."""
+    """Each iteration takes one product, in complex systems two, and y'' at the start another one; by differences each is
+    a call of f. auto takes twelve more where it looks at the spectral radius: as it hands over, and after 25 steps."""
     plain, given = solve(method), solve(method, jac_product=product)
     for sol in (plain, given):
         stats = sol.stats
         looks = sum(1 + (sol.steps.method == "ode15s").sum() // 25 for _ in range(stats.switches))
-        assert stats.products == stats.linear_iterations + 1 + 12 * looks
+        products = stats.linear_iterations + 1 + 12 * looks
+        assert products < stats.products < 2 * products if method == "radau" else stats.products == products
         assert stats.linear_iterations >= stats.nsolve > 0
         assert stats.njev == stats.nlu == 0
     assert plain.nfev > plain.stats.products
@@ -292,7 +296,7 @@ def test_events_output_and_breakpoints_work_as_with_lu_factors(method):
 
     options = {"events": middle, "dense_output": True, "breakpoints": [0.2], "rtol": 1e-6}
     free = iv.solve_ivp(reacting, (0, 0.5), Y0, method, linear_solver="gmres", preconditioner=diffusive, **options)
-    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian, **options)
+    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian, **LIKE[method], **options)
     assert len(free.t_events[0]) == len(direct.t_events[0]) > 0
     np.testing.assert_allclose(free.t_events[0], direct.t_events[0], atol=1e-4)
     t = np.linspace(0, 0.5, 7)
@@ -352,7 +356,7 @@ def test_what_is_never_defined_ends_a_run_after_eight_attempts(method, form, t0)
 def test_what_is_not_defined_farther_on_ends_a_run_there(method):
     sol = solve(method, jac_product=lambda t, y, v: product(t, y, v) if t < 0.3 else np.nan * v)
     assert sol.status == -1
-    assert sol.t[-1] == pytest.approx(0.3, abs=1e-3)
+    assert 0.299 < sol.t[-1] < 0.32  # radau: J belongs to the start of a step
     assert "is NaN or infinite at t = 0.3" in sol.message
 
 

@@ -42,7 +42,9 @@ class KrylovMemory {
   template <class Scalar>
   void reserve(std::size_t vectors, std::size_t n) {
     const std::size_t size = (parts<Scalar> * vectors * n + 1) / 2;
-    if (values_.size() < size) values_.resize(size);
+    if (values_.size() >= size) return;
+    give_back();  // not both at a time
+    values_.resize(size);
   }
   void give_back() { values_ = std::vector<Complex>(); }
   template <class Scalar>

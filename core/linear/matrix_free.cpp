@@ -9,6 +9,13 @@ namespace {
 const double difference_size = std::sqrt(eps);  // of the largest component of σ v, in units of the weights
 constexpr int most_undefined = 8;  // attempts: h has then been cut to 1e-4, and the functions are no better
 
+constexpr std::size_t default_dimension = 10, default_complex_dimension = 5;  // measured in benchmarks/krylov.py
+
+std::size_t dimension(const KrylovTerms& terms, std::size_t n, bool complex) {
+  const std::size_t own = complex ? default_complex_dimension : default_dimension;
+  return std::min(terms.dimension > 0 ? terms.dimension : own, n);
+}
+
 }  // namespace
 
 JacobianProduct::JacobianProduct(Callback& f, const Callback& product, const Weights& weights)
@@ -50,18 +57,18 @@ void JacobianProduct::state(Archive& archive) {
   product_.state(archive);
 }
 
-MatrixFree::MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+MatrixFree::MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex)
     : product_(f, linear.krylov->product, weights),
       preconditioner_(linear.krylov->preconditioner),
-      gmres_(weights.size(), std::min(linear.krylov->dimension, weights.size()), memory_),
-      dimension_(std::min(linear.krylov->dimension, weights.size())),
+      gmres_(weights.size(), dimension(*linear.krylov, weights.size(), complex), memory_),
       mass_times_v_(linear.mass ? weights.size() : 0),
-      known_y_(preconditioner_ ? weights.size() : 0) {}
+      known_y_(preconditioner_ ? weights.size() : 0) {
+  if (complex) complex_gmres_.emplace(gmres_.n(), dimension(*linear.krylov, gmres_.n(), true), memory_);
+}
 
-void MatrixFree::allow_complex() {
-  complex_gmres_.emplace(gmres_.n(), dimension_, memory_);
-  part_.resize(gmres_.n());
-  part_product_.resize(gmres_.n());
+void MatrixFree::take_scratch(double* part, double* product) {
+  part_ = part;
+  part_product_ = product;
 }
 
 void MatrixFree::reach(double t, const double* y) {
@@ -107,7 +114,7 @@ Status MatrixFree::apply(Complex* b) {
   auto* x = reinterpret_cast<double*>(b);
   for (std::size_t part = 0; part < 2; ++part) {
     for (std::size_t i = 0; i < gmres_.n(); ++i) part_[i] = x[2 * i + part];
-    if (preconditioner_.solve(part_.data()) == Status::stop) return Status::stop;
+    if (preconditioner_.solve(part_) == Status::stop) return Status::stop;
     for (std::size_t i = 0; i < gmres_.n(); ++i) x[2 * i + part] = part_[i];
   }
   return Status::ok;
@@ -115,6 +122,12 @@ Status MatrixFree::apply(Complex* b) {
 
 bool MatrixFree::negligible(const double* w, double tolerance, const double* b) const {
   return max_norm(gmres_.n(), [b, w](std::size_t i) { return b[i] / w[i]; }) <= gmres_.shrinkage() * tolerance;
+}
+
+/// Both parts of b: w belongs to each.
+bool MatrixFree::negligible(const double* w, double tolerance, const Complex* b) const {
+  return max_norm(2 * gmres_.n(), [b = reals(b), w](std::size_t i) { return b[i] / w[i / 2]; }) <=
+         complex_gmres_->shrinkage() * tolerance;
 }
 
 GmresResult MatrixFree::solve(double c, const Matrix* mass, const double* w, double tolerance, double* b) {
@@ -181,12 +194,12 @@ Status MatrixFree::multiply(const Complex* v, Complex* out) {
   const std::size_t n = gmres_.n();
   const double re = complex_c_.real(), im = complex_c_.imag();
   for (std::size_t i = 0; i < n; ++i) part_[i] = v[i].real();
-  if (product_.multiply(part_.data(), part_product_.data()) == Status::stop) return Status::stop;
-  const double* Mv = mass_times(part_.data());
+  if (product_.multiply(part_, part_product_) == Status::stop) return Status::stop;
+  const double* Mv = mass_times(part_);
   for (std::size_t i = 0; i < n; ++i) out[i] = {Mv[i] - re * part_product_[i], -im * part_product_[i]};
   for (std::size_t i = 0; i < n; ++i) part_[i] = v[i].imag();
-  if (product_.multiply(part_.data(), part_product_.data()) == Status::stop) return Status::stop;
-  Mv = mass_times(part_.data());
+  if (product_.multiply(part_, part_product_) == Status::stop) return Status::stop;
+  Mv = mass_times(part_);
   for (std::size_t i = 0; i < n; ++i) out[i] += Complex(im * part_product_[i], Mv[i] - re * part_product_[i]);
   return apply(out);
 }

@@ -22,7 +22,7 @@ namespace invariode {
 struct KrylovTerms {
   Callback product;  ///< J v of t and (y | v), 2 n numbers; empty: differences of f
   Preconditioner preconditioner;
-  std::size_t dimension = 0;  ///< of the Krylov space
+  std::size_t dimension = 0;  ///< of the Krylov space; 0: see MatrixFree
 };
 
 /// J v at a point, by a user's function or a difference of f.
@@ -55,10 +55,12 @@ class JacobianProduct {
 /// is then small is about the error of x.
 class MatrixFree final : private LinearOperator<double>, private LinearOperator<Complex> {
  public:
-  MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+  /// `complex`: complex systems are to be solved too. Each vector of their space is two, so that it has 5 of them
+  /// where nothing is told, else 10.
+  MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex = false);
 
-  /// Complex systems are to be solved too, which takes twice the memory and two vectors.
-  void allow_complex();
+  /// Two vectors (n,) of the caller's, which complex systems overwrite.
+  void take_scratch(double* part, double* product);
   /// Where the preconditioner is set up next; y stays with the caller.
   void reach(double t, const double* y);
   [[nodiscard]] bool preconditioned() const { return static_cast<bool>(preconditioner_); }
@@ -73,6 +75,7 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
   Outcome precondition(Scalar* b);
   /// Whether P⁻¹ b is about an x within the tolerance: see `solve`, which has solved another such system with this P.
   [[nodiscard]] bool negligible(const double* w, double tolerance, const double* b) const;
+  [[nodiscard]] bool negligible(const double* w, double tolerance, const Complex* b) const;
   /// P⁻¹ b becomes x, with J where `product()` is, M null: the identity. About the tolerance is left as its error, in
   /// units of the weights w.
   GmresResult solve(double c, const Matrix* mass, const double* w, double tolerance, double* b);
@@ -110,13 +113,12 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
   KrylovMemory memory_;
   Gmres<double> gmres_;
   std::optional<Gmres<Complex>> complex_gmres_;
-  std::size_t dimension_;
   double c_ = 0;
   Complex complex_c_;
   const Matrix* mass_ = nullptr;
   std::vector<double> mass_times_v_;
-  std::vector<double> part_, part_product_;  // the real or the imaginary part of a vector, and J times it
-  double t_ = 0;                             // where the preconditioner is set up next,
+  double *part_ = nullptr, *part_product_ = nullptr;  // the real or the imaginary part of a vector, and J times it
+  double t_ = 0;                                      // where the preconditioner is set up next,
   const double* y_ = nullptr;
   double known_t_ = 0;  // and where it was last
   std::vector<double> known_y_;

@@ -18,7 +18,6 @@ constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newt
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
 
 // Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
-constexpr double linear_part = 0.05;      // of the error that Newton's iteration may leave: what GMRES may leave
 constexpr double tolerated_change = 0.3;  // of c, with a preconditioner for the old one
 constexpr int old_preconditioner = 20;    // steps
 
@@ -56,13 +55,13 @@ void Convergence::settle(double size) {
 
 // -------------------------------------------------------------------------------------------------- f and its Jacobian
 
-AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex)
     : f_(f),
       weights_(weights),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
       scratch_(linear.krylov ? 0 : weights.size()) {
-  if (linear.krylov) free_.emplace(f, weights, linear);
+  if (linear.krylov) free_.emplace(f, weights, linear, complex);
 }
 
 void AgingJacobian::forget() {
@@ -101,6 +100,11 @@ Status AgingJacobian::multiply(double t, const double* y, const double* slope, c
 }
 
 Status AgingJacobian::repair(double t, const double* y, const double* slope) {
+  if (free_) {
+    free_->begin_attempt();
+    free_->reach(t, y);
+    if (age_ >= old_preconditioner) renew();
+  }
   if (!renew_) return Status::ok;
   if (slope == nullptr) {
     slope = scratch_.data();
@@ -159,6 +163,24 @@ Outcome AgingJacobian::factored(double c, double t1, bool regular) {
   factored_ = c;
   factored_at_ = t1;
   return Outcome::ok;
+}
+
+Outcome AgingJacobian::prepare_preconditioner(double c, double t1) {
+  bool stopped = false;
+  const auto set_up = [&] {
+    if (free_->preconditioned()) count_factorization();
+    current_ = true;
+    age_ = 0;
+    stopped = free_->set_up(c) == Status::stop;
+    return true;
+  };
+  const Outcome outcome = prepare(c, t1, set_up, tolerated_change);
+  return stopped ? Outcome::stop : outcome;
+}
+
+bool AgingJacobian::set_up_again(double c, Archive& archive) {
+  if (free_->set_up_again(c) == Status::stop) archive.stop();
+  return true;
 }
 
 bool AgingJacobian::stiff(double c, const double* w) {
@@ -245,37 +267,17 @@ void Newton::restart() {
   last_c_ = 0;
 }
 
-Status Newton::repair(double t, const double* y) {
-  if (matrix_free()) {
-    matrix_free()->begin_attempt();
-    matrix_free()->reach(t, y);
-    if (jacobian_age() >= old_preconditioner) renew();
-  }
-  return AgingJacobian::repair(t, y);
-}
-
 Outcome Newton::prepare(double c, double t1) {
-  if (matrix_free()) return prepare_matrix_free(c, t1);
+  if (matrix_free()) {
+    if (c != last_c_) convergence_.forget();  // the preconditioner may be one for another c, GMRES solves for this one
+    last_c_ = c;
+    return prepare_preconditioner(c, t1);
+  }
   return AgingJacobian::prepare(c, t1, [&] {
     count_factorization();
     convergence_.forget();
     return lu_->factor(mass_matrix(), c, jacobian());
   });
-}
-
-/// The preconditioner may be one for another c. The rate of convergence may not: GMRES solves for this one.
-Outcome Newton::prepare_matrix_free(double c, double t1) {
-  if (c != last_c_) convergence_.forget();
-  last_c_ = c;
-  bool stopped = false;
-  const auto set_up = [&] {
-    if (matrix_free()->preconditioned()) count_factorization();
-    note_current();
-    stopped = matrix_free()->set_up(c) == Status::stop;
-    return true;
-  };
-  const Outcome outcome = AgingJacobian::prepare(c, t1, set_up, tolerated_change);
-  return stopped ? Outcome::stop : outcome;
 }
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
@@ -341,9 +343,7 @@ void Newton::state(Archive& archive) {
   convergence_.state(archive);
   if (matrix_free()) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
-    if (!matrix_free()) return lu_->factor(mass_matrix(), c, jacobian());
-    if (matrix_free()->set_up_again(c) == Status::stop) archive.stop();
-    return true;
+    return matrix_free() ? set_up_again(c, archive) : lu_->factor(mass_matrix(), c, jacobian());
   });
 }
 

@@ -36,7 +36,8 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 
 std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
                                  const LinearAlgebra& linear) {
-  return std::make_unique<Radau>(f, weights, linear, told.max_order > 0 ? told.max_order : method.order);
+  const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
+  return std::make_unique<Radau>(f, weights, linear, told.max_order > 0 ? told.max_order : own);
 }
 
 template <class Implicit>
@@ -161,7 +162,8 @@ constexpr Method others[] = {
      .min_order = Radau::lowest_order,
      .order = Radau::highest_order,
      .extension_order = Radau::highest_extension_order,
-     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass"},
+     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension",
+                 "jac_product", "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_radau},
     {.name = "auto",

@@ -221,7 +221,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))
     settings = _settings(problem, chosen, options)
     if options["calibrate"] and "calibrate" in chosen.options:
-        weights = _calibrated(weights, settings.max_order)
+        weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints: list[Breakpoint] = []
     if options["breakpoints"] or problem.inputs:
         breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
@@ -320,8 +320,9 @@ def _most_kept(points: int | None, demanded: int, n: int) -> tuple[int, int]:
 
 
 def _highest_order(method: Method, order: int | None) -> int:
+    """0: the method's own."""
     if order is None or "max_order" not in method.options:
-        return method.order
+        return 0
     if not method.min_order <= order <= method.order:
         raise ValueError(f"max_order must be from {method.min_order} to {method.order} for {method.name}, got {order}")
     return order

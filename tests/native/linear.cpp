@@ -233,8 +233,8 @@ struct MatrixFreeSystem {
       : f(linear(J)),
         callback(as_callback(f)),
         krylov{{}, preconditioner, 20},
-        solver(callback, weights, {.jacobian = nullptr, .mass = mass, .lapack = nullptr, .krylov = &krylov}) {
-    solver.allow_complex();
+        solver(callback, weights, {.jacobian = nullptr, .mass = mass, .lapack = nullptr, .krylov = &krylov}, true) {
+    solver.take_scratch(scratch[0].data(), scratch[1].data());
     solver.reach(0, y.data());
     solver.product().at(0, y.data(), slope.data());
   }
@@ -244,6 +244,7 @@ struct MatrixFreeSystem {
   Weights weights{1e-3, std::vector<double>(20, 1e-3), {}};
   KrylovTerms krylov;
   std::vector<double> y = std::vector<double>(20), slope = std::vector<double>(20), w = std::vector<double>(20, 1);
+  std::vector<double> scratch[2] = {std::vector<double>(20), std::vector<double>(20)};
   MatrixFree solver;
 };
 
