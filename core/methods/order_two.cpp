@@ -26,8 +26,8 @@ constexpr double kept_up_to = 1.2;  // a change of h up to this is not worth a f
 
 OrderTwo::OrderTwo(Callback& f, const Weights& weights, const LinearAlgebra& linear, double d)
     : Step(f, weights), newton_(f, weights, linear, rules), initial_(f, linear), d_(d) {
-  for (std::vector<double>* v : {&slope_, &second_, &last_y_, &last_slope_, &candidate_, &base_, &psi_, &weight_,
-                                 &predictor_, &increment_, &error_vector_})
+  for (std::vector<double>* v :
+       {&slope_, &second_, &last_y_, &last_slope_, &candidate_, &base_, &psi_, &weight_, &increment_, &error_vector_})
     v->resize(weights.size());
 }
 
@@ -80,10 +80,9 @@ Newton::Result OrderTwo::solve_stage(double t, double* y, double* z) {
     case Outcome::not_finite: return Newton::Result::failed;
     case Outcome::ok: break;
   }
-  for (std::size_t i = 0; i < n(); ++i) predictor_[i] = base_[i] + psi_[i];
-  weights_.fill(this->y(), predictor_.data(), weight_.data());
-  const Newton::Result result =
-      newton_.solve(c, t, predictor_.data(), psi_.data(), weight_.data(), increment_.data(), y);
+  for (std::size_t i = 0; i < n(); ++i) base_[i] += psi_[i];
+  weights_.fill(this->y(), base_.data(), weight_.data());
+  const Newton::Result result = newton_.solve(c, t, base_.data(), psi_.data(), weight_.data(), increment_.data(), y);
   for (std::size_t i = 0; i < n(); ++i) z[i] = (psi_[i] + increment_[i]) / d_;
   return result;
 }

@@ -52,7 +52,7 @@ class OrderTwo : public Step {
   std::vector<double> second_;               // y'' at the start of a first step
   std::vector<double> last_y_, last_slope_;  // at the start of the last accepted step
   std::vector<double> candidate_;
-  std::vector<double> base_, psi_;  // of the stage that is solved next
+  std::vector<double> base_, psi_;  // of the stage that is solved next; `solve_stage` makes its prediction of the base
   double signed_h_ = 0, t1_ = 0;    // of the attempt
   double last_h_ = 0;               // signed, of the last accepted step; 0: there was none
 
@@ -68,7 +68,7 @@ class OrderTwo : public Step {
   Newton newton_;
   InitialSlopes initial_;
   const double d_;
-  std::vector<double> weight_, predictor_, increment_, error_vector_;
+  std::vector<double> weight_, increment_, error_vector_;
   double error_ = 0;
   bool failed_ = false;  // an attempt of this step
 };
