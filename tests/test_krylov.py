@@ -87,8 +87,8 @@ def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
 
 @pytest.mark.parametrize("method", MATRIX_FREE)
 def test_counts(method):
-    """Each iteration takes one product, in complex systems two, and y'' at the start another one; by differences each is
-    a call of f. auto takes twelve more where it looks at the spectral radius: as it hands over, and after 25 steps."""
+    """Each iteration takes one product, in complex systems two, and y'' at the start another one; by differences each
+    is a call of f. auto takes twelve more where it looks at the spectral radius: as it hands over, every 25 steps."""
     plain, given = solve(method), solve(method, jac_product=product)
     for sol in (plain, given):
         stats = sol.stats
@@ -151,20 +151,22 @@ def test_what_is_localised_is_solved_too():
     assert np.abs(sol.y[:2, -1] - few.y[:, -1]).max() < 1e-5
 
 
-def test_complex_states():
+@pytest.mark.parametrize("method", ALONE)
+def test_complex_states(method):
     """They are pairs of reals, also in products and preconditioners."""
     A = 1j * DIFFUSION / 50 - 5 * EYE
     options = {"rtol": 1e-6, "atol": 1e-8}
     y0 = Y0 * np.exp(1j * Y0)
-    exact = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "ode15s", jac=A, **options).y[:, -1]
+    exact = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "radau", jac=A, **options).y[:, -1]
     for form in ({}, {"jac": A}, {"preconditioner": lambda t, y, c: splu(sp.csc_array(EYE - c * A))}):
-        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "ode15s", linear_solver="gmres", **form, **options)
+        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, method, linear_solver="gmres", **form, **options)
         assert np.abs(sol.y[:, -1] - exact).max() < 1e-5
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_mass_matrices(moving):
-    """M y' = M f, with a preconditioner, takes the steps of y' = f."""
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_mass_matrices(method, moving):
+    """M y' = M f, with a preconditioner, takes the steps of y' = f (auto with both of its members only there)."""
     M = sp.csc_array(sp.diags_array(np.linspace(1e-3, 10, N)) + sp.eye_array(N, k=1) * 1e-3)
 
     def mass(t):
@@ -177,16 +179,48 @@ def test_mass_matrices(moving):
         weighted,
         (0, 0.5),
         Y0,
-        "ode15s",
+        method,
         rtol=1e-4,
         atol=1e-4,
         linear_solver="gmres",
         mass=mass if moving else M,
         preconditioner=lambda t, y, c: splu(sp.csc_array(mass(t) @ (EYE - c * DIFFUSION))),
     )
-    plain = solve(preconditioner=diffusive)
+    plain = solve("ode15s" if method == "auto" else method, preconditioner=diffusive)
     assert abs(sol.stats.steps - plain.stats.steps) <= 5
     assert np.abs(sol.y[:, -1] - plain.y[:, -1]).max() < 1e-4
+
+
+@pytest.mark.parametrize("order", [9, 13])
+def test_radau_goes_up_to_the_order_it_is_allowed(order):
+    options = {"rtol": 1e-8, "max_order": order}
+    free = solve("radau", **options)
+    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, "radau", atol=1e-8, jac=jacobian, **options)
+    assert set(free.steps.order) == set(direct.steps.order)
+    assert max(free.steps.order) == order
+    assert abs(free.stats.steps - direct.stats.steps) <= 3
+    assert np.abs(free.y[:, -1] - direct.y[:, -1]).max() < 1e-9
+    assert set(solve("radau", rtol=1e-8).steps.order) == {5}
+
+
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_projection(method):
+    """A law that is not linear is kept to the square of what a step changes, plain and with a preconditioner."""
+    turn = sp.csc_array(DIFFUSION * 0.02)
+
+    def rotating(t, y):
+        u, v = y[:N], y[N:]
+        return np.concatenate([turn @ v, -(turn @ u)])
+
+    y0 = np.concatenate([Y0, 0 * Y0])
+    size = iv.Invariants(lambda t, y: y @ y, jac=lambda t, y: 2 * y)
+    free = iv.solve_ivp(rotating, (0, 2), y0, method, linear_solver="gmres", rtol=1e-4)
+    drift = abs((free.y**2).sum(axis=0) - y0 @ y0).max()
+    for form in ({}, {"preconditioner": lambda t, y, c: lambda b: b}):
+        sol = iv.solve_ivp(rotating, (0, 2), y0, method, linear_solver="gmres", invariants=size, rtol=1e-4, **form)
+        assert sol.success
+        assert abs(sol.residual).max() < 1e-4 * drift
+        assert sol.stats.projections > 0
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -430,10 +464,11 @@ def test_misuse_is_an_error(options, error, match):
 
 
 @pytest.mark.parametrize("method", WITH_MATRIX)
-def test_methods_that_need_a_matrix_say_so(method):
-    with pytest.raises(ValueError, match=f"{method} needs the Jacobian as a matrix; use one of ode15s, "):
+def test_methods_that_need_exact_solutions_say_so(method):
+    match = f"{method} solves linear systems in place of an iteration, .* use one of ode15s, "
+    with pytest.raises(ValueError, match=match):
         solve(method)
-    with pytest.raises(ValueError, match=f"{method} needs the Jacobian as a matrix; use one of ode15s, "):
+    with pytest.raises(ValueError, match=match):
         solve("auto", prefer=("ode45", method))
 
 

@@ -63,7 +63,7 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
           "products with the Jacobian go with Krylov terms");
   const Method& implicit_one = method_.switches() ? members(options_).implicit_one : method_;
   require(!problem_.linear || !problem_.linear->krylov || implicit_one.takes("linear_solver"),
-          std::string(implicit_one.name) + " needs the Jacobian as a matrix; use ode15s");
+          std::string(implicit_one.name) + " needs exact solutions of its linear systems; use ode15s");
   options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }

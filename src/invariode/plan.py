@@ -422,12 +422,12 @@ def _linear_algebra(
 
 def _require_linear_solver(method: Method, chosen: object) -> None:
     """`chosen` may be anything: options are checked later."""
-    implicit_by_matrices = "jac" in method.options and "linear_solver" not in method.options
-    if isinstance(chosen, str) and chosen == "gmres" and implicit_by_matrices:
+    needs_exact_solutions = "jac" in method.options and "linear_solver" not in method.options
+    if isinstance(chosen, str) and chosen == "gmres" and needs_exact_solutions:
         others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
         raise ValueError(
-            f"linear_solver='gmres': {method.name} needs the Jacobian as a matrix; use one of {others}, or "
-            "linear_solver='direct' with jac_sparsity"
+            f"linear_solver='gmres': {method.name} solves linear systems in place of an iteration, so that what GMRES "
+            f"leaves would lower its order; use one of {others}, or linear_solver='direct' with jac_sparsity"
         )
 
 
