@@ -516,7 +516,8 @@ void define_report_of_run(RunClass& run) {
   property(run, "component", [](const RunResult& r) { return r.report.component; });
   property(run, "pure_relative", [](const RunResult& r) { return r.report.pure_relative; });
   property(run, "singular", [](const RunResult& r) { return r.report.linear.singular; });
-  property(run, "unsolved", [](const RunResult& r) { return r.report.linear.unsolved; });
+  property(run, "unsolved", [](const RunResult& r) { return name_of(r.report.linear.unsolved); });
+  property(run, "unsolved_t", [](const RunResult& r) { return r.report.linear.unsolved_t; });
   property(run, "undefined_mass", [](const RunResult& r) { return r.report.linear.undefined_mass; });
   property(run, "undefined_jacobian", [](const RunResult& r) { return r.report.linear.undefined_jacobian; });
   property(run, "event", [](const RunResult& r) { return r.report.event; });

@@ -364,7 +364,7 @@ bool Integration::explain_failure(Cause cause) {
   if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
     report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
   if (cause == Cause::bounds) report_.component = outside_.component;
-  if (cause != Cause::error && cause != Cause::newton) return true;
+  if ((cause != Cause::error && cause != Cause::newton) || undefined_function(report_.linear.unsolved)) return true;
   if (discontinuities_.gave_up(report_.t, interpolant_->start_y(), step_->slope(), attempt_.t1) == Status::stop)
     return end(State::interrupted);
   if (cause != Cause::error) return true;

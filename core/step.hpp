@@ -20,12 +20,19 @@ struct Matrix;
 /// How an operation of a step ended. `not_finite`: a needed value of f is NaN or infinite.
 enum class [[nodiscard]] Outcome { ok, not_finite, stop };
 
+/// Why GMRES did not solve a linear system: it stagnates; a product of a user's function, or a difference of f in its
+/// place, is not finite; what the preconditioner returns is not finite, or 0 of something else.
+enum class Unsolved { none, slow, product, difference, preconditioner, preconditioner_zero };
+/// Users' functions are why.
+constexpr bool undefined_function(Unsolved why) { return why != Unsolved::none && why != Unsolved::slow; }
+
 /// Jacobians, factorisations (or set-ups of a preconditioner) and solves so far, products with the Jacobian and
-/// iterations of GMRES; whether the last attempt met a linear system that GMRES did not solve, a singular iteration
-/// matrix, or a Jacobian or a mass matrix that is not finite.
+/// iterations of GMRES; whether the last attempt met a linear system that GMRES did not solve (with a J or a
+/// preconditioner of that t), a singular iteration matrix, or a Jacobian or a mass matrix that is not finite.
 struct LinearWork {
   std::int64_t jacobians = 0, factorizations = 0, solves = 0, products = 0, iterations = 0;
-  bool unsolved = false;
+  Unsolved unsolved = Unsolved::none;
+  double unsolved_t = 0;
   std::int64_t complex_calls = 0;                                        ///< of f at complex y, for Jacobians
   double left_complex_steps = std::numeric_limits<double>::quiet_NaN();  ///< t at which differences replaced them
   std::int64_t enlargements = 0;                                         ///< of a sparsity pattern that was found,
@@ -122,6 +129,8 @@ class Step {
   [[nodiscard]] virtual LinearWork linear_work() const { return {}; }
   /// ∂f/∂y as an implicit method has it; null: it needs none.
   [[nodiscard]] virtual const Matrix* jacobian() const { return nullptr; }
+  /// ∂f/∂y at the point reached, where f is `slope`, times v, both (n,), of a method that knows ∂f/∂y by its products.
+  virtual Status multiply_jacobian(const double*, const double*, double*) { return Status::ok; }
   /// Of a method that consists of several: which of them made the last step, and how often they have changed.
   [[nodiscard]] virtual int member() const { return 0; }
   [[nodiscard]] virtual std::int64_t switches() const { return 0; }

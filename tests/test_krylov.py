@@ -14,7 +14,11 @@ import invariode as iv
 from invariode.methods import METHODS
 
 MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in about.options]
+ALONE = [name for name in MATRIX_FREE if "prefer" not in METHODS[name].options]  # auto has an explicit way out
 WITH_MATRIX = [name for name, about in METHODS.items() if "jac" in about.options and name not in MATRIX_FREE]
+
+#: What makes a method with LU factors the one without: the order of radau is 5 unless max_order allows more.
+LIKE = {name: {"max_order": 5} if name == "radau" else {} for name in MATRIX_FREE}
 
 SIDE = 12
 N = SIDE**2
@@ -72,7 +76,7 @@ def exact():
 def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
     """GMRES leaves a twentieth of what Newton's iteration may leave: a fraction of the tolerance in all."""
     for rtol in (1e-3, 1e-6):
-        direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, jac=jacobian)
+        direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, jac=jacobian, **LIKE[method])
         free = solve(method, rtol, **FORMS[form])
         assert free.success
         errors = [np.abs(sol.y[:, -1] - exact).max() for sol in (free, direct)]
@@ -83,10 +87,14 @@ def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
 
 @pytest.mark.parametrize("method", MATRIX_FREE)
 def test_counts(method):
-    """Each iteration takes one product, and y'' at the start another one; by differences each is a call of f."""
+    """Each iteration takes one product, in complex systems two, and y'' at the start another one; by differences each
+    is a call of f. auto takes twelve more where it looks at the spectral radius: as it hands over, every 25 steps."""
     plain, given = solve(method), solve(method, jac_product=product)
-    for stats in (plain.stats, given.stats):
-        assert stats.products == stats.linear_iterations + 1
+    for sol in (plain, given):
+        stats = sol.stats
+        looks = sum(1 + (sol.steps.method == "ode15s").sum() // 25 for _ in range(stats.switches))
+        products = stats.linear_iterations + 1 + 12 * looks
+        assert products < stats.products < 2 * products if method == "radau" else stats.products == products
         assert stats.linear_iterations >= stats.nsolve > 0
         assert stats.njev == stats.nlu == 0
     assert plain.nfev > plain.stats.products
@@ -143,20 +151,22 @@ def test_what_is_localised_is_solved_too():
     assert np.abs(sol.y[:2, -1] - few.y[:, -1]).max() < 1e-5
 
 
-def test_complex_states():
+@pytest.mark.parametrize("method", ALONE)
+def test_complex_states(method):
     """They are pairs of reals, also in products and preconditioners."""
     A = 1j * DIFFUSION / 50 - 5 * EYE
     options = {"rtol": 1e-6, "atol": 1e-8}
     y0 = Y0 * np.exp(1j * Y0)
-    exact = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "ode15s", jac=A, **options).y[:, -1]
+    exact = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "radau", jac=A, **options).y[:, -1]
     for form in ({}, {"jac": A}, {"preconditioner": lambda t, y, c: splu(sp.csc_array(EYE - c * A))}):
-        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "ode15s", linear_solver="gmres", **form, **options)
+        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, method, linear_solver="gmres", **form, **options)
         assert np.abs(sol.y[:, -1] - exact).max() < 1e-5
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_mass_matrices(moving):
-    """M y' = M f, with a preconditioner, takes the steps of y' = f."""
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_mass_matrices(method, moving):
+    """M y' = M f, with a preconditioner, takes the steps of y' = f (auto with both of its members only there)."""
     M = sp.csc_array(sp.diags_array(np.linspace(1e-3, 10, N)) + sp.eye_array(N, k=1) * 1e-3)
 
     def mass(t):
@@ -169,16 +179,111 @@ def test_mass_matrices(moving):
         weighted,
         (0, 0.5),
         Y0,
-        "ode15s",
+        method,
         rtol=1e-4,
         atol=1e-4,
         linear_solver="gmres",
         mass=mass if moving else M,
         preconditioner=lambda t, y, c: splu(sp.csc_array(mass(t) @ (EYE - c * DIFFUSION))),
     )
-    plain = solve(preconditioner=diffusive)
+    plain = solve("ode15s" if method == "auto" else method, preconditioner=diffusive)
     assert abs(sol.stats.steps - plain.stats.steps) <= 5
     assert np.abs(sol.y[:, -1] - plain.y[:, -1]).max() < 1e-4
+
+
+@pytest.mark.parametrize("order", [9, 13])
+def test_radau_goes_up_to_the_order_it_is_allowed(order):
+    options = {"rtol": 1e-8, "max_order": order}
+    free = solve("radau", **options)
+    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, "radau", atol=1e-8, jac=jacobian, **options)
+    assert set(free.steps.order) == set(direct.steps.order)
+    assert max(free.steps.order) == order
+    assert abs(free.stats.steps - direct.stats.steps) <= 3
+    assert np.abs(free.y[:, -1] - direct.y[:, -1]).max() < 1e-9
+    assert set(solve("radau", rtol=1e-8).steps.order) == {5}
+
+
+@pytest.mark.parametrize("method", MATRIX_FREE)
+def test_projection(method):
+    """A law that is not linear is kept to the square of what a step changes, plain and with a preconditioner."""
+    turn = sp.csc_array(DIFFUSION * 0.02)
+
+    def rotating(t, y):
+        u, v = y[:N], y[N:]
+        return np.concatenate([turn @ v, -(turn @ u)])
+
+    y0 = np.concatenate([Y0, 0 * Y0])
+    size = iv.Invariants(lambda t, y: y @ y, jac=lambda t, y: 2 * y)
+    free = iv.solve_ivp(rotating, (0, 2), y0, method, linear_solver="gmres", rtol=1e-4)
+    drift = abs((free.y**2).sum(axis=0) - y0 @ y0).max()
+    for form in ({}, {"preconditioner": lambda t, y, c: lambda b: b}):
+        sol = iv.solve_ivp(rotating, (0, 2), y0, method, linear_solver="gmres", invariants=size, rtol=1e-4, **form)
+        assert sol.success
+        assert abs(sol.residual).max() < 1e-4 * drift
+        assert sol.stats.projections > 0
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# auto
+
+
+def relaxation(t, y):
+    return [y[1], 100 * (1 - y[0] ** 2) * y[1] - y[0]]
+
+
+def relaxation_product(t, y, v):
+    return [v[1], (-200 * y[0] * y[1] - 1) * v[0] + 100 * (1 - y[0] ** 2) * v[1]]
+
+
+RELAXATION = {"differences": {}, "jac_product": {"jac_product": relaxation_product}}
+
+
+@pytest.mark.parametrize("form", RELAXATION)
+def test_auto_hands_over_where_it_does_with_matrices(form):
+    options = {"rtol": 1e-5, "atol": 1e-8}
+    direct = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **options)
+    free = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", linear_solver="gmres", **RELAXATION[form], **options)
+    assert free.stats.switches == direct.stats.switches >= 3
+    assert abs(free.y[0, -1] - direct.y[0, -1]) < 1e-3
+    turns = [np.flatnonzero(sol.steps.method[1:] != sol.steps.method[:-1]) for sol in (free, direct)]
+    np.testing.assert_allclose(*[sol.steps.t[at] for sol, at in zip((free, direct), turns, strict=True)], atol=5)
+
+
+@pytest.mark.parametrize("form", RELAXATION)
+def test_auto_continues_bit_for_bit_wherever_it_is_cut(form):
+    options = {"rtol": 1e-4, "linear_solver": "gmres", **RELAXATION[form]}
+    whole = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **options)
+    assert whole.stats.switches >= 3
+    for steps in range(40, whole.stats.steps, 60):
+        part = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", max_steps=steps, **options)
+        both = part.extend(220, max_steps=None)
+        np.testing.assert_array_equal(both.t, whole.t)
+        np.testing.assert_array_equal(both.y, whole.y)
+        assert both.stats.products == whole.stats.products
+
+
+def test_auto_needs_no_pattern_for_a_large_stiff_problem():
+    """With matrices it would be explicit throughout."""
+    sol = iv.solve_ivp(lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), np.ones(20_000), "auto", linear_solver="gmres")
+    assert sol.stats.switches == 1
+    np.testing.assert_allclose(sol.y[:, -1], np.cos(3), atol=1e-3)
+
+
+def test_an_exception_in_a_look_at_the_spectral_radius_comes_out_unchanged():
+    """The first product of all is one of the start of ode15s, the second one of the look."""
+    calls = 0
+
+    def product(t, y, v):
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise KeyError("the second one")
+        return -1e4 * v
+
+    with pytest.raises(KeyError, match="the second one"):
+        iv.solve_ivp(
+            lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), [1.0], "auto", linear_solver="gmres", jac_product=product
+        )
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -225,7 +330,7 @@ def test_events_output_and_breakpoints_work_as_with_lu_factors(method):
 
     options = {"events": middle, "dense_output": True, "breakpoints": [0.2], "rtol": 1e-6}
     free = iv.solve_ivp(reacting, (0, 0.5), Y0, method, linear_solver="gmres", preconditioner=diffusive, **options)
-    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian, **options)
+    direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian, **LIKE[method], **options)
     assert len(free.t_events[0]) == len(direct.t_events[0]) > 0
     np.testing.assert_allclose(free.t_events[0], direct.t_events[0], atol=1e-4)
     t = np.linspace(0, 0.5, 7)
@@ -249,11 +354,58 @@ def test_runs_continue_bit_for_bit(method, form):
 # Failure and misuse
 
 
-def test_systems_that_are_not_solved_are_a_failure_with_advice():
-    sol = iv.ode15s(lambda t, y: -y, (1, 2), [1.0, 2.0], linear_solver="gmres", jac_product=lambda t, y, v: np.nan * v)
+@pytest.mark.parametrize("method", ALONE)
+def test_systems_that_are_not_solved_are_a_failure_with_advice(method):
+    """With a cyclic shift as preconditioner GMRES gets nowhere until its space is the whole one; and f is so large that
+    it matters in the smallest step."""
+    shift = {"preconditioner": lambda t, y, c: lambda b: np.roll(b, 1), "jac_product": lambda t, y, v: -1e20 * v}
+    sol = iv.solve_ivp(lambda t, y: -1e20 * y, (1, 2), np.eye(40)[0], method, linear_solver="gmres", **shift)
     assert sol.status == -1
     assert "GMRES does not solve the linear systems" in sol.message
     assert "give a better preconditioner, or a larger krylov_dimension" in sol.message
+
+
+UNDEFINED = {
+    "jac_product": ({"jac_product": lambda t, y, v: np.nan * v}, "by jac_product or jac, is NaN or infinite at t = "),
+    "jac": ({"jac": lambda t, y: np.full((N, N), np.nan)}, "by jac_product or jac, is NaN or infinite at t = "),
+    "preconditioner, NaN": ({"preconditioner": lambda t, y, c: lambda b: np.nan * b}, "returns NaN or infinity"),
+    "preconditioner, 0": ({"preconditioner": lambda t, y, c: lambda b: 0 * b}, "returns 0 for a b that is not 0"),
+}
+
+
+@pytest.mark.parametrize("t0", [0, 1])
+@pytest.mark.parametrize("form", UNDEFINED)
+@pytest.mark.parametrize("method", ALONE)
+def test_what_is_never_defined_ends_a_run_after_eight_attempts(method, form, t0):
+    """The smallest step at t = 0 is so small that hundreds would follow."""
+    options, message = UNDEFINED[form]
+    sol = iv.solve_ivp(reacting, (t0, t0 + 0.5), Y0, method, linear_solver="gmres", **options)
+    assert (sol.status, sol.stats.steps, sol.stats.failed) == (-1, 0, 8)
+    assert message in sol.message
+    assert "leave it out" in sol.message
+    assert f"The run ends at t = {float(t0)}." in sol.message
+
+
+@pytest.mark.parametrize("method", ALONE)
+def test_what_is_not_defined_farther_on_ends_a_run_there(method):
+    sol = solve(method, jac_product=lambda t, y, v: product(t, y, v) if t < 0.3 else np.nan * v)
+    assert sol.status == -1
+    assert 0.299 < sol.t[-1] < 0.32  # radau: J belongs to the start of a step
+    assert "is NaN or infinite at t = 0.3" in sol.message
+
+
+@pytest.mark.parametrize("method", ALONE)
+def test_what_is_undefined_now_and_then_costs_attempts_only(method):
+    calls = 0
+
+    def product_with_gaps(t, y, v):
+        nonlocal calls
+        calls += 1
+        return product(t, y, v) if calls % 20 else np.nan * v
+
+    sol = solve(method, jac_product=product_with_gaps)
+    assert sol.success
+    assert np.abs(sol.y[:, -1] - solve(method).y[:, -1]).max() < 1e-3
 
 
 def test_native_products():
@@ -312,9 +464,12 @@ def test_misuse_is_an_error(options, error, match):
 
 
 @pytest.mark.parametrize("method", WITH_MATRIX)
-def test_methods_that_need_a_matrix_say_so(method):
-    with pytest.raises(ValueError, match=f"{method} needs the Jacobian as a matrix; use ode15s or ode23tb"):
+def test_methods_that_need_exact_solutions_say_so(method):
+    match = f"{method} solves linear systems in place of an iteration, .* use one of ode15s, "
+    with pytest.raises(ValueError, match=match):
         solve(method)
+    with pytest.raises(ValueError, match=match):
+        solve("auto", prefer=("ode45", method))
 
 
 def test_what_has_no_effect_draws_a_warning():

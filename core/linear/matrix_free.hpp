@@ -2,15 +2,18 @@
 // Newton's linear systems without matrices: products with ∂f/∂y, a user's preconditioner, and GMRES on both
 // (docs/algorithms.md, 'Matrix-free').
 
+#include <complex>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "callback.hpp"
 #include "linear/gmres.hpp"
 #include "linear/mass.hpp"
 #include "linear/preconditioner.hpp"
+#include "step.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -19,7 +22,7 @@ namespace invariode {
 struct KrylovTerms {
   Callback product;  ///< J v of t and (y | v), 2 n numbers; empty: differences of f
   Preconditioner preconditioner;
-  std::size_t dimension = 0;  ///< of the Krylov space
+  std::size_t dimension = 0;  ///< of the Krylov space; 0: see MatrixFree
 };
 
 /// J v at a point, by a user's function or a difference of f.
@@ -31,6 +34,9 @@ class JacobianProduct {
   void at(double t, const double* y, const double* slope);
   Status multiply(const double* v, double* out);
   [[nodiscard]] std::int64_t count() const { return count_; }
+  /// Whether a user's function forms it, and where J is.
+  [[nodiscard]] bool given() const { return static_cast<bool>(product_); }
+  [[nodiscard]] double t() const { return t_; }
   void state(Archive& archive);
 
  private:
@@ -45,11 +51,16 @@ class JacobianProduct {
   std::int64_t count_ = 0;
 };
 
-/// Solves (M − c J) x = b. The preconditioner is applied from the left: what is then small is about the error of x.
-class MatrixFree final : private LinearOperator {
+/// Solves (M − c J) x = b, also for complex c, x and b with one real preconditioner. It is applied from the left: what
+/// is then small is about the error of x.
+class MatrixFree final : private LinearOperator<double>, private LinearOperator<Complex> {
  public:
-  MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+  /// `complex`: complex systems are to be solved too. Each vector of their space is two, so that it has 5 of them
+  /// where nothing is told, else 10.
+  MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex = false);
 
+  /// Two vectors (n,) of the caller's, which complex systems overwrite.
+  void take_scratch(double* part, double* product);
   /// Where the preconditioner is set up next; y stays with the caller.
   void reach(double t, const double* y);
   [[nodiscard]] bool preconditioned() const { return static_cast<bool>(preconditioner_); }
@@ -59,33 +70,61 @@ class MatrixFree final : private LinearOperator {
   Status set_up_again(double c);
 
   [[nodiscard]] JacobianProduct& product() { return product_; }
-  /// b becomes P⁻¹ b, which is about x.
-  Status precondition(double* b);
-  /// Whether P⁻¹ b is about an x within the tolerance: see `solve`, which has solved another system with this P.
+  /// b becomes P⁻¹ b, which is about x. `not_finite`: it is not, or 0 of another b; see `unsolved`.
+  template <class Scalar>
+  Outcome precondition(Scalar* b);
+  /// Whether P⁻¹ b is about an x within the tolerance: see `solve`, which has solved another such system with this P.
   [[nodiscard]] bool negligible(const double* w, double tolerance, const double* b) const;
+  [[nodiscard]] bool negligible(const double* w, double tolerance, const Complex* b) const;
   /// P⁻¹ b becomes x, with J where `product()` is, M null: the identity. About the tolerance is left as its error, in
   /// units of the weights w.
-  Gmres::Result solve(double c, const Matrix* mass, const double* w, double tolerance, double* b);
+  GmresResult solve(double c, const Matrix* mass, const double* w, double tolerance, double* b);
+  GmresResult solve(Complex c, const Matrix* mass, const double* w, double tolerance, Complex* b);
+
+  /// Why the last system was not solved, and where J or the preconditioner belonged to.
+  [[nodiscard]] Unsolved unsolved() const { return unsolved_; }
+  [[nodiscard]] double unsolved_t() const { return unsolved_t_; }
+  /// A new attempt begins: nothing is unsolved.
+  void begin_attempt();
+  /// A step was accepted, or the run starts anew.
+  void forget_failures() { unsolved_ = Unsolved::none, undefined_ = 0; }
+  /// What users' functions return has not been finite, or 0, in so many attempts in a row that shorter steps will not
+  /// help.
+  [[nodiscard]] bool hopeless() const;
 
   /// Nothing is solved any more: gives memory back.
-  void end_attempts() { gmres_.give_back(); }
+  void end_attempts() { memory_.give_back(); }
   [[nodiscard]] std::int64_t products() const { return product_.count(); }
-  [[nodiscard]] std::int64_t iterations() const { return gmres_.iterations(); }
+  [[nodiscard]] std::int64_t iterations() const;
   void state(Archive& archive);
 
  private:
   Status multiply(const double* v, double* out) override;
+  Status multiply(const Complex* v, Complex* out) override;
+  const double* mass_times(const double* v);
+  Status apply(double* b);
+  Status apply(Complex* b);
+  template <class Scalar>
+  GmresResult explained(const Gmres<Scalar>& gmres, GmresResult result);
+  void note(Unsolved why, double t);
 
   JacobianProduct product_;
   Preconditioner preconditioner_;
-  Gmres gmres_;
+  KrylovMemory memory_;
+  Gmres<double> gmres_;
+  std::optional<Gmres<Complex>> complex_gmres_;
   double c_ = 0;
+  Complex complex_c_;
   const Matrix* mass_ = nullptr;
   std::vector<double> mass_times_v_;
-  double t_ = 0;  // where the preconditioner is set up next,
+  double *part_ = nullptr, *part_product_ = nullptr;  // the real or the imaginary part of a vector, and J times it
+  double t_ = 0;                                      // where the preconditioner is set up next,
   const double* y_ = nullptr;
   double known_t_ = 0;  // and where it was last
   std::vector<double> known_y_;
+  Unsolved unsolved_ = Unsolved::none;
+  double unsolved_t_ = 0;
+  int undefined_ = 0;  // attempts in a row before this one: see `hopeless`
 };
 
 }  // namespace invariode

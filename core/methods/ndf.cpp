@@ -209,6 +209,7 @@ double Ndf::retry_h(int k, double error, double safety) const {
 
 bool Ndf::reject(Cause cause, double hmin) {
   if (cause == Cause::newton) {
+    if (newton_.hopeless()) return false;
     if (newton_.renew_if_old()) return true;
     if (h_ <= hmin) return false;
     h_ = std::max(hmin, newton_cut * h_);

@@ -52,6 +52,9 @@ class Ndf final : public Step {
   [[nodiscard]] int undefined_component() const override { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return newton_.work(); }
   [[nodiscard]] const Matrix* jacobian() const override { return &newton_.jacobian(); }
+  Status multiply_jacobian(const double* slope, const double* v, double* out) override {
+    return newton_.multiply(t_, y(), slope, v, out);
+  }
 
  private:
   void restart(double t, const double* y, double h, int order);

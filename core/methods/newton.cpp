@@ -18,7 +18,6 @@ constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newt
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
 
 // Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
-constexpr double linear_part = 0.05;      // of the error that Newton's iteration may leave: what GMRES may leave
 constexpr double tolerated_change = 0.3;  // of c, with a preconditioner for the old one
 constexpr int old_preconditioner = 20;    // steps
 
@@ -56,16 +55,17 @@ void Convergence::settle(double size) {
 
 // -------------------------------------------------------------------------------------------------- f and its Jacobian
 
-AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex)
     : f_(f),
       weights_(weights),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
       scratch_(linear.krylov ? 0 : weights.size()) {
-  if (linear.krylov) free_.emplace(f, weights, linear);
+  if (linear.krylov) free_.emplace(f, weights, linear, complex);
 }
 
 void AgingJacobian::forget() {
+  if (free_) free_->forget_failures();
   factored_ = 0;
   renew_ = false;
   noisy_ = false;
@@ -100,6 +100,11 @@ Status AgingJacobian::multiply(double t, const double* y, const double* slope, c
 }
 
 Status AgingJacobian::repair(double t, const double* y, const double* slope) {
+  if (free_) {
+    free_->begin_attempt();
+    free_->reach(t, y);
+    if (age_ >= old_preconditioner) renew();
+  }
   if (!renew_) return Status::ok;
   if (slope == nullptr) {
     slope = scratch_.data();
@@ -131,6 +136,7 @@ void AgingJacobian::renew_if_noise(double c) {
 }
 
 void AgingJacobian::step_accepted() {
+  if (free_) free_->forget_failures();
   current_ = false;
   ++age_;
 }
@@ -159,6 +165,24 @@ Outcome AgingJacobian::factored(double c, double t1, bool regular) {
   return Outcome::ok;
 }
 
+Outcome AgingJacobian::prepare_preconditioner(double c, double t1) {
+  bool stopped = false;
+  const auto set_up = [&] {
+    if (free_->preconditioned()) count_factorization();
+    current_ = true;
+    age_ = 0;
+    stopped = free_->set_up(c) == Status::stop;
+    return true;
+  };
+  const Outcome outcome = prepare(c, t1, set_up, tolerated_change);
+  return stopped ? Outcome::stop : outcome;
+}
+
+bool AgingJacobian::set_up_again(double c, Archive& archive) {
+  if (free_->set_up_again(c) == Status::stop) archive.stop();
+  return true;
+}
+
 bool AgingJacobian::stiff(double c, const double* w) {
   if (mass_) return true;
   if (free_) return false;  // J is never an old one
@@ -182,6 +206,8 @@ LinearWork AgingJacobian::work() const {
   if (free_) {
     work.products = free_->products();
     work.iterations = free_->iterations();
+    work.unsolved = free_->unsolved();
+    work.unsolved_t = free_->unsolved_t();
   }
   work.complex_calls = jacobian_.complex_calls();
   work.left_complex_steps = jacobian_.left_complex_steps();
@@ -207,7 +233,7 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
   return Outcome::ok;
 }
 
-/// M y'' = f_t + J y'
+/// M y'' = f_t + J y'. A product that is not finite is no part of it: whether it matters the attempts will tell.
 Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f,
                              double* slope, double* ft, double* second) {
   const std::size_t n = jacobian.jacobian().n();
@@ -218,6 +244,7 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
     solver_.slope(*mass, ft, slope);
   }
   if (jacobian.multiply(t, y, f, slope, second) == Status::stop) return Status::stop;
+  if (jacobian.matrix_free() && !all_finite(second, n)) std::fill(second, second + n, 0);
   for (std::size_t i = 0; i < n; ++i) second[i] += ft[i];
   if (mass) solver_.slope(*mass, nullptr, second);
   return Status::ok;
@@ -240,37 +267,17 @@ void Newton::restart() {
   last_c_ = 0;
 }
 
-Status Newton::repair(double t, const double* y) {
-  if (matrix_free()) {
-    matrix_free()->reach(t, y);
-    if (jacobian_age() >= old_preconditioner) renew();
-  }
-  return AgingJacobian::repair(t, y);
-}
-
 Outcome Newton::prepare(double c, double t1) {
-  note_unsolved(false);
-  if (matrix_free()) return prepare_matrix_free(c, t1);
+  if (matrix_free()) {
+    if (c != last_c_) convergence_.forget();  // the preconditioner may be one for another c, GMRES solves for this one
+    last_c_ = c;
+    return prepare_preconditioner(c, t1);
+  }
   return AgingJacobian::prepare(c, t1, [&] {
     count_factorization();
     convergence_.forget();
     return lu_->factor(mass_matrix(), c, jacobian());
   });
-}
-
-/// The preconditioner may be one for another c. The rate of convergence may not: GMRES solves for this one.
-Outcome Newton::prepare_matrix_free(double c, double t1) {
-  if (c != last_c_) convergence_.forget();
-  last_c_ = c;
-  bool stopped = false;
-  const auto set_up = [&] {
-    if (matrix_free()->preconditioned()) count_factorization();
-    note_current();
-    stopped = matrix_free()->set_up(c) == Status::stop;
-    return true;
-  };
-  const Outcome outcome = AgingJacobian::prepare(c, t1, set_up, tolerated_change);
-  return stopped ? Outcome::stop : outcome;
 }
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
@@ -290,7 +297,11 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Outcome::ok: break;
     }
     residual(c, psi, d);
-    if (precondition(residual_.data()) == Status::stop) return Result::stop;
+    switch (precondition(residual_.data())) {
+      case Outcome::stop: return Result::stop;
+      case Outcome::not_finite: return Result::failed;
+      case Outcome::ok: break;
+    }
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
       return Result::converged;
@@ -309,7 +320,7 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   }
 }
 
-Status Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Status::ok; }
+Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }
 
 /// b, preconditioned, becomes the solution; matrix-free with J at the place, where f is at hand.
 Newton::Result Newton::solve_linear(double tolerance, double* b) {
@@ -320,9 +331,10 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
   }
   matrix_free()->product().at(place_.t, place_.y, f_value_.data());
   switch (matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b)) {
-    case Gmres::Result::stop: return Result::stop;
-    case Gmres::Result::failed: note_unsolved(true); return Result::failed;
-    case Gmres::Result::converged: break;
+    case GmresResult::stop: return Result::stop;
+    case GmresResult::failed:
+    case GmresResult::undefined: return Result::failed;
+    case GmresResult::converged: break;
   }
   return Result::converged;
 }
@@ -331,9 +343,7 @@ void Newton::state(Archive& archive) {
   convergence_.state(archive);
   if (matrix_free()) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
-    if (!matrix_free()) return lu_->factor(mass_matrix(), c, jacobian());
-    if (matrix_free()->set_up_again(c) == Status::stop) archive.stop();
-    return true;
+    return matrix_free() ? set_up_again(c, archive) : lu_->factor(mass_matrix(), c, jacobian());
   });
 }
 
@@ -346,7 +356,8 @@ Newton::Result Newton::damp(double* v) {
     const Outcome outcome = evaluate(place_.t, place_.y, f_value_.data());
     if (outcome != Outcome::ok) return outcome == Outcome::stop ? Result::stop : Result::failed;
   }
-  if (precondition(v) == Status::stop) return Result::stop;
+  if (const Outcome outcome = precondition(v); outcome != Outcome::ok)
+    return outcome == Outcome::stop ? Result::stop : Result::failed;
   return solve_linear(linear_part * weights_.rtol(), v);
 }
 

@@ -57,14 +57,15 @@ class Convergence {
 /// alone, it is always that of the iterate at hand, and a preconditioner takes the part of J and of the factors.
 class AgingJacobian {
  public:
-  AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear);
+  /// `complex`: see MatrixFree.
+  AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex = false);
 
   /// Memory as it is before any step.
   void forget();
   /// J at (t, y), where f is `slope`.
   Status take_jacobian(double t, const double* y, const double* slope);
-  /// What `renew` has asked for: takes J at (t, y) anew, where f is `slope`. Null: f is evaluated if J comes from
-  /// differences.
+  /// What is due before an attempt from (t, y). What `renew` has asked for: takes J there anew, where f is `slope`.
+  /// Null: f is evaluated if J comes from differences.
   Status repair(double t, const double* y, const double* slope = nullptr);
   /// J v, with J at (t, y), where f is `slope`; of a matrix, with the J at hand.
   Status multiply(double t, const double* y, const double* slope, const double* v, double* out);
@@ -72,6 +73,10 @@ class AgingJacobian {
   /// than the tolerated part of it. `not_finite`: M − c J is singular.
   template <class Factor>
   Outcome prepare(double c, double t1, Factor&& factor, double tolerated = 0);
+  /// The same matrix-free: M at t₁, and a preconditioner for this c or one near it.
+  Outcome prepare_preconditioner(double c, double t1);
+  /// factor(c) of `state`, matrix-free.
+  bool set_up_again(double c, Archive& archive);
 
   void forget_factors() { factored_ = 0; }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
@@ -107,15 +112,10 @@ class AgingJacobian {
   [[nodiscard]] int undefined_component() const { return undefined_; }
   void forget_undefined() { undefined_ = -1; }
   void note_singular() { work_.singular = true; }
-
- protected:
+  /// Null: J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
-  void note_unsolved(bool unsolved) { work_.unsolved = unsolved; }
-  /// J, or the preconditioner, is that of the point reached.
-  void note_current() {
-    current_ = true;
-    age_ = 0;
-  }
+  /// Shorter steps will not help: see MatrixFree.
+  [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
  private:
   bool defined_mass();
@@ -173,6 +173,10 @@ class InitialSlopes {
   MassSolver solver_;
 };
 
+/// The part of the error that Newton's iteration may leave, which GMRES may leave in its last linear system
+/// (Brown & Hindmarsh, 1989, and CVODE's default).
+inline constexpr double linear_part = 0.05;
+
 /// The equations of an implicit formula, c f(t₁, p + d) = M (ψ + d) for d, with the iteration matrix M − c J, which is
 /// factorised when c or J has changed, or by GMRES (docs/algorithms.md, 'Matrix-free').
 class Newton : public AgingJacobian {
@@ -186,8 +190,6 @@ class Newton : public AgingJacobian {
 
   /// Memory as it is before any step.
   void restart();
-  /// What is due before an attempt from (t, y): see `AgingJacobian::repair`.
-  Status repair(double t, const double* y);
   /// M at t₁ and the factors of M − c J, or the preconditioner. `not_finite`: it is singular.
   Outcome prepare(double c, double t1);
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
@@ -209,8 +211,7 @@ class Newton : public AgingJacobian {
 
   void residual(double c, const double* psi, const double* d);
   Result solve_linear(double tolerance, double* b);
-  Status precondition(double* b);
-  Outcome prepare_matrix_free(double c, double t1);
+  Outcome precondition(double* b);
 
   const Weights& weights_;
   std::unique_ptr<Factorization> lu_;  // null: matrix-free

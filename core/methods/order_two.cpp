@@ -26,8 +26,8 @@ constexpr double kept_up_to = 1.2;  // a change of h up to this is not worth a f
 
 OrderTwo::OrderTwo(Callback& f, const Weights& weights, const LinearAlgebra& linear, double d)
     : Step(f, weights), newton_(f, weights, linear, rules), initial_(f, linear), d_(d) {
-  for (std::vector<double>* v : {&slope_, &second_, &last_y_, &last_slope_, &candidate_, &base_, &psi_, &weight_,
-                                 &predictor_, &increment_, &error_vector_})
+  for (std::vector<double>* v :
+       {&slope_, &second_, &last_y_, &last_slope_, &candidate_, &base_, &psi_, &weight_, &increment_, &error_vector_})
     v->resize(weights.size());
 }
 
@@ -80,10 +80,9 @@ Newton::Result OrderTwo::solve_stage(double t, double* y, double* z) {
     case Outcome::not_finite: return Newton::Result::failed;
     case Outcome::ok: break;
   }
-  for (std::size_t i = 0; i < n(); ++i) predictor_[i] = base_[i] + psi_[i];
-  weights_.fill(this->y(), predictor_.data(), weight_.data());
-  const Newton::Result result =
-      newton_.solve(c, t, predictor_.data(), psi_.data(), weight_.data(), increment_.data(), y);
+  for (std::size_t i = 0; i < n(); ++i) base_[i] += psi_[i];
+  weights_.fill(this->y(), base_.data(), weight_.data());
+  const Newton::Result result = newton_.solve(c, t, base_.data(), psi_.data(), weight_.data(), increment_.data(), y);
   for (std::size_t i = 0; i < n(); ++i) z[i] = (psi_[i] + increment_[i]) / d_;
   return result;
 }
@@ -98,6 +97,7 @@ bool OrderTwo::errors(double* out) const {
 }
 
 bool OrderTwo::reject(Cause cause, double hmin) {
+  if (cause == Cause::newton && newton_.hopeless()) return false;
   if (cause == Cause::newton && newton_.renew_if_old()) return true;
   if (h_ <= hmin) return false;
   double factor = 0.5;
@@ -114,8 +114,8 @@ bool OrderTwo::reject(Cause cause, double hmin) {
 
 /// The slope belongs to y*: that projection has moved it is of higher order (as in explicit pairs), and costs no f.
 Outcome OrderTwo::accept(const double* y1) {
+  if (end_slope(last_slope_.data()) == Status::stop) return Outcome::stop;
   last_slope_.swap(slope_);
-  end_slope(slope_.data());
   last_y_.swap(y_);
   std::copy(y1, y1 + n(), y_.begin());
   t_ = t1_;

@@ -31,6 +31,9 @@ class OrderTwo : public Step {
   [[nodiscard]] int undefined_component() const final { return newton_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const final { return newton_.work(); }
   [[nodiscard]] const Matrix* jacobian() const final { return &newton_.jacobian(); }
+  Status multiply_jacobian(const double* slope, const double* v, double* out) final {
+    return newton_.multiply(t_, y(), slope, v, out);
+  }
 
  protected:
   /// The mass matrix, if there is one, belongs to the caller and outlives this.
@@ -38,9 +41,8 @@ class OrderTwo : public Step {
 
   /// y = base + d z with M z = h f(t, y), from the prediction ψ of d z.
   Newton::Result solve_stage(double t, double* y, double* z);
-  /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone. For a formula that is never matrix-free, where it could
-  /// fail.
-  void damp(double* v) { static_cast<void>(newton_.damp(v)); }
+  /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone. It may fail matrix-free only.
+  Newton::Result damp(double* v) { return newton_.damp(v); }
   /// The norm of the error of the attempt, damped.
   [[nodiscard]] double error() const { return error_; }
   /// That of v in the weights of the error test.
@@ -50,7 +52,7 @@ class OrderTwo : public Step {
   std::vector<double> second_;               // y'' at the start of a first step
   std::vector<double> last_y_, last_slope_;  // at the start of the last accepted step
   std::vector<double> candidate_;
-  std::vector<double> base_, psi_;  // of the stage that is solved next
+  std::vector<double> base_, psi_;  // of the stage that is solved next; `solve_stage` makes its prediction of the base
   double signed_h_ = 0, t1_ = 0;    // of the attempt
   double last_h_ = 0;               // signed, of the last accepted step; 0: there was none
 
@@ -59,13 +61,14 @@ class OrderTwo : public Step {
   virtual Newton::Result stages() = 0;
   /// The error of the candidate, O(h³), before it is damped by (M − d h J)⁻¹ M: of stiff components it says too much.
   virtual void estimate(double* error) = 0;
-  /// y' at the end of the step, which is accepted but not committed yet.
-  virtual void end_slope(double* slope) = 0;
+  /// y' at the end of the step, which is accepted but not committed yet. Commits what the formula itself remembers,
+  /// unless it stops.
+  virtual Status end_slope(double* slope) = 0;
 
   Newton newton_;
   InitialSlopes initial_;
   const double d_;
-  std::vector<double> weight_, predictor_, increment_, error_vector_;
+  std::vector<double> weight_, increment_, error_vector_;
   double error_ = 0;
   bool failed_ = false;  // an attempt of this step
 };

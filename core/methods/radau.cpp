@@ -23,6 +23,7 @@ constexpr double newton_cut = 0.5;       // of h, where a current Jacobian does 
 constexpr double starting_safety = 1.25;
 constexpr double roundoff_units = 100;  // of ε: an update of this size relative to y is roundoff
 constexpr double first_goal = 0.1;      // of the goal of later iterations
+constexpr double linear_half = 0.5;     // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
 constexpr double least_growth = 1.6;    // of h, where the estimate is nothing but errors of Newton's iteration
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
@@ -37,6 +38,34 @@ double amplification(const RadauFormula& formula) {
   double sum = 0;
   for (std::size_t stage = 0; stage < formula.stages; ++stage) sum += std::abs(formula.initial_slope[stage]);
   return sum / formula.mu;
+}
+
+/// How many times larger than the errors of the transformed increments are those of the increments.
+double growth(const RadauFormula& formula) {
+  double largest = 0;
+  for (std::size_t i = 0; i < formula.stages; ++i) {
+    double sum = 0;
+    for (std::size_t k = 0; k < formula.stages; ++k) sum += std::abs(formula.T[i * formula.stages + k]);
+    largest = std::max(largest, sum);
+  }
+  return largest;
+}
+
+/// v = [real parts | imaginary parts], 2 n, becomes the complex numbers (real − i imaginary) / μ, and they become this
+/// again, not divided. An array of complex numbers is one of twice as many reals; `scratch` (n,).
+Complex* to_complex(double* v, std::size_t n, Complex mu, double* scratch) {
+  auto* z = reinterpret_cast<Complex*>(v);
+  std::copy(v, v + n, scratch);
+  for (std::size_t i = 0; i < n; ++i) z[i] = Complex(scratch[i], -v[n + i]) / mu;  // i < n: v[n + i] is still there
+  return z;
+}
+void from_complex(double* v, std::size_t n, double* scratch) {
+  for (std::size_t i = 0; i < n; ++i) {
+    const double real = v[2 * i], imaginary = v[2 * i + 1];
+    v[i] = real;
+    scratch[i] = -imaginary;
+  }
+  std::copy(scratch, scratch + n, v + n);
 }
 
 Convergence::Rules newton_rules(const RadauFormula& formula) {
@@ -61,17 +90,17 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       highest_(formula_up_to(max_order)),
       formula_(lowest_),
       accepted_(lowest_),
-      jacobian_(f, weights, linear),
+      jacobian_(f, weights, linear, true),
       initial_(f, linear),
       lapack_(linear.lapack),
-      real_lu_(make_factors<double>(jacobian_.jacobian().structure, linear.lapack)),
-      convergence_(newton_rules(*lowest_)),
-      complex_residual_(weights.size()) {
-  for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_, &rates_})
-    v->resize(highest_->stages * weights.size());
-  for (std::vector<double>* v : {&f_, &slope_, &last_y_, &candidate_, &weight_, &error_vector_, &gap_, &scratch_})
+      real_lu_(linear.krylov ? nullptr : make_factors<double>(jacobian_.jacobian().structure, linear.lapack)),
+      convergence_(newton_rules(*lowest_)) {
+  for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
+  for (std::vector<double>* v : {&f_, &last_y_, &candidate_, &weight_, &error_vector_, &gap_, &scratch_})
     v->resize(weights.size());
+  if (linear.mass) slope_.resize(weights.size());
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
+  if (linear.krylov) jacobian_.matrix_free()->take_scratch(candidate_.data(), gap_.data());
 }
 
 /// The formula of the next attempt.
@@ -79,7 +108,7 @@ void Radau::use(const RadauFormula* formula) {
   formula_ = formula;
   convergence_ = Convergence(newton_rules(*formula));
   jacobian_.forget_factors();
-  while (complex_lu_.size() < formula->pairs.size())
+  while (real_lu_ && complex_lu_.size() < formula->pairs.size())
     complex_lu_.push_back(make_factors<Complex>(jacobian_.jacobian().structure, lapack_));
 }
 
@@ -97,13 +126,13 @@ Outcome Radau::start(double t, const double* y, const Span& span) {
   use(lowest_);
   jacobian_.forget();
   weights_.fill(y, weight_.data());
-  if (const Outcome outcome = initial_.first(jacobian_, t, y, weight_.data(), f_.data(), slope_.data());
-      outcome != Outcome::ok)
+  double* slope = slope_.empty() ? candidate_.data() : slope_.data();
+  if (const Outcome outcome = initial_.first(jacobian_, t, y, weight_.data(), f_.data(), slope); outcome != Outcome::ok)
     return outcome;
   const double scale = starting_safety * std::pow(weights_.rtol(), -1 / estimate_order(*formula_));
-  const double first = scale * norm(slope_.data());
+  const double first = scale * norm(slope);
   const double h = std::copysign(first_h(first, t, span), span.tf - t);
-  if (initial_.second(jacobian_, t, y, h, f_.data(), slope_.data(), gap_.data(), scratch_.data()) == Status::stop)
+  if (initial_.second(jacobian_, t, y, h, f_.data(), slope, gap_.data(), scratch_.data()) == Status::stop)
     return Outcome::stop;
   const double second = scale * std::sqrt(0.5 * norm(scratch_.data()));
   h_ = first_h(std::max(first, second), t, span);
@@ -118,8 +147,7 @@ Step::Attempt Radau::attempt(double h, double t1) {
   jacobian_.forget_undefined();
   const Attempt stopped{Outcome::stop, error_, candidate_.data()};
   const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
-  jacobian_.renew_if_noise(h / formula_->mu);
-  if (jacobian_.repair(t_, y(), f_.data()) == Status::stop) return stopped;
+  if (prepare_jacobian() == Status::stop) return stopped;
   switch (factor()) {
     case Outcome::stop: return stopped;
     case Outcome::not_finite: return diverged;
@@ -133,13 +161,32 @@ Step::Attempt Radau::attempt(double h, double t1) {
     case Newton::Result::converged: break;
   }
   for (std::size_t i = 0; i < n(); ++i) candidate_[i] = y_[i] + last_increment()[i];
-  if (estimate() == Outcome::stop) return stopped;
+  switch (estimate()) {
+    case Newton::Result::stop: return stopped;
+    case Newton::Result::failed: return diverged;
+    case Newton::Result::converged: break;
+  }
   return {Outcome::ok, error_, candidate_.data()};
 }
 
-/// M at t₁ and the factors of M − (h/μ) J for all eigenvalues μ.
+/// J of the attempt: one that is at hand; matrix-free that at (t, y).
+Status Radau::prepare_jacobian() {
+  jacobian_.renew_if_noise(signed_h_ / formula_->mu);
+  if (jacobian_.repair(t_, y(), f_.data()) == Status::stop) return Status::stop;
+  if (!real_lu_) jacobian_.matrix_free()->product().at(t_, y(), f_.data());
+  return Status::ok;
+}
+
+/// M at t₁ and the factors of M − (h/μ) J for all eigenvalues μ, or the preconditioner of the real one: the others are
+/// about as large, and with it their systems have eigenvalues on an arc between 1 and μ over the eigenvalue.
 Outcome Radau::factor() {
-  return jacobian_.prepare(signed_h_ / formula_->mu, t1_, [this] {
+  const double c = signed_h_ / formula_->mu;
+  if (!real_lu_) {
+    if (c != last_c_) convergence_.forget();
+    last_c_ = c;
+    return jacobian_.prepare_preconditioner(c, t1_);
+  }
+  return jacobian_.prepare(c, t1_, [this] {
     convergence_.forget();
     for (std::size_t k = 0; k <= formula_->pairs.size(); ++k) jacobian_.count_factorization();
     return factorize();
@@ -189,12 +236,22 @@ void Radau::predict() {
 }
 
 Newton::Result Radau::solve_stages() {
-  convergence_.begin(weights_.rtol(), roundoff_units * eps * norm(y()));
+  const double roundoff = roundoff_units * eps * norm(y());
+  convergence_.begin(weights_.rtol(), roundoff);
+  const double tolerance = std::max(linear_half * convergence_.goal(), roundoff);
   for (;;) {
     switch (stage_residuals()) {
       case Outcome::stop: return Newton::Result::stop;
       case Outcome::not_finite: return Newton::Result::failed;
       case Outcome::ok: break;
+    }
+    bool negligible = convergence_.iterations() > 0;
+    if (const auto solved = solve_transformed(tolerance / growth(*formula_), negligible);
+        solved != Newton::Result::converged)
+      return solved;
+    if (negligible) {
+      convergence_.settle(tolerance);
+      return Newton::Result::converged;
     }
     switch (convergence_.judge(update_stages())) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
@@ -212,40 +269,74 @@ void Radau::weigh_first_update() {
 
 /// h (f(t_i, Y_i) − M Y'_i), where h Y' = A⁻¹ Z.
 Outcome Radau::stage_residuals() {
-  formula_->transform(formula_->A_inverse, n(), increments_.data(), rates_.data());
+  formula_->transform(formula_->A_inverse, n(), increments_.data(), residuals_.data());
   for (std::size_t stage = 0; stage < stages(); ++stage) {
     double* residual = residuals_.data() + stage * n();
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + Z(stage)[i];
     const double t = stage + 1 == stages() ? t1_ : t_ + formula_->nodes[stage] * signed_h_;
-    if (const Outcome outcome = jacobian_.evaluate(t, scratch_.data(), residual); outcome != Outcome::ok)
+    if (const Outcome outcome = jacobian_.evaluate(t, scratch_.data(), error_vector_.data()); outcome != Outcome::ok)
       return outcome;
-    const double* rate = rates_.data() + stage * n();
+    const double* rate = residual;
     if (const Matrix* M = stage_masses_.empty() ? jacobian_.mass_matrix() : &stage_masses_[stage]) {
       M->multiply(rate, gap_.data());
       rate = gap_.data();
     }
-    for (std::size_t i = 0; i < n(); ++i) residual[i] = signed_h_ * residual[i] - rate[i];
+    for (std::size_t i = 0; i < n(); ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
   }
   return Outcome::ok;
 }
 
-/// Z ← Z + T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residual for each eigenvalue μ. The size of the update.
-double Radau::update_stages() {
+/// ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residual for each eigenvalue μ, in place of the residuals. By GMRES, with a
+/// tolerance for it; what is `negligible` at the start may be so: whether all right-hand sides are.
+Newton::Result Radau::solve_transformed(double tolerance, bool& negligible) {
   formula_->transform(formula_->T_inverse, n(), residuals_.data(), residuals_.data());
   double* v = residuals_.data();
   for (std::size_t i = 0; i < n(); ++i) v[i] /= formula_->mu;
-  jacobian_.count_solve();
-  real_lu_->solve(v);
-  for (std::size_t k = 0; k < formula_->pairs.size(); ++k) {
-    double *real = v + (2 * k + 1) * n(), *imaginary = real + n();
-    for (std::size_t i = 0; i < n(); ++i) complex_residual_[i] = Complex(real[i], -imaginary[i]) / formula_->pairs[k];
+  const bool may_skip = negligible;
+  const auto solve = [&](auto mu, auto* b, auto* lu) {
     jacobian_.count_solve();
-    complex_lu_[k]->solve(complex_residual_.data());
-    for (std::size_t i = 0; i < n(); ++i) {
-      real[i] = complex_residual_[i].real();
-      imaginary[i] = -complex_residual_[i].imag();
-    }
+    if (lu == nullptr) return solve_by_gmres(signed_h_ / mu, tolerance, b, may_skip, negligible);
+    lu->solve(b);
+    negligible = false;
+    return Newton::Result::converged;
+  };
+  Newton::Result result = solve(formula_->mu, v, real_lu_.get());
+  for (std::size_t k = 0; k < formula_->pairs.size() && result == Newton::Result::converged; ++k) {
+    double* pair = v + (2 * k + 1) * n();
+    Complex* b = to_complex(pair, n(), formula_->pairs[k], scratch_.data());
+    result = solve(formula_->pairs[k], b, real_lu_ ? complex_lu_[k].get() : nullptr);
+    from_complex(pair, n(), scratch_.data());
   }
+  return result;
+}
+
+/// b becomes the solution of (M − c J) x = b, or 0 where it may be skipped and is negligible, as all before it were.
+template <class Scalar>
+Newton::Result Radau::solve_by_gmres(Scalar c, double tolerance, Scalar* b, bool may_skip, bool& negligible) {
+  MatrixFree& free = *jacobian_.matrix_free();
+  switch (free.precondition(b)) {
+    case Outcome::stop: return Newton::Result::stop;
+    case Outcome::not_finite: return Newton::Result::failed;
+    case Outcome::ok: break;
+  }
+  if (may_skip && free.negligible(weight_.data(), tolerance, b)) {
+    std::fill_n(b, n(), 0);
+    return Newton::Result::converged;
+  }
+  negligible = false;
+  const Matrix* M = stage_masses_.empty() ? jacobian_.mass_matrix() : &stage_masses_[stages() - 1];
+  switch (free.solve(c, M, weight_.data(), tolerance, b)) {
+    case GmresResult::stop: return Newton::Result::stop;
+    case GmresResult::failed:
+    case GmresResult::undefined: return Newton::Result::failed;
+    case GmresResult::converged: break;
+  }
+  return Newton::Result::converged;
+}
+
+/// Z ← Z + T ω. The size of the update.
+double Radau::update_stages() {
+  double* v = residuals_.data();
   formula_->transform(formula_->T, n(), v, v);
   for (std::size_t i = 0; i < stages() * n(); ++i) increments_[i] += v[i];
   weigh_first_update();
@@ -256,7 +347,7 @@ double Radau::update_stages() {
 
 /// The error of the attempt. Where a first look would fail it in a step that starts anew, f is taken once more, at
 /// y + error: what remains is what is not damped by the problem itself (Hairer & Wanner, eq. IV.8.20).
-Outcome Radau::estimate() {
+Newton::Result Radau::estimate() {
   weights_.fill(y(), candidate_.data(), weight_.data());
   std::fill(scratch_.begin(), scratch_.end(), 0);
   for (std::size_t stage = 0; stage < stages(); ++stage) {
@@ -265,26 +356,32 @@ Outcome Radau::estimate() {
   }
   gap_ = scratch_;
   if (Mass* mass = jacobian_.mass()) {
-    if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Outcome::stop;
+    if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
     mass->matrix().multiply(scratch_.data(), gap_.data());
   }
-  solve_for_error(f_.data());
-  if (error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return Outcome::ok;
+  const Newton::Result first = solve_for_error(f_.data());
+  if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;
   for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + error_vector_[i];
   switch (jacobian_.evaluate(t_, scratch_.data(), residuals_.data())) {
-    case Outcome::stop: return Outcome::stop;
-    case Outcome::not_finite: jacobian_.forget_undefined(); break;  // the first look has to do
-    case Outcome::ok: solve_for_error(residuals_.data()); break;
+    case Outcome::stop: return Newton::Result::stop;
+    case Outcome::not_finite: jacobian_.forget_undefined(); return first;  // which has to do
+    case Outcome::ok: break;
   }
-  return Outcome::ok;
+  return solve_for_error(residuals_.data());
 }
 
-void Radau::solve_for_error(const double* f) {
+Newton::Result Radau::solve_for_error(const double* f) {
   const double c_real = signed_h_ / formula_->mu;
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c_real * f[i] + gap_[i];
   jacobian_.count_solve();
-  real_lu_->solve(error_vector_.data());
+  Newton::Result result = Newton::Result::converged;
+  bool negligible = false;  // what is small tells how much longer the next step may be
+  if (real_lu_)
+    real_lu_->solve(error_vector_.data());
+  else
+    result = solve_by_gmres(c_real, linear_part * weights_.rtol(), error_vector_.data(), false, negligible);
   error_ = norm(error_vector_.data());
+  return result;
 }
 
 bool Radau::errors(double* out) const {
@@ -307,7 +404,9 @@ double Radau::factor_of_error() const {
 
 bool Radau::reject(Cause cause, double hmin) {
   failed_ = true;
-  const bool renewed = (cause == Cause::newton || cause == Cause::error) && jacobian_.renew_if_old();
+  if (cause == Cause::newton && jacobian_.hopeless()) return false;
+  const bool old = cause == Cause::newton || (cause == Cause::error && real_lu_);
+  const bool renewed = old && jacobian_.renew_if_old();
   if (cause == Cause::newton && renewed) return true;
   if (h_ <= hmin) return false;
   if (cause == Cause::newton) jacobian_.renew_if_undefined();
@@ -334,17 +433,16 @@ Outcome Radau::accept(const double* y1) {
   if (const Outcome outcome = jacobian_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
   std::swap(f_, scratch_);
   formula_->transform(formula_->coefficients, n(), increments_.data(), polynomial_.data());
-  slope_ = f_;
-  if (jacobian_.mass()) {
-    formula_->transform(formula_->A_inverse, n(), increments_.data(), rates_.data());
-    const double* rate = rates_.data() + (stages() - 1) * n();
+  if (!slope_.empty()) {
+    formula_->transform(formula_->A_inverse, n(), increments_.data(), residuals_.data());
+    const double* rate = residuals_.data() + (stages() - 1) * n();
     for (std::size_t i = 0; i < n(); ++i) slope_[i] = rate[i] / signed_h_;
   }
   last_y_.swap(y_);
   std::copy(y1, y1 + n(), y_.begin());
   t_ = t1_;
   jacobian_.step_accepted();
-  if (convergence_.rate() > fast) jacobian_.renew();
+  if (real_lu_ && convergence_.rate() > fast) jacobian_.renew();
   const double h = next_h();
   last_h_ = h_;
   last_error_ = std::max(error_, smallest_error * weights_.rtol());
@@ -378,6 +476,10 @@ void Radau::lower_order() {
   steps_until_raise_ = patience;
 }
 
+void Radau::end_attempts() {
+  if (!real_lu_) jacobian_.matrix_free()->end_attempts();
+}
+
 void Radau::state(Archive& archive) {
   Step::state(archive);
   for (const RadauFormula** formula : {&formula_, &accepted_}) {
@@ -389,7 +491,8 @@ void Radau::state(Archive& archive) {
   if (archive.reading()) use(formula_);
   archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_);
   convergence_.state(archive);
-  jacobian_.state(archive, [this](double) { return factorize(); });
+  if (!real_lu_) archive(last_c_);
+  jacobian_.state(archive, [&](double c) { return real_lu_ ? factorize() : jacobian_.set_up_again(c, archive); });
 }
 
 Interpolate Radau::interpolate() const { return runge_kutta::nested_polynomial; }

@@ -17,7 +17,8 @@ namespace invariode {
 /// how many there are.
 ///
 /// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, a real one and complex
-/// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n.
+/// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n: that takes one J
+/// for all stages, and matrix-free it is that at (t, y), all through the step.
 class Radau final : public Step {
  public:
   static constexpr int lowest_order = 5;
@@ -36,6 +37,7 @@ class Radau final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void end_attempts() override;
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
@@ -46,29 +48,34 @@ class Radau final : public Step {
   Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return accepted_->order(); }
-  [[nodiscard]] const double* slope() const override { return slope_.data(); }
+  [[nodiscard]] const double* slope() const override { return slope_.empty() ? f_.data() : slope_.data(); }
   [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
   [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
   [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
+  Status multiply_jacobian(const double* slope, const double* v, double* out) override {
+    return jacobian_.multiply(t_, y(), slope, v, out);
+  }
 
  private:
-  using Complex = RadauFormula::Complex;
-
   [[nodiscard]] std::size_t stages() const { return formula_->stages; }
   double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
   [[nodiscard]] const double* last_increment() const { return increments_.data() + (stages() - 1) * n(); }
   [[nodiscard]] double norm(const double* v) const;
   void use(const RadauFormula* formula);
+  Status prepare_jacobian();
   Outcome factor();
   bool factorize();
   Status take_masses();
   void predict();
   Newton::Result solve_stages();
   Outcome stage_residuals();
+  Newton::Result solve_transformed(double tolerance, bool& negligible);
+  template <class Scalar>
+  Newton::Result solve_by_gmres(Scalar c, double tolerance, Scalar* b, bool may_skip, bool& negligible);
   double update_stages();
   void weigh_first_update();
-  Outcome estimate();
-  void solve_for_error(const double* f);
+  Newton::Result estimate();
+  Newton::Result solve_for_error(const double* f);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
   void choose_order(double h);
@@ -81,18 +88,17 @@ class Radau final : public Step {
   AgingJacobian jacobian_;
   InitialSlopes initial_;
   const Lapack* lapack_;
-  std::unique_ptr<Factorization> real_lu_;
+  std::unique_ptr<Factorization> real_lu_;                         // null: matrix-free
   std::vector<std::unique_ptr<ComplexFactorization>> complex_lu_;  // of the pairs, as many as were needed so far
   Convergence convergence_;
-  std::vector<double> increments_;         // Z_1 … Z_s
-  std::vector<double> polynomial_;         // of the last accepted step, in nested form, 0 at θ = 0
-  std::vector<double> residuals_;          // of the stages
-  std::vector<double> rates_;              // h Y' of the stages
-  std::vector<Complex> complex_residual_;  // of the transformed system
-  std::vector<Matrix> stage_masses_;       // M(t) at the stages
-  std::vector<double> f_, slope_;          // f and y' at (t, y)
+  std::vector<double> increments_;    // Z_1 … Z_s
+  std::vector<double> polynomial_;    // of the last accepted step, in nested form, 0 at θ = 0
+  std::vector<double> residuals_;     // of the stages; before them h Y', afterwards the updates
+  std::vector<Matrix> stage_masses_;  // M(t) at the stages
+  std::vector<double> f_, slope_;     // f and y' at (t, y), where they are not the same
   std::vector<double> last_y_, candidate_, weight_, error_vector_, gap_, scratch_;
   double signed_h_ = 0, t1_ = 0;
+  double last_c_ = 0;                   // matrix-free: for which the rate of convergence is known
   double memory_h_ = 0;                 // signed h of the polynomial; 0: there is none
   double error_ = 0;                    // of the last attempt
   double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none

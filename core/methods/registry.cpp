@@ -36,7 +36,8 @@ std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights&
 
 std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
                                  const LinearAlgebra& linear) {
-  return std::make_unique<Radau>(f, weights, linear, told.max_order > 0 ? told.max_order : method.order);
+  const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
+  return std::make_unique<Radau>(f, weights, linear, told.max_order > 0 ? told.max_order : own);
 }
 
 template <class Implicit>
@@ -68,6 +69,8 @@ std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& 
   if (linear.jacobian != nullptr) {
     two.implicit_one = implicit_one.step(f, weights, own, linear);
     two.jacobian_cost = calls_per_jacobian(*linear.jacobian);
+    two.matrix_free = linear.krylov != nullptr;
+    two.differences = two.matrix_free && !linear.krylov->product;
   }
   return std::make_unique<Switching>(f, weights, std::move(two));
 }
@@ -134,7 +137,8 @@ constexpr Method others[] = {
      .min_order = Trapezoidal::formula_order,
      .order = Trapezoidal::formula_order,
      .extension_order = Trapezoidal::formula_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension", "jac_product",
+                 "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_implicit<Trapezoidal>},
     {.name = "ode23tb",
@@ -158,7 +162,8 @@ constexpr Method others[] = {
      .min_order = Radau::lowest_order,
      .order = Radau::highest_order,
      .extension_order = Radau::highest_extension_order,
-     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass"},
+     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension",
+                 "jac_product", "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_radau},
     {.name = "auto",
@@ -170,7 +175,8 @@ constexpr Method others[] = {
      .min_order = 1,
      .order = Adams::highest_order,
      .extension_order = Adams::highest_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer", "linear_solver", "krylov_dimension",
+                 "jac_product", "preconditioner"},
      .mass = MassMatrices::any,
      .make = make_switching},
 };

@@ -28,6 +28,7 @@ constexpr double room = 100;                 // of the first |h| above hmin: it 
 constexpr int most_failures = 8;             // attempts of a first step before the other member goes on
 constexpr double remembered = 0.9;           // of the average cost of a step
 constexpr int powers = 12, first_power = 6;  // of J, and the first one from which growth is averaged
+constexpr std::int64_t new_radius = 25;      // implicit steps, after which ρ(J) is looked at again if J has no matrix
 
 void average(double& mean, double value) { mean = mean == 0 ? value : remembered * mean + (1 - remembered) * value; }
 
@@ -38,10 +39,13 @@ Switching::Switching(Callback& f, const Weights& weights, Members members)
       explicit_(std::move(members.explicit_one)),
       implicit_(std::move(members.implicit_one)),
       active_(explicit_ ? explicit_.get() : implicit_.get()),
+      matrix_free_(members.matrix_free),
+      differences_(members.differences),
       least_patience_(trial_cost + members.jacobian_cost),
       patience_(least_patience_) {
   if (!explicit_ || !implicit_) return;
   for (std::vector<double>* v : {&start_y_, &vector_, &product_}) v->resize(n());
+  if (matrix_free_ && differences_) f_value_.resize(n());
 }
 
 std::size_t Switching::max_extension_size() const {
@@ -72,16 +76,23 @@ Outcome Switching::start(double t, const double* y, const Span& span) {
   return outcome;
 }
 
+/// Evaluations of f so far, and products with J that are none.
+std::int64_t Switching::cost() const {
+  return f_.calls() + (matrix_free_ && !differences_ ? implicit_->linear_work().products : 0);
+}
+
 void Switching::begin_turn() {
-  turn_ = {.calls = f_.calls(), .t = t_};
+  turn_ = {.calls = cost(), .t = t_};
   wanted_ = false;
-  calls_ = f_.calls();
+  calls_ = cost();
 }
 
 // ------------------------------------------------------------------------------------------------------- the hand-over
 
 /// Where the other member cannot start, or only with steps near the smallest ones, the active one goes on.
 Outcome Switching::hand_over(const Span& span) {
+  const bool looks = explicit_ && matrix_free_ && active_ == implicit_.get() && turn_.steps % new_radius == 0;
+  if (looks && find_radius() == Status::stop) return Outcome::stop;
   if (!wanted_ || !pays(std::abs(span.tf - t_))) return Outcome::ok;
   wanted_ = false;
   const bool to_implicit = active_ == explicit_.get();
@@ -105,7 +116,7 @@ Outcome Switching::hand_over(const Span& span) {
   turn_.h_before = before;
   turn_.speed_before = before / calls;
   implicit_calls_ = 0;
-  return Outcome::ok;
+  return to_implicit && matrix_free_ && find_radius() == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
 /// Would the explicit member spend more on the rest of the interval than on a trial?
@@ -121,7 +132,7 @@ double Switching::first_h_after(const Step& next, double before) const {
 }
 
 void Switching::judge_implicit_turn() {
-  const double speed = std::abs(t_ - turn_.t) / static_cast<double>(f_.calls() - turn_.calls);
+  const double speed = std::abs(t_ - turn_.t) / static_cast<double>(cost() - turn_.calls);
   if (speed < turn_.speed_before)
     gain_patience();
   else
@@ -143,6 +154,11 @@ bool Switching::reject(Cause cause, double hmin) {
   ++switches_;
   begin_turn();
   return true;
+}
+
+void Switching::end_attempts() {
+  for (Step* member : {explicit_.get(), implicit_.get()})
+    if (member != nullptr) member->end_attempts();
 }
 
 /// Of both members: where the first step after a hand-over fails, the one before goes on.
@@ -173,7 +189,7 @@ Outcome Switching::accept(const double* y1) {
   h_ = active_->h();
   ++turn_.steps;
   if (!choice) return outcome;
-  const auto calls = static_cast<double>(f_.calls() - std::exchange(calls_, f_.calls()));
+  const auto calls = static_cast<double>(cost() - std::exchange(calls_, cost()));
   if (active_ == explicit_.get())
     watch_explicit(calls);
   else
@@ -199,9 +215,10 @@ void Switching::watch_explicit(double calls) {
 
 void Switching::watch_implicit(double calls) {
   average(implicit_calls_, calls);
-  if (const std::int64_t taken = implicit_->linear_work().jacobians; taken != jacobians_ || turn_.steps == 1) {
+  if (const std::int64_t taken = implicit_->linear_work().jacobians;
+      !matrix_free_ && (taken != jacobians_ || turn_.steps == 1)) {
     jacobians_ = taken;
-    radius_ = spectral_radius();
+    static_cast<void>(find_radius());  // of a matrix, it calls nothing
   }
   if (turn_.handed_over && turn_.steps == 1) reach_ = turn_.h_before * radius_;
   const double explicit_h = std::min(stable_h(), explicit_gain * explicit_calls_ * h_);
@@ -216,9 +233,9 @@ void Switching::watch_implicit(double calls) {
 double Switching::stable_h() const { return stable_part * reach_ / radius_; }
 
 /// ρ(J), by powers of J, from a vector with a part in every direction.
-double Switching::spectral_radius() {
+Status Switching::find_radius() {
   constexpr double golden = 0.6180339887498949;  // whose multiples modulo 1 are spread evenly
-  const Matrix& J = *implicit_->jacobian();
+  if (!f_value_.empty() && f_(t_, y(), f_value_.data()) == Status::stop) return Status::stop;
   const auto size = [this](const std::vector<double>& v) {
     return max_norm(n(), [&](std::size_t i) { return v[i] / weights_.at(i, y_[i]); });
   };
@@ -228,13 +245,22 @@ double Switching::spectral_radius() {
   }
   double sum = 0;  // of the logarithms
   for (int k = 0; k < powers; ++k) {
-    J.multiply(vector_.data(), product_.data());
-    const double growth = size(product_) / size(vector_);
-    if (!(growth > 0)) return growth;  // J is 0, or not finite
-    for (std::size_t i = 0; i < n(); ++i) vector_[i] = product_[i] / growth;
-    if (k >= first_power) sum += std::log(growth);
+    if (multiply_vector() == Status::stop) return Status::stop;
+    radius_ = size(product_) / size(vector_);
+    if (!(radius_ > 0)) break;  // J is 0, or not finite
+    for (std::size_t i = 0; i < n(); ++i) vector_[i] = product_[i] / radius_;
+    if (k >= first_power) sum += std::log(radius_);
+    if (k + 1 == powers) radius_ = std::exp(sum / (powers - first_power));
   }
-  return std::exp(sum / (powers - first_power));
+  calls_ = cost();  // this is no part of a step
+  return Status::ok;
+}
+
+/// The vector times J.
+Status Switching::multiply_vector() {
+  if (matrix_free_) return implicit_->multiply_jacobian(f_value_.data(), vector_.data(), product_.data());
+  implicit_->jacobian()->multiply(vector_.data(), product_.data());
+  return Status::ok;
 }
 
 }  // namespace invariode

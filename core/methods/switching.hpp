@@ -23,9 +23,11 @@ namespace invariode {
 class Switching final : public Step {
  public:
   /// One of them may be null: the other one is then alone. `jacobian_cost`: evaluations of f that a Jacobian takes.
+  /// `matrix_free`: the implicit one knows the Jacobian by its products, which are differences of f or cost as much.
   struct Members {
     std::unique_ptr<Step> explicit_one, implicit_one;
     double jacobian_cost = 0;
+    bool matrix_free = false, differences = false;
   };
 
   Switching(Callback& f, const Weights& weights, Members members);
@@ -36,6 +38,7 @@ class Switching final : public Step {
   bool errors(double* out) const override { return active_->errors(out); }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void end_attempts() override;
   void state(Archive& archive) override;
 
   std::size_t directions(const double** vectors) const override { return active_->directions(vectors); }
@@ -60,7 +63,7 @@ class Switching final : public Step {
   /// What the active member has done since it took over, or since the start.
   struct Turn {
     std::int64_t steps = 0;
-    std::int64_t calls = 0;  // of f, before it
+    std::int64_t calls = 0;  // of f, and what costs as much, before it
     double t = 0;            // where it began
     bool handed_over = false;
     double h_before = 0;      // |h| of the other member
@@ -78,6 +81,7 @@ class Switching final : public Step {
     if (!implicit_) return of(*explicit_);
     return explicit_ ? std::max(of(*explicit_), of(*implicit_)) : of(*implicit_);
   }
+  [[nodiscard]] std::int64_t cost() const;
   void begin_turn();
   void watch_explicit(double calls);
   void watch_implicit(double calls);
@@ -86,21 +90,24 @@ class Switching final : public Step {
   [[nodiscard]] bool pays(double distance) const;
   [[nodiscard]] double first_h_after(const Step& next, double before) const;
   [[nodiscard]] double stable_h() const;
-  [[nodiscard]] double spectral_radius();
+  Status find_radius();
+  Status multiply_vector();
 
   std::unique_ptr<Step> explicit_, implicit_;
   Step* active_;
+  const bool matrix_free_, differences_;
   Turn turn_;
   bool wanted_ = false;  // the other member
   std::int64_t switches_ = 0;
   double least_patience_, patience_;                // evaluations of f before a trial of the implicit member
   double explicit_calls_ = 0, implicit_calls_ = 0;  // per step, lately; 0: there was none
-  std::int64_t calls_ = 0;                          // of f, after the last step
+  std::int64_t calls_ = 0;                          // of f, and what costs as much, after the last step
   double radius_ = 0;                               // ρ(J)
   double reach_ = 0;                                // ρ(J) |h| of the explicit member when it last handed over
   std::int64_t jacobians_ = 0;                      // up to the one of `radius_`
   std::vector<double> start_y_;                     // of the step accepted last
   std::vector<double> vector_, product_;            // for powers of J
+  std::vector<double> f_value_;                     // at the point reached, for differences of f
 };
 
 }  // namespace invariode

@@ -17,8 +17,7 @@ constexpr double longest_reach = 2;
 
 Trapezoidal::Trapezoidal(Callback& f, const Weights& weights, const LinearAlgebra& linear)
     : OrderTwo(f, weights, linear, d) {
-  for (std::vector<double>* v :
-       {&z0_, &z1_, &bend_, &bent_, &missed_, &last_missed_, &rise_[0], &rise_[1], &rise_[2], &scratch_})
+  for (std::vector<double>* v : {&z0_, &z1_, &bent_, &missed_, &last_missed_, &rise_[0], &rise_[1], &rise_[2]})
     v->resize(weights.size());
 }
 
@@ -33,13 +32,12 @@ std::array<double, 3> Trapezoidal::growth() const {
 
 /// y₁ is predicted from values of y alone: the y' of stiff components may be of little worth.
 Newton::Result Trapezoidal::stages() {
-  const double h = signed_h_, ratio = h / last_h_;
+  const double h = signed_h_;
   const auto [line, parabola, cubic] = growth();
   for (std::size_t i = 0; i < n(); ++i) {
     z0_[i] = h * slope_[i];
-    bend_[i] = last_h_ == 0 ? h * h * second_[i] : ratio * ratio * bent_[i];
     base_[i] = y_[i] + d * z0_[i];
-    psi_[i] = last_h_ == 0 ? d * (z0_[i] + bend_[i])
+    psi_[i] = last_h_ == 0 ? d * (z0_[i] + h * h * second_[i])
                            : line * rise_[0][i] + parabola * rise_[1][i] + cubic * rise_[2][i] - d * z0_[i];
   }
   return solve_stage(t1_, candidate_.data(), z1_.data());
@@ -47,8 +45,11 @@ Newton::Result Trapezoidal::stages() {
 
 /// h³/6 times the divided difference of the last three y'.
 void Trapezoidal::estimate(double* error) {
-  const double part = signed_h_ / (signed_h_ + last_h_);
-  for (std::size_t i = 0; i < n(); ++i) error[i] = missed_[i] = part / 6 * (z1_[i] - z0_[i] - bend_[i]);
+  const double h = signed_h_, ratio = h / last_h_, part = h / (h + last_h_);
+  for (std::size_t i = 0; i < n(); ++i) {
+    const double bend = last_h_ == 0 ? h * h * second_[i] : ratio * ratio * bent_[i];
+    error[i] = missed_[i] = part / 6 * (z1_[i] - z0_[i] - bend);
+  }
 }
 
 /// Whether y''' alternates from step to step in some component, and neither step's damped estimate sees it: the formula
@@ -57,24 +58,30 @@ bool Trapezoidal::rings() {
   if (last_h_ == 0) return false;
   const double ratio = signed_h_ / last_h_, cube = ratio * ratio * ratio;
   for (std::size_t i = 0; i < n(); ++i)
-    scratch_[i] = std::max(0.0, 0.5 * (std::abs(missed_[i] - cube * last_missed_[i]) - std::abs(missed_[i])));
-  return error_norm(scratch_) > std::max(error(), cube * last_error_);
+    base_[i] = std::max(0.0, 0.5 * (std::abs(missed_[i] - cube * last_missed_[i]) - std::abs(missed_[i])));
+  return error_norm(base_) > std::max(error(), cube * last_error_);
 }
 
-/// Takes from the parabola through the last three y what is stiff in y'. That changes y' by O(h³).
-void Trapezoidal::smooth() {
+/// Takes from the parabola through the last three y what is stiff in y'. That changes y' by O(h³). Where GMRES does not
+/// solve the system, y' stays as it is, and the next step looks again.
+Status Trapezoidal::smooth() {
   const double line = signed_h_ / last_h_, part = signed_h_ / (signed_h_ + last_h_);
   for (std::size_t i = 0; i < n(); ++i) {
     const double rise = candidate_[i] - y_[i];
-    scratch_[i] = rise + part * (rise - line * rise_[0][i]);
-    z1_[i] -= scratch_[i];
+    base_[i] = rise + part * (rise - line * rise_[0][i]);
+    psi_[i] = z1_[i] - base_[i];
   }
-  damp(z1_.data());
-  for (std::size_t i = 0; i < n(); ++i) z1_[i] += scratch_[i];
+  switch (damp(psi_.data())) {
+    case Newton::Result::stop: return Status::stop;
+    case Newton::Result::failed: return Status::ok;
+    case Newton::Result::converged: break;
+  }
+  for (std::size_t i = 0; i < n(); ++i) z1_[i] = psi_[i] + base_[i];
+  return Status::ok;
 }
 
-void Trapezoidal::end_slope(double* slope) {
-  if (rings()) smooth();
+Status Trapezoidal::end_slope(double* slope) {
+  if (rings() && smooth() == Status::stop) return Status::stop;
   const auto [line, parabola, cubic] = growth();
   for (std::size_t i = 0; i < n(); ++i) {
     slope[i] = z1_[i] / signed_h_;
@@ -88,6 +95,7 @@ void Trapezoidal::end_slope(double* slope) {
   h2_ = last_h_;
   last_missed_ = missed_;
   last_error_ = error();
+  return Status::ok;
 }
 
 std::size_t Trapezoidal::directions(const double** vectors) const {

@@ -29,18 +29,17 @@ class Trapezoidal final : public OrderTwo {
  private:
   Newton::Result stages() override;
   void estimate(double* error) override;
-  void end_slope(double* slope) override;
+  Status end_slope(double* slope) override;
   [[nodiscard]] std::array<double, 3> growth() const;
   [[nodiscard]] bool rings();
-  void smooth();
+  Status smooth();
 
   // All in units of the step: tiny steps divide by nothing.
   std::vector<double> z0_, z1_;               // h y' at both ends of the step
-  std::vector<double> bend_, bent_;           // h² y'' before it, and of the last accepted step
+  std::vector<double> bent_;                  // h² y'' of the last accepted step
   std::vector<double> missed_, last_missed_;  // h³ y''' / 12, what the formula leaves out, here and in the last step
   std::vector<double> rise_[3];               // the last y* − y, less what a constant, a line, a parabola made of it
-  std::vector<double> scratch_;
-  double h2_ = 0, h3_ = 0;  // the steps before the last one
+  double h2_ = 0, h3_ = 0;                    // the steps before the last one
   double last_error_ = 0;
 };
 

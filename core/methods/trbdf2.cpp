@@ -66,8 +66,9 @@ void TrBdf2::estimate(double* error) {
   for (std::size_t i = 0; i < n(); ++i) error[i] = e[0] * z0_[i] + e[1] * z1_[i] + e[2] * z2_[i];
 }
 
-void TrBdf2::end_slope(double* slope) {
+Status TrBdf2::end_slope(double* slope) {
   for (std::size_t i = 0; i < n(); ++i) slope[i] = z2_[i] / signed_h_;
+  return Status::ok;
 }
 
 std::size_t TrBdf2::directions(const double** vectors) const {

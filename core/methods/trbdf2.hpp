@@ -27,7 +27,7 @@ class TrBdf2 final : public OrderTwo {
  private:
   Newton::Result stages() override;
   void estimate(double* error) override;
-  void end_slope(double* slope) override;
+  Status end_slope(double* slope) override;
   void predict_first();
   void predict_second();
 

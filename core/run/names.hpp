@@ -49,6 +49,13 @@ inline constexpr Named<Cause> cause_names[] = {{"error", Cause::error},
                                                {"not_finite", Cause::not_finite},
                                                {"bounds", Cause::bounds}};
 
+inline constexpr Named<Unsolved> unsolved_names[] = {{"none", Unsolved::none},
+                                                     {"slow", Unsolved::slow},
+                                                     {"product", Unsolved::product},
+                                                     {"difference", Unsolved::difference},
+                                                     {"preconditioner", Unsolved::preconditioner},
+                                                     {"preconditioner_zero", Unsolved::preconditioner_zero}};
+
 inline constexpr Named<Limit> limit_names[] = {
     {"steps", Limit::steps}, {"time", Limit::time}, {"points", Limit::points}, {"memory", Limit::memory}};
 
@@ -109,10 +116,11 @@ constexpr bool in_order(const Named<Value> (&table)[count]) {
   return true;
 }
 static_assert(in_order(state_names) && in_order(cause_names) && in_order(limit_names) && in_order(finding_names) &&
-              in_order(consistency_names) && in_order(derivative_names));
+              in_order(consistency_names) && in_order(derivative_names) && in_order(unsolved_names));
 
 constexpr const char* name_of(State state) { return name_in(state_names, state); }
 constexpr const char* name_of(Cause cause) { return name_in(cause_names, cause); }
+constexpr const char* name_of(Unsolved why) { return name_in(unsolved_names, why); }
 constexpr const char* name_of(Limit limit) { return name_in(limit_names, limit); }
 constexpr const char* name_of(Finding::Kind kind) { return name_in(finding_names, kind); }
 constexpr const char* name_of(Consistency verdict) { return name_in(consistency_names, verdict); }

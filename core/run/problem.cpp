@@ -61,8 +61,9 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require(!problem_.linear ||
               problem_.linear->krylov.has_value() == (problem_.linear->source.kind == Jacobian::Kind::products),
           "products with the Jacobian go with Krylov terms");
-  require(!problem_.linear || !problem_.linear->krylov || method_.takes("linear_solver"),
-          std::string(method_.name) + " needs the Jacobian as a matrix; use ode15s or ode23tb");
+  const Method& implicit_one = method_.switches() ? members(options_).implicit_one : method_;
+  require(!problem_.linear || !problem_.linear->krylov || implicit_one.takes("linear_solver"),
+          std::string(implicit_one.name) + " needs exact solutions of its linear systems; use ode15s");
   options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();
   if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
 }

@@ -14,10 +14,7 @@ from ._arguments import Array, as_array, function, shown, warn
 from .compiled import is_native, to_native
 from .description import Matrices
 
-__all__ = ["DIMENSION", "Krylov", "is_operator", "krylov", "unused_without_krylov"]
-
-#: Vectors of the Krylov space after which GMRES starts anew (measured in benchmarks/krylov.py).
-DIMENSION = 10
+__all__ = ["Krylov", "is_operator", "krylov", "unused_without_krylov"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +23,7 @@ class Krylov:
 
     product: Any
     preconditioner: Any
-    dimension: int
+    dimension: int  # of the Krylov space; 0: the method's own
 
 
 def krylov(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array, dimension: int | None) -> Krylov:
@@ -48,7 +45,7 @@ def krylov(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array, dimensio
     return Krylov(
         product=_product(given, y0, args, p),
         preconditioner=None if given.preconditioner is None else _SetUp(given.preconditioner, args, y0),
-        dimension=DIMENSION if dimension is None else dimension,
+        dimension=dimension or 0,
     )
 
 

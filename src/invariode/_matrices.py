@@ -319,7 +319,7 @@ def _matrix(name: str, given: Any, is_complex: bool) -> Any:
     """A 2-d array or sparse matrix of numbers of the right kind, its values not checked."""
     if is_operator(given):
         raise TypeError(
-            f"{name} is a LinearOperator, whose entries are not known: give linear_solver='gmres' (ode15s and ode23tb)"
+            f"{name} is a LinearOperator, whose entries are not known: give linear_solver='gmres', or a sparse matrix"
         )
     matrix: Any = _sound(name, given) if sp.issparse(given) else as_array(name, given)
     if matrix.ndim == 0 and not sp.issparse(matrix):  # one component

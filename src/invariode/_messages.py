@@ -135,6 +135,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
             f"{what} NaN or infinite even with the smallest step, {where}. If the solution should not get "
             "there, try a smaller rtol and atol; if it should, stop it earlier with a terminal event."
         )
+    if run.cause == "newton" and run.unsolved in _UNDEFINED:
+        return f"{_UNDEFINED[run.unsolved].format(run.unsolved_t)} The run ends at t = {run.t!r}."
     if run.cause == "newton":
         return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
     if run.cause == "bounds":
@@ -170,6 +172,26 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
     return text
 
 
+#: What users' functions return to GMRES that it cannot use, and what to try; with the t of these functions.
+_UNDEFINED = {
+    "product": (
+        "The product of the Jacobian of fun with a vector, by jac_product or jac, is NaN or infinite at t = {0!r}, and "
+        "with shorter steps too. Correct that function, or leave it out: products are then differences of fun."
+    ),
+    "difference": (
+        "Differences of fun for products of its Jacobian with vectors are NaN or infinite at t = {0!r}, and with "
+        "shorter steps too: fun is not defined all around the solution. Give jac_product, or jac."
+    ),
+    "preconditioner": (
+        "The preconditioner set up at t = {0!r} returns NaN or infinity, and with shorter steps too. Correct it, or "
+        "leave it out."
+    ),
+    "preconditioner_zero": (
+        "The preconditioner set up at t = {0!r} returns 0 for a b that is not 0, so GMRES cannot solve the linear "
+        "systems. It has to return x of (M - c J) x = b, approximately: correct it, or leave it out."
+    ),
+}
+
 #: What helps where Newton's iteration fails.
 _NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution earlier with a terminal event."
 
@@ -181,7 +203,7 @@ def _newton_failed(run: Run, pairs: bool) -> str:
         return "The Jacobian of fun is NaN or infinite, even with the smallest step,"
     if run.singular:
         return "The iteration matrix M - h c J is singular even with the smallest step,"
-    if run.unsolved:
+    if run.unsolved == "slow":
         return (
             "GMRES does not solve the linear systems of Newton's iteration even with the smallest step (give a better "
             "preconditioner, or a larger krylov_dimension),"

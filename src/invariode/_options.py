@@ -175,7 +175,9 @@ class MethodOptions(TypedDict, total=False):
             "which needs products with J only and a few vectors of memory, for systems too large for a matrix. "
             "Products are those of `jac_product` or of `jac` (which may be, or return, a "
             "`scipy.sparse.linalg.LinearOperator`), else differences of f. It stops where what it leaves does not "
-            "matter to Newton's iteration. Without a `preconditioner` it may need many iterations.",
+            "matter to Newton's iteration. Without a `preconditioner` it may need many iterations. For ode15s, ode23t, "
+            "ode23tb, radau (of order 5, unless `max_order` allows more) and auto; not for ode23s, whose order needs "
+            "exact solutions.",
             partial(choice, known=get_args(LinearSolver)),
             every_method=False,
         ),
@@ -186,7 +188,7 @@ class MethodOptions(TypedDict, total=False):
             None,
             "int",
             "Iterations after which GMRES starts anew; it keeps one vector more, and gives up after six such cycles. "
-            "Default: 10.",
+            "Default: 10; in radau, whose complex vectors take twice the memory, 5.",
             count,
             every_method=False,
         ),
@@ -444,7 +446,8 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "callable",
             "``preconditioner(t, y, c, *args)`` for ``linear_solver='gmres'``: returns what solves ``(M - c J) x = b`` "
-            "approximately, with J at (t, y) and M the mass matrix or the identity: an object with ``solve(b)``, such "
+            "approximately, with J at (t, y) and M the mass matrix or the identity, all of them real (also in radau, "
+            "where it serves the complex systems too, once for each part): an object with ``solve(b)``, such "
             "as `scipy.sparse.linalg.spilu` returns, a `scipy.sparse.linalg.LinearOperator` that maps b to x, or a "
             "function of b. It is called again where c has changed by more than 30 %, after 20 steps, and where "
             "GMRES or Newton's iteration has failed.",

@@ -33,7 +33,7 @@ from .description import Description, Matrices
 from .events import EventSpec, event_spec
 from .inputs import fed
 from .invariants import InvariantError
-from .methods import Method, find_method
+from .methods import METHODS, Method, find_method
 from .result import LIMIT_REACHED, Names
 
 if TYPE_CHECKING:
@@ -206,8 +206,10 @@ def solver(plan: Plan) -> _core.Solver:
 def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     """The plan, with everything that the core needs but y0."""
     chosen, implied = find_method(method)
-    _require_linear_solver(chosen, given)
+    _require_linear_solver(chosen, given.get("linear_solver"))
     options = checked(given, chosen)
+    if options["prefer"]:
+        _require_linear_solver(find_method(options["prefer"][1])[0], options["linear_solver"])
     if options["bdf"] is None:
         options["bdf"] = implied.get("bdf", False)
     if problem.matrices.mass is not None and "mass" not in chosen.options:
@@ -219,7 +221,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     weights = Tolerances(*tolerances(rtol, atol, problem.y0))
     settings = _settings(problem, chosen, options)
     if options["calibrate"] and "calibrate" in chosen.options:
-        weights = _calibrated(weights, settings.max_order)
+        weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints: list[Breakpoint] = []
     if options["breakpoints"] or problem.inputs:
         breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
@@ -318,8 +320,9 @@ def _most_kept(points: int | None, demanded: int, n: int) -> tuple[int, int]:
 
 
 def _highest_order(method: Method, order: int | None) -> int:
+    """0: the method's own."""
     if order is None or "max_order" not in method.options:
-        return method.order
+        return 0
     if not method.min_order <= order <= method.order:
         raise ValueError(f"max_order must be from {method.min_order} to {method.order} for {method.name}, got {order}")
     return order
@@ -388,7 +391,8 @@ def _linear_algebra(
 
     t0, y0 = problem.t_span[0], problem.y0
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
-    if "prefer" in method.options and matrices.mass is None and too_large_to_be_dense(matrices, y0):
+    direct = options["linear_solver"] == "direct"
+    if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
     start = Start(fed(problem.fun, problem.inputs), t0, y0, problem.args, parameters, complex_by_default=compiled)
@@ -416,13 +420,14 @@ def _linear_algebra(
     return linear, y.view(y0.dtype) if verdict == "corrected" else y0
 
 
-def _require_linear_solver(method: Method, given: Options) -> None:
-    chosen: object = given.get("linear_solver")  # whatever it is: options are checked later
-    implicit_by_matrices = "jac" in method.options and "linear_solver" not in method.options
-    if isinstance(chosen, str) and chosen == "gmres" and implicit_by_matrices:
+def _require_linear_solver(method: Method, chosen: object) -> None:
+    """`chosen` may be anything: options are checked later."""
+    needs_exact_solutions = "jac" in method.options and "linear_solver" not in method.options
+    if isinstance(chosen, str) and chosen == "gmres" and needs_exact_solutions:
+        others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
         raise ValueError(
-            f"linear_solver='gmres': {method.name} needs the Jacobian as a matrix; use ode15s or ode23tb, or "
-            "linear_solver='direct' with jac_sparsity"
+            f"linear_solver='gmres': {method.name} solves linear systems in place of an iteration, so that what GMRES "
+            f"leaves would lower its order; use one of {others}, or linear_solver='direct' with jac_sparsity"
         )
 
 

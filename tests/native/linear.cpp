@@ -108,51 +108,198 @@ TEST(banded_factors_solve_in_bands_of_every_width) {
 }
 
 /// v -> A v
-class Product final : public LinearOperator {
+template <class Scalar>
+class Product final : public LinearOperator<Scalar> {
  public:
-  explicit Product(const Matrix& A) : A_(A) {}
-  Status multiply(const double* v, double* out) override {
-    A_.multiply(v, out);
+  using Dense = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
+  using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;
+
+  explicit Product(Dense A) : A_(std::move(A)) {}
+  Status multiply(const Scalar* v, Scalar* out) override {
+    Eigen::Map<Vector>(out, A_.rows()) = A_ * Eigen::Map<const Vector>(v, A_.rows());
     return Status::ok;
   }
+  [[nodiscard]] const Dense& A() const { return A_; }
 
  private:
-  const Matrix& A_;
+  Dense A_;
 };
 
-TEST(gmres_leaves_a_residual_within_the_tolerance_in_one_cycle_or_several) {
-  std::mt19937 random(5);
-  Matrix A = random_matrix({Kind::dense, 20}, random);
-  for (double& a : A.values) a *= 0.1;
-  for (std::size_t i = 0; i < 20; ++i) A.values[21 * i] += 1;
-  std::vector<double> b(20), w(20), x, Ax(20);
-  for (std::size_t i = 0; i < 20; ++i) b[i] = std::sin(1.0 + i), w[i] = 1 + 0.1 * i;
-  Product product(A);
+/// The largest real or imaginary part of A x − b in the weights w, with what GMRES makes of x.
+template <class Scalar>
+void expect_a_residual_within_the_tolerance(const typename Product<Scalar>::Dense& A) {
+  using Vector = typename Product<Scalar>::Vector;
+  const auto n = static_cast<std::size_t>(A.rows());
+  const Eigen::VectorXd w = Eigen::VectorXd::LinSpaced(A.rows(), 1, 3);
+  Vector b(A.rows());
+  for (Eigen::Index i = 0; i < b.size(); ++i) b[i] = std::sin(Scalar(1.0 + static_cast<double>(i)));
+  Product<Scalar> product(A);
+  KrylovMemory memory;
   for (const std::size_t dimension : {5, 20})
     for (const double tolerance : {1e-2, 1e-5, 1e-8}) {
       const check::Case label(dimension, ", ", tolerance);
-      Gmres gmres(20, dimension);
-      x = b;
-      CHECK(gmres.solve(product, w.data(), tolerance, x.data()) == Gmres::Result::converged);
-      A.multiply(x.data(), Ax.data());
-      CHECK(max_norm(20, [&](std::size_t i) { return (Ax[i] - b[i]) / w[i]; }) < 1.001 * tolerance);
+      Gmres<Scalar> gmres(n, dimension, memory);
+      Vector x = b;
+      CHECK(gmres.solve(product, w.data(), tolerance, x.data()) == GmresResult::converged);
+      const Vector r = A * x - b;
+      CHECK((r.real().cwiseAbs().cwiseQuotient(w)).maxCoeff() < 1.001 * tolerance);
+      CHECK((r.imag().cwiseAbs().cwiseQuotient(w)).maxCoeff() < 1.001 * tolerance);
     }
 }
 
-TEST(gmres_tells_what_it_does_not_solve) {
+TEST(gmres_leaves_a_residual_within_the_tolerance_in_one_cycle_or_several) {
+  std::mt19937 random(5);
+  for (int trial = 0; trial < 5; ++trial) {
+    const Eigen::MatrixXd one = Eigen::MatrixXd::Identity(20, 20);
+    const Eigen::MatrixXd R = 0.05 * to_eigen(random_matrix({Kind::dense, 20}, random));
+    const Eigen::MatrixXd S = 0.05 * to_eigen(random_matrix({Kind::dense, 20}, random));
+    expect_a_residual_within_the_tolerance<double>(one + R);
+    expect_a_residual_within_the_tolerance<Complex>(one * Complex(0.8, 0.6) + R.cast<Complex>() + Complex(0, 1) * S);
+  }
+}
+
+TEST(gmres_for_complex_numbers_does_with_real_ones_what_the_real_one_does) {
+  std::mt19937 random(6);
+  const Eigen::MatrixXd A =
+      Eigen::MatrixXd::Identity(20, 20) + 0.1 * to_eigen(random_matrix({Kind::dense, 20}, random));
+  Product<double> product(A);
+  Product<Complex> complex_product(A.cast<Complex>());
+  const Eigen::VectorXd w = Eigen::VectorXd::Ones(20);
+  KrylovMemory memory;
+  Gmres<double> gmres(20, 10, memory);
+  Gmres<Complex> complex_gmres(20, 10, memory);
+  Eigen::VectorXd x = Eigen::VectorXd::LinSpaced(20, -1, 2);
+  Eigen::VectorXcd z = x.cast<Complex>() * Complex(0, 2);
+  CHECK(gmres.solve(product, w.data(), 1e-6, x.data()) == GmresResult::converged);
+  CHECK(complex_gmres.solve(complex_product, w.data(), 2e-6, z.data()) == GmresResult::converged);
+  CHECK(gmres.iterations() == complex_gmres.iterations());
+  CHECK_CLOSE(gmres.shrinkage(), complex_gmres.shrinkage(), 1e-12);
+  CHECK_CLOSE((z - x.cast<Complex>() * Complex(0, 2)).cwiseAbs().maxCoeff(), 0, 1e-12);
+}
+
+template <class Scalar>
+void expect_gmres_tells_what_it_does_not_solve() {
+  using Vector = typename Product<Scalar>::Vector;
   const std::vector<double> w(3, 1);
-  Gmres gmres(3, 3);
-  const auto solve = [&](std::vector<double> entries, std::vector<double> b) {
-    const Matrix A = diagonal(std::move(entries));
-    Product product(A);
+  KrylovMemory memory;
+  Gmres<Scalar> gmres(3, 3, memory);
+  const auto solve = [&](std::initializer_list<double> diagonal, std::initializer_list<double> right) {
+    Vector entries(3), b(3);
+    std::copy(diagonal.begin(), diagonal.end(), entries.data());
+    std::copy(right.begin(), right.end(), b.data());
+    Product<Scalar> product(entries.asDiagonal());
     return gmres.solve(product, w.data(), 1e-6, b.data());
   };
-  CHECK(solve({1, 2, 3}, {1, 1, 1}) == Gmres::Result::converged);
-  CHECK(solve({1, 2, 3}, {0, 0, 0}) == Gmres::Result::converged);
-  CHECK(solve({1, 2, 0}, {1, 1, 1}) == Gmres::Result::failed);
-  CHECK(solve({0, 0, 0}, {1, 1, 1}) == Gmres::Result::failed);
-  CHECK(solve({1, 2, NaN}, {1, 1, 1}) == Gmres::Result::failed);
-  CHECK(solve({1, 2, 3}, {1, 1, NaN}) == Gmres::Result::failed);
+  CHECK(solve({1, 2, 3}, {1, 1, 1}) == GmresResult::converged);
+  CHECK(solve({1, 2, 3}, {0, 0, 0}) == GmresResult::converged);
+  CHECK(solve({1, 2, 0}, {1, 1, 1}) == GmresResult::failed);
+  CHECK(solve({0, 0, 0}, {1, 1, 1}) == GmresResult::failed);
+  CHECK(gmres.tried() == nullptr);
+  CHECK(solve({1, 2, NaN}, {1, 1, 1}) == GmresResult::undefined);
+  CHECK(gmres.tried() != nullptr);
+  CHECK(solve({1, 2, 3}, {1, 1, NaN}) == GmresResult::undefined);
+  CHECK(gmres.tried() == nullptr);
+}
+
+TEST(gmres_tells_what_it_does_not_solve) {
+  expect_gmres_tells_what_it_does_not_solve<double>();
+  expect_gmres_tells_what_it_does_not_solve<Complex>();
+}
+
+/// A preconditioner that solves with the LU factors of M − c J, or returns what `broken` makes of b.
+struct Factored {
+  const Matrix *M, *J;
+  void (*broken)(double* b, std::size_t n) = nullptr;
+  std::unique_ptr<Factorization> lu = make_factorization({Kind::dense, 20}, nullptr);
+
+  Preconditioner callback() {
+    return {[](void* self, double, const double*, double c, std::shared_ptr<void>&) {
+              auto& me = *static_cast<Factored*>(self);
+              CHECK(me.lu->factor(me.M, c, *me.J));
+              return Status::ok;
+            },
+            [](void* self, void*, double* b) {
+              auto& me = *static_cast<Factored*>(self);
+              me.broken ? me.broken(b, 20) : me.lu->solve(b);
+              return Status::ok;
+            },
+            this};
+  }
+};
+
+/// What a matrix-free solve is made of: f = J y, with a mass matrix and a preconditioner, in weights of 1.
+struct MatrixFreeSystem {
+  explicit MatrixFreeSystem(Preconditioner preconditioner, const Matrix& J, Mass* mass)
+      : f(linear(J)),
+        callback(as_callback(f)),
+        krylov{{}, preconditioner, 20},
+        solver(callback, weights, {.jacobian = nullptr, .mass = mass, .lapack = nullptr, .krylov = &krylov}, true) {
+    solver.take_scratch(scratch[0].data(), scratch[1].data());
+    solver.reach(0, y.data());
+    solver.product().at(0, y.data(), slope.data());
+  }
+
+  Function f;
+  Callback callback;
+  Weights weights{1e-3, std::vector<double>(20, 1e-3), {}};
+  KrylovTerms krylov;
+  std::vector<double> y = std::vector<double>(20), slope = std::vector<double>(20), w = std::vector<double>(20, 1);
+  std::vector<double> scratch[2] = {std::vector<double>(20), std::vector<double>(20)};
+  MatrixFree solver;
+};
+
+TEST(matrix_free_complex_systems_have_the_solutions_of_complex_factors) {
+  std::mt19937 random(7);
+  const Complex c(0.2, -0.15);
+  for (int trial = 0; trial < 10; ++trial) {
+    Matrix J = random_matrix({Kind::dense, 20}, random), M = random_matrix({Kind::dense, 20}, random);
+    for (std::size_t i = 0; i < 20; ++i) M.values[21 * i] += 8;
+    for (const bool preconditioned : {false, true}) {
+      const check::Case label(trial, preconditioned);
+      Mass mass(M, {}, Mass::Basis(20, 0));
+      Factored exact{&M, &J};
+      MatrixFreeSystem system(preconditioned ? exact.callback() : Preconditioner(), J, &mass);
+      CHECK(system.solver.set_up(std::abs(c)) == Status::ok);
+      std::vector<Complex> b(20), x;
+      for (std::size_t i = 0; i < 20; ++i) b[i] = {std::sin(1.0 + i), std::cos(3.0 * i)};
+      x = b;
+      CHECK(system.solver.precondition(x.data()) == Outcome::ok);
+      CHECK(system.solver.solve(c, &M, system.w.data(), 1e-7, x.data()) == GmresResult::converged);
+      const std::unique_ptr<ComplexFactorization> lu = make_factors<Complex>({Kind::dense, 20}, nullptr);
+      CHECK(lu->factor(&M, c, J));
+      lu->solve(b.data());
+      for (std::size_t i = 0; i < 20; ++i) CHECK_CLOSE(std::abs(x[i] - b[i]), 0, 1e-6);
+      CHECK(system.solver.products() == 2 * system.solver.iterations());
+    }
+  }
+}
+
+TEST(a_preconditioner_that_returns_zeros_or_nan_is_told) {
+  std::mt19937 random(8);
+  const Matrix J = random_matrix({Kind::dense, 20}, random);
+  const auto unsolved_with = [&](void (*broken)(double*, std::size_t), auto first) {
+    Factored factored{nullptr, &J, broken};
+    MatrixFreeSystem system(factored.callback(), J, nullptr);
+    CHECK(system.solver.set_up(0.1) == Status::ok);
+    std::vector<decltype(first)> b(20);
+    b[0] = first;
+    CHECK(system.solver.precondition(b.data()) == Outcome::not_finite);
+    for (int attempt = 0; attempt < 7; ++attempt) {
+      CHECK(!system.solver.hopeless());
+      system.solver.begin_attempt();
+      CHECK(system.solver.unsolved() == Unsolved::none);
+      b[0] = first;
+      CHECK(system.solver.precondition(b.data()) == Outcome::not_finite);
+    }
+    CHECK(system.solver.hopeless());
+    return system.solver.unsolved();
+  };
+  const auto zeros = [](double* b, std::size_t n) { std::fill_n(b, n, 0); };
+  const auto undefined = [](double* b, std::size_t) { b[7] = NaN; };
+  CHECK(unsolved_with(zeros, 1.0) == Unsolved::preconditioner_zero);
+  CHECK(unsolved_with(zeros, Complex(0, 1)) == Unsolved::preconditioner_zero);
+  CHECK(unsolved_with(undefined, 1.0) == Unsolved::preconditioner);
+  CHECK(unsolved_with(undefined, Complex(0, 1)) == Unsolved::preconditioner);
 }
 
 TEST(singular_and_undefined_matrices_are_told) {
