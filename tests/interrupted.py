@@ -183,7 +183,8 @@ def random_case(seed: int, method: str | None = None) -> Case:
     if about.mass != "any" and kind is _pulses:
         implicit = False  # no M(t)
     problem, options = kind(rng, implicit)
-    options |= {"rtol": rng.choice([1e-3, 1e-6]), "atol": rng.choice([1e-6, 1e-9]), "dense_output": rng.random() < 0.6}
+    rtols = [1e-3, 1e-6, 1e-9] if about.order > 3 else [1e-3, 1e-6]
+    options |= {"rtol": rng.choice(rtols), "atol": rng.choice([1e-6, 1e-9]), "dense_output": rng.random() < 0.6}
     output = rng.choice(["steps", "steps", "times", "refined", "end"])
     if output == "times":
         start, end = problem().t_span
@@ -195,7 +196,7 @@ def random_case(seed: int, method: str | None = None) -> Case:
     if "fsal" in about.options:
         options["fsal"] = rng.choice(["reuse", "evaluate"])
     if "max_order" in about.options and rng.random() < 0.3:
-        options["max_order"] = 3
+        options["max_order"] = about.min_order + 2
     case = Case(method, problem, MappingProxyType(options), 0)
     steps = case.solve().stats.steps
     return Case(method, problem, case.options, rng.randrange(0, steps) + 1 if steps else 1)

@@ -67,6 +67,11 @@ def slack(method: str) -> int:
     return 100 if iv.METHODS[method].order == 2 else 1
 
 
+def one_step(method: str) -> bool:
+    """Whether a step takes nothing but y from those before it, though perhaps the order that has proved best."""
+    return iv.METHODS[method].fixed_order or method == "radau"
+
+
 def cost_of_pair(sol: iv.Solution, method: str) -> int:
     """Evaluations of f in a run with a Runge-Kutta pair that nobody looked into; see `Method.stages`."""
     about = iv.METHODS[method]

@@ -257,6 +257,39 @@ class TestCompile:
             iv.ode15s(iv.compile(kepler), (0, 1), ORBIT, jac=iv.compile(lambda t, y: (0.0, 1.0)))
 
     @pytest.mark.parametrize(
+        "rows",
+        [
+            lambda t, y: ((0.0, 1.0), (-2 * y[0], 0)),
+            lambda t, y: [[0.0, 1.0], [-2 * y[0], 0.0]],
+            lambda t, y: [(0.0, 1.0), (-2 * y[0], 0.0)],
+            lambda t, y: ([0.0, 1.0], [-2 * y[0], 0.0]),
+            lambda t, y: (np.array([0.0, 1.0]), np.array([-2 * y[0], 0.0])),
+            lambda t, y: np.array([[0.0, 1.0], [-2 * y[0], 0.0]]),
+        ],
+        ids=["tuples", "lists", "list of tuples", "tuple of lists", "tuple of arrays", "array"],
+    )
+    def test_jacobians_may_be_given_by_rows(self, rows):
+        f, span, y0 = iv.compile(lambda t, y: (y[1], -y[0] * y[0])), (0, 5), [1.0, 0.0]
+        flat = iv.ode15s(f, span, y0, jac=iv.compile(lambda t, y: (0.0, 1.0, -2 * y[0], 0.0)))
+        sol = iv.ode15s(f, span, y0, jac=iv.compile(rows))
+        np.testing.assert_array_equal(sol.y, flat.y)
+
+    @pytest.mark.parametrize(
+        ("rows", "message"),
+        [
+            (lambda t, y: ((0.0, 1.0), (y[0],)), "returns rows of 2, 1 values: return rows of one length"),
+            (lambda t, y: ((0.0, 1.0), y[0]), "returns rows of 2, 1 values: return rows of one length"),
+            (lambda t, y: ((0.0, 1.0), (y[0], 0), (0, 0)), "returns 3 rows of 2 values, expected 4 values"),
+        ],
+    )
+    def test_rows_of_another_shape_are_refused(self, rows, message):
+        with pytest.raises(TypeError, match=message):
+            iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=iv.compile(rows))
+        short = iv.compile(lambda t, y: [[0.0, 1.0], [y[0]]])
+        sol = iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=short)
+        assert "The Jacobian of fun is NaN or infinite" in sol.message
+
+    @pytest.mark.parametrize(
         "fun",
         [
             lambda t, y: y[:1] * 1.0,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem, implicit, slack
+from problems import PROBLEMS, TestProblem, implicit, one_step, slack
 from stiff import PROBLEMS as STIFF
 
 FAR = (2.0**-30, 2.0**30)
@@ -281,11 +281,12 @@ def test_the_order_of_components_does_not_matter(method, problem, project):
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))
     plain = problem.solve(method, project, **TOLERANCES)
     turned = permuted(problem, order, g).solve(method, project, **TOLERANCES)
-    if not implicit(method) or not iv.METHODS[method].fixed_order:
+    if not (implicit(method) and one_step(method)):
         counts = (turned.stats.steps, turned.stats.failed, turned.nfev)
         assert counts == (plain.stats.steps, plain.stats.failed, plain.nfev)
-    else:  # in thousands of steps, roundoff decides in some whether Newton's iteration goes on
-        assert (turned.stats.steps, turned.nfev) == pytest.approx((plain.stats.steps, plain.nfev), rel=0.01)
+    else:  # roundoff decides in some steps whether Newton's iteration goes on, which takes all stages of radau
+        assert turned.stats.steps == pytest.approx(plain.stats.steps, rel=0.01)
+        assert turned.nfev == pytest.approx(plain.nfev, rel=0.01 if iv.METHODS[method].fixed_order else 0.5)
     np.testing.assert_allclose(
         turned.y[:, -1], plain.y[order, -1], rtol=1e-6 * slack(method), atol=1e-6 * slack(method)
     )

@@ -23,7 +23,7 @@ constexpr double newton_cut = 0.5;       // of h, where a current Jacobian does 
 constexpr double starting_safety = 1.25;
 constexpr double roundoff_units = 100;  // of ε: an update of this size relative to y is roundoff
 constexpr double first_goal = 0.1;      // of the goal of later iterations
-constexpr double least_growth = 1.6;  // of h, that an estimate must allow which is nothing but errors of the iteration
+constexpr double least_growth = 1.6;    // of h, where the estimate is nothing but errors of Newton's iteration
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
 constexpr double rate_to_raise = 0.002, rate_to_lower = 0.8;
@@ -32,7 +32,7 @@ constexpr int patience = 10;          // steps at a lower order before it may ri
 constexpr double most_growth = 1.5;   // of h, with which the order rises: where h grows faster, no error limits it
 constexpr double seven_stages_from = 1e-7;  // rtol: above it 7 stages cost more than they gain
 
-/// How many times larger than the errors of the increments is theirs in the estimate.
+/// By how much the estimate magnifies errors of the increments.
 double amplification(const RadauFormula& formula) {
   double sum = 0;
   for (std::size_t stage = 0; stage < formula.stages; ++stage) sum += std::abs(formula.initial_slope[stage]);
@@ -72,7 +72,6 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
   for (std::vector<double>* v : {&f_, &slope_, &last_y_, &candidate_, &weight_, &error_vector_, &gap_, &scratch_})
     v->resize(weights.size());
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
-  use(lowest_);
 }
 
 /// The formula of the next attempt.

@@ -106,17 +106,32 @@ constexpr Row<s + 1> derivatives(const Row<s>& c, double x) {
   return taylor;
 }
 
+/// Real and imaginary part of a vector. (Not every compiler multiplies std::complex in constant expressions.)
+template <std::size_t s>
+struct ComplexRow {
+  Row<s> real{}, imaginary{};
+
+  constexpr void multiply(std::size_t i, double a, double b) {
+    const double x = real[i], y = imaginary[i];
+    real[i] = a * x - b * y;
+    imaginary[i] = a * y + b * x;
+  }
+};
+
 /// The eigenvector of A⁻¹ for μ, 1 in its last stage: a polynomial p of degree s with p' − μ p = κ M has, but for a
 /// factor, p = Σ_j M^{(j)} μ^{s−j}, and M = 0 at the nodes. (p(0) = 0 is the equation of the eigenvalues.)
 template <std::size_t s>
-constexpr std::array<Complex, s> eigenvector(const Row<s>& c, Complex mu) {
-  std::array<Complex, s> v{};
+constexpr ComplexRow<s> eigenvector(const Row<s>& c, Complex mu) {
+  ComplexRow<s> v;
   for (std::size_t i = 0; i < s; ++i) {
     const Row<s + 1> M = derivatives(c, c[i]);
-    for (std::size_t j = 1; j <= s; ++j) v[i] = v[i] * mu + M[j];
+    for (std::size_t j = 1; j <= s; ++j) {
+      v.multiply(i, mu.real(), mu.imag());
+      v.real[i] += M[j];
+    }
   }
-  const Complex last = v[s - 1];
-  for (Complex& component : v) component /= last;
+  const double a = v.real[s - 1], b = v.imaginary[s - 1], size = a * a + b * b;
+  for (std::size_t i = 0; i < s; ++i) v.multiply(i, a / size, -b / size);
   return v;
 }
 
@@ -134,15 +149,15 @@ struct Matrices {
   Row<s> initial_slope{};
 
   constexpr explicit Matrices(const Numbers<s>& of) : initial_slope(derivative_of_increments(of.c, 0)) {
-    const std::array<Complex, s> first = eigenvector(of.c, of.mu);
+    const ComplexRow<s> first = eigenvector(of.c, of.mu);
     for (std::size_t i = 0; i < s; ++i) {
       A_inverse[i] = derivative_of_increments(of.c, i + 1);
       coefficients[i] = nested_basis<s>(of.c[i]);
-      T[i][0] = first[i].real();
+      T[i][0] = first.real[i];
     }
     for (std::size_t k = 0; k < of.pairs.size(); ++k) {
-      const std::array<Complex, s> v = eigenvector(of.c, of.pairs[k]);
-      for (std::size_t i = 0; i < s; ++i) T[i][2 * k + 1] = v[i].real(), T[i][2 * k + 2] = v[i].imag();
+      const ComplexRow<s> v = eigenvector(of.c, of.pairs[k]);
+      for (std::size_t i = 0; i < s; ++i) T[i][2 * k + 1] = v.real[i], T[i][2 * k + 2] = v.imaginary[i];
     }
     T_inverse = inverse(T);
     coefficients = inverse(coefficients);
@@ -207,7 +222,7 @@ void transform(const double* matrix, std::size_t n, const double* in, double* ou
 }
 
 template <const auto& of>
-constexpr RadauFormula formula() {
+constexpr RadauFormula formula() noexcept {
   constexpr std::size_t s = of.c.size();
   constexpr const Matrices<s>& m = matrices<of>;
   static_assert(is_diagonal(of, m) && has_its_order(of, m));

@@ -138,7 +138,7 @@ class MethodOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "Highest order of the formulas. Default: the method's highest.",
+            "Highest order of the formulas; those of radau have order 5, 9 and 13. Default: the method's highest.",
             positive_integer,
             every_method=False,
         ),

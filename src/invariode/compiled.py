@@ -263,6 +263,20 @@ class CompiledFunction:
                 "        out[k] = e",
                 "        k += 1",
             ]
+        if isinstance(result, types.BaseTuple) and any(isinstance(row, types.BaseTuple) for row in result):
+            return self._stores_of_rows(result, size)
+        if isinstance(getattr(result, "dtype", None), (types.Array, types.List, types.ListType, types.BaseTuple)):
+            return [
+                "k = 0",
+                "for row in r:",
+                "    k += len(row)",
+                f"if k == {size}:",
+                "    k = 0",
+                "    for row in r:",
+                "        for e in row:",
+                "            out[k] = e",
+                "            k += 1",
+            ]
         if isinstance(result, (types.Array, types.List, types.ListType)):
             return [f"if len(r) == {size}:", f"    for i in range({size}):", "        out[i] = r[i]"]
         returned = len(result) if isinstance(result, types.BaseTuple) else 1
@@ -274,6 +288,20 @@ class CompiledFunction:
         if isinstance(result, types.UniTuple) and size > _UNROLLED:
             return [f"for i in range({size}):", "    out[i] = r[i]"]
         return [f"out[{i}] = r[{i}]" for i in range(size)]
+
+    def _stores_of_rows(self, result: Any, size: int) -> list[str]:
+        """The same for a tuple of tuples."""
+        lengths = [len(row) if isinstance(row, _numba().types.BaseTuple) else 1 for row in result]
+        if len(set(lengths)) > 1 or not all(isinstance(row, _numba().types.BaseTuple) for row in result):
+            raise TypeError(
+                f"compile({self.__name__}): the function returns rows of {', '.join(map(str, lengths))} values: "
+                "return rows of one length"
+            )
+        rows, columns = len(lengths), lengths[0]
+        if rows * columns != size:
+            what = f"{rows} rows of {columns} values"
+            raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size} values")
+        return [f"out[{i * columns + j}] = r[{i}][{j}]" for i in range(rows) for j in range(columns)]
 
     def _result(self, jitted: Any, shape: _Shape) -> Any:
         """numba's type of what the function returns."""
@@ -304,7 +332,8 @@ def compile(
     ----------
     fun : callable
         ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
-        compiles; it returns a number, a tuple (fast), a list or an array, the rows of a Jacobian one after the other.
+        compiles; it returns a number, a tuple (fast), a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or
+        with its rows one after the other.
         If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here'. If it is
         already compiled by numba or by this function, its Python function is used.
     inplace : bool, default False

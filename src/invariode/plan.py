@@ -320,7 +320,7 @@ def _most_kept(points: int | None, demanded: int, n: int) -> tuple[int, int]:
 def _highest_order(method: Method, order: int | None) -> int:
     if order is None or "max_order" not in method.options:
         return method.order
-    if order > method.order:
+    if not method.min_order <= order <= method.order:
         raise ValueError(f"max_order must be from {method.min_order} to {method.order} for {method.name}, got {order}")
     return order
 

@@ -29,7 +29,7 @@ std::vector<double> extension_of(Step& step) {
 struct Bench {
   /// The rtol makes h an honest rejection, and lets the Newton iteration of long implicit steps converge.
   explicit Bench(const Method& method, Fsal fsal = Fsal::reuse)
-      : Bench(method, fsal, method.implicit() && method.fixed_order() ? 1e-6 : 1e-10) {}
+      : Bench(method, fsal, method.implicit() && takes_one_step(method) ? 1e-6 : 1e-10) {}
   Bench(const Method& method, Fsal fsal, double rtol)
       : weights(rtol, std::vector<double>(4, 1e-3), {}), step(make_step(method, callback, weights, fsal)) {
     CHECK(step->start(0, problem.y0.data(), {.tf = 10, .hmax = 1, .hmin = 0}) == Outcome::ok);
@@ -92,7 +92,7 @@ TEST(an_accepted_step_stays_interpolable_until_the_next_attempt) {
       CHECK(same_bits(data, extension_of(*bench.step)));
       CHECK(bench.step->extension_size() <= bench.step->max_extension_size());
       double y[4];
-      const bool one_step = method.fixed_order();
+      const bool one_step = takes_one_step(method);
       bench.step->interpolate()(data.data(), data.size(), 4, 0, y);
       if (one_step)
         CHECK(same_bits(y, bench.problem.y0.data(), 4));

@@ -1,4 +1,5 @@
-// Adams and NDF formulas of each order, at constant h with an exact starting history; what they store and reproduce.
+// Formulas of each order of the methods that vary it: Adams and NDF at constant h with an exact starting history,
+// Radau. What they store and reproduce.
 
 #include <array>
 #include <vector>
@@ -71,6 +72,22 @@ struct FixedNdf {
   int k;
   Jacobian jacobian;
   Ndf step;
+};
+
+/// radau with one formula.
+struct FixedRadau {
+  FixedRadau(Callback& f, const Weights& weights, int order)
+      : jacobian(differences(weights)), step(f, weights, {.jacobian = &jacobian}, order, order) {}
+
+  template <class Solution, class F>
+  void begin(double t, double h, Solution solution, F) {
+    std::vector<double> y(step.n());
+    solution(t, y.data());
+    CHECK(step.start(t, y.data(), {.tf = t + h, .hmax = h, .hmin = 0}) == Outcome::ok);
+  }
+
+  Jacobian jacobian;
+  Radau step;
 };
 
 /// Largest error over [start, start + span] with `count` equal steps, projected or not.
@@ -180,8 +197,52 @@ TEST(bdfs_and_ndfs_of_order_k_have_order_k_projected_or_not) {
       }
 }
 
+TEST(radau_formulas_of_s_stages_have_order_2_s_minus_1_projected_or_not) {
+  for (const RadauFormula& formula : radau_formulas)
+    for (const bool project : {false, true}) {
+      const check::Case label("order ", formula.order(), project ? ", projected" : "");
+      const auto error = [&](int count) {
+        return march<FixedRadau>(two_oscillators(), 1, 40, count, project, formula.order());
+      };
+      CHECK_CLOSE(order(formula.stages == 3   ? 160
+                        : formula.stages == 5 ? 40
+                                              : 18,
+                        error),
+                  formula.order(), formula.stages == 3 ? slope_tolerance : 0.3);
+    }
+}
+
+TEST(the_extension_of_radau_is_the_collocation_polynomial_exact_for_degree_s) {
+  for (const RadauFormula& formula : radau_formulas) {
+    const check::Case label("order ", formula.order());
+    const int degree = static_cast<int>(formula.stages);
+    const auto worst = [&](int power) {  // error inside a step from t = 1 to 2
+      Problem problem = polynomial(power);
+      const Weights weights(1e-13, {1}, {});
+      Callback f = as_callback(problem.f);
+      FixedRadau fixed(f, weights, formula.order());
+      fixed.begin(1, 1, [&](double t, double* y) { problem.solution(t, nullptr, y); }, problem.f);
+      const Step::Attempt proposal = fixed.step.attempt(1, 2);
+      CHECK(fixed.step.accept(proposal.y) == Outcome::ok);
+      CHECK(fixed.step.degree() == degree && fixed.step.order() == formula.order());
+      std::vector<double> data(fixed.step.extension_size());
+      CHECK(fixed.step.extension(data.data()) == Status::ok);
+      double largest = 0;
+      for (double theta = 0; theta <= 1; theta += 1.0 / 16) {
+        double y = 0;
+        fixed.step.interpolate()(data.data(), data.size(), 1, theta, &y);
+        largest = std::max(largest, std::abs(y / std::pow(1 + theta, power) - 1));
+      }
+      return largest;
+    };
+    CHECK(worst(degree) < 1e-14 * std::pow(2, degree));
+    CHECK(worst(degree + 1) > 1e-6);
+  }
+}
+
 TEST(formulas_integrate_polynomials_of_their_degree_to_roundoff_also_when_h_changes) {
-  // Adams of order k with local extrapolation: degree k + 1. NDF of order k: degree k. h follows a fixed pattern.
+  // Adams of order k with local extrapolation: degree k + 1. NDF of order k, and Radau: degree k. h follows a fixed
+  // pattern.
   constexpr double pattern[] = {1, 1, 1, 0.5, 0.5, 1.25, 1.25, 0.75, 2, 1};
   const auto run = [&](auto& fixed, const Problem& problem) {
     fixed.begin(1, 0.1, [&](double t, double* y) { problem.solution(t, nullptr, y); }, problem.f);
@@ -209,6 +270,13 @@ TEST(formulas_integrate_polynomials_of_their_degree_to_roundoff_also_when_h_chan
     Problem problem = polynomial(k);
     Callback f = as_callback(problem.f);
     FixedNdf fixed(f, weights, k, false);
+    run(fixed, problem);
+  }
+  for (const RadauFormula& formula : radau_formulas) {
+    const check::Case label("Radau ", formula.order());
+    Problem problem = polynomial(formula.order());
+    Callback f = as_callback(problem.f);
+    FixedRadau fixed(f, weights, formula.order());
     run(fixed, problem);
   }
 }

@@ -18,6 +18,7 @@
 #include "integrate.hpp"
 #include "methods/adams.hpp"
 #include "methods/ndf.hpp"
+#include "methods/radau.hpp"
 #include "methods/registry.hpp"
 
 namespace invariode::test {
@@ -241,6 +242,9 @@ std::vector<Method> methods_that(Which which) {
   std::ranges::copy_if(methods(), std::back_inserter(chosen), which);
   return chosen;
 }
+inline bool is(const Method& method, std::string_view name) { return method.name == name; }
+/// Whether a step takes nothing but y from those before it, though perhaps the order that has proved best.
+inline bool takes_one_step(const Method& m) { return m.fixed_order() || is(m, "radau"); }
 /// Pairs of one order, whose last stage is the first of the next step; those where it is part of the error estimate,
 /// and those where it waits for y₁.
 inline std::vector<Method> pairs() {
@@ -256,7 +260,6 @@ inline std::vector<Method> explicit_methods() {
   return methods_that([](const Method& m) { return !m.implicit(); });
 }
 inline const Method& named(std::string_view name) { return *find_method(name); }
-inline bool is(const Method& method, std::string_view name) { return method.name == name; }
 
 struct Options {
   double rtol = 1e-3;
