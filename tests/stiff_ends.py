@@ -102,7 +102,7 @@ def ring_modulator_jacobian(t: float, y: Array) -> Array:
     return J
 
 
-#: At the end, by radau at rtol = 1e-11; at 1e-10 it agrees to 7e-12, the printed solution to 3e-10.
+#: At the end, by radau at rtol = 1e-11; ode89 with 5e8 evaluations of f agrees to 2e-11, the printed solution to 3e-10.
 RING_END = [
     -2.339057358439e-02, -7.367485485986e-03, 2.582956709971e-01, -4.064465720605e-01, -4.039455664475e-01,
     2.607966766106e-01, 1.106761861273e-01, 2.939904342448e-07, -2.840029933066e-08, 7.267198267281e-04,
