@@ -96,7 +96,8 @@ def test_error_of_second_order_methods_follows_the_tolerance(method, name, rtol)
     assert PROBLEMS[name].error(sol.y) <= 30 * rtol ** (2 / 3)
 
 
-#: BDFs of order above 2 are not made for the beam, whose eigenvalues are imaginary; the ring modulator takes seconds.
+#: BDFs of order above 2 are unstable near the imaginary axis, where the beam has its eigenvalues: many short steps. The
+#: ring modulator takes seconds.
 SLOW = {("ode15s", "beam"), ("auto", "beam"), *((method, "ring modulator") for method in IMPLICIT)}
 
 
