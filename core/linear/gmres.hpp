@@ -5,6 +5,7 @@
 #include <complex>
 #include <cstddef>
 #include <cstdint>
+#include <type_traits>
 #include <vector>
 
 #include "callback.hpp"
@@ -15,7 +16,7 @@ using Complex = std::complex<double>;
 
 /// The components of a vector as reals, one or two for each.
 template <class Scalar>
-inline constexpr std::size_t parts = sizeof(Scalar) / sizeof(double);
+inline constexpr std::size_t parts = std::is_same_v<Scalar, Complex> ? 2 : 1;
 template <class Scalar>
 const double* reals(const Scalar* v) {
   return reinterpret_cast<const double*>(v);
