@@ -534,7 +534,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 2
+MEMORY_VERSION: int = 3
 
 STATES: list = ...
 
