@@ -41,10 +41,16 @@ def stubs() -> dict[str, str]:
         f"def {name}(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution: ..."
         for name in METHODS
     )
-    classes = "\n".join([*(f"class {name.upper()}(Stepper): ..." for name in METHODS), "", "LSODA = AUTO"])
+    ours = {name.upper(): f"class {name.upper()}(Stepper): ..." for name in METHODS}
+    theirs = {
+        name: f"class {name}(Stepper): ..." if method.scipy_options else f"{name} = {method.name.upper()}"
+        for method in METHODS.values()
+        if (name := method.scipy_name) and name not in ours
+    }
+    classes = "\n".join([*ours.values(), "", *theirs.values()])
     return {
         "ode_functions.pyi": FUNCTIONS.format(names=listed([*METHODS]), functions=functions),
-        "scipy.pyi": CLASSES.format(names=listed([*(name.upper() for name in METHODS), "LSODA"]), classes=classes),
+        "scipy.pyi": CLASSES.format(names=listed([*ours, *theirs]), classes=classes),
     }
 
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 from measure import interleaved, machine, run, table
-from multistep import CVODE, MOST_STEPS, STIFF, Line, Outcome, Solve, stiff_contestants
+from multistep import STIFF, Line
+from stiff_contestants import CVODE, MOST_STEPS, Outcome, Solve, stiff_contestants
 
 import invariode as iv
 from native import DOUBLE, build, user_function

@@ -23,7 +23,7 @@ DIRECTIONS = (None, "gradient", "stages")
 
 RUNS = [
     *((method, rtol) for method in ("ode45", "dop853", "ode89", "ode113", "ode15s", "radau") for rtol in (1e-4, 1e-7)),
-    ("ode23s", 1e-4),
+    *((method, 1e-4) for method in ("ode23s", "ode23t", "ode23tb")),
 ]
 #: Of the references: at the limit of double precision.
 REFERENCE = {"method": "ode89", "rtol": 1e-13, "atol": 1e-14, "keep": "end"}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 from measure import folded, interleaved, machine, run, table
-from scipy import sparse
+from stiff_contestants import CVODE, MOST_STEPS, Outcome, Solve, stiff_contestants
 
 import invariode as iv
 
@@ -27,109 +27,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from problems import PROBLEMS as ORBITS
 from problems import TestProblem
 from stiff import PROBLEMS as STIFF
-from stiff import StiffProblem
 
-try:
-    from sksundae.cvode import CVODE  # type: ignore[import-untyped]  # scikit-sundae ships no types
-except ImportError:
-    CVODE = None
-
-Solve = Callable[[float], "Outcome"]
 RTOLS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 LARGE = (1e-4, 1e-6)  # of the problem that takes seconds
 SHOWN = 1e-6
-MOST_STEPS = 10**7
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Error of a run, evaluations of f and of its Jacobian, factorisations."""
-
-    error: float
-    f: int
-    jacobians: int | None = None
-    factorizations: int | None = None
-
-
-#: Of ours, by the names in the tables.
-OWN = {"ode15s": "ode15s", "ode15s, bdf": "BDF", "radau": "radau"}
-
-
-def stiff_contestants(p: StiffProblem, own: Mapping[str, str] = OWN) -> dict[str, Solve]:
-    """All solvers with the analytic Jacobian, in the storage that each has for it."""
-    large = p.jac_sparsity is not None
-    banded = p.lband is not None
-
-    def as_sparse(t: float, y: Any, *args: Any) -> Any:
-        ab = p.jac(t, y, *args)
-        return sparse.dia_array((ab, p.uband - np.arange(len(ab))), (len(y), len(y))).tocsc()
-
-    def ours(rtol: float, method: str) -> Outcome:
-        bands = {"lband": p.lband, "uband": p.uband} if banded else {}
-        sol = iv.solve_ivp(
-            p.fun,
-            p.t_span,
-            p.y0,
-            method,
-            t_eval=p.times,
-            args=p.args,
-            jac=p.jac,
-            rtol=rtol,
-            atol=rtol * p.scale,
-            **bands,
-        )
-        return Outcome(p.error(sol.y) if sol.success else np.inf, sol.nfev, sol.njev, sol.nlu)
-
-    def scipys(rtol: float, method: str) -> Outcome:
-        options: dict[str, Any] = {"jac": as_sparse if banded else p.jac}
-        if method == "LSODA":
-            options = {"jac": p.jac, "lband": p.lband, "uband": p.uband} if banded else {"jac": p.jac}
-        sol = scipy.integrate.solve_ivp(
-            p.fun,
-            p.t_span,
-            p.y0,
-            method,
-            t_eval=p.times,
-            args=p.args or None,
-            rtol=rtol,
-            atol=rtol * p.scale,
-            **options,
-        )
-        return Outcome(p.error(sol.y) if sol.success else np.inf, sol.nfev, sol.njev, sol.nlu or None)
-
-    def sundials(rtol: float) -> Outcome:
-        def rhs(t: float, y: Any, yp: Any) -> None:
-            yp[:] = p.fun(t, y, *p.args)
-
-        def jacobian(t: float, y: Any, yp: Any, J: Any) -> None:
-            J[:] = p.jac(t, y, *p.args)
-
-        def jacobian_of_bands(t: float, y: Any, yp: Any, J: Any) -> None:
-            ab, n = p.jac(t, y, *p.args), len(y)
-            for d in range(len(ab)):
-                j = np.arange(max(0, p.uband - d), min(n, n + p.uband - d))
-                J[j + d - p.uband, j] = ab[d, j]
-
-        options = {"linsolver": "band", "lband": p.lband, "uband": p.uband} if banded else {"linsolver": "dense"}
-        solver = CVODE(
-            rhs,
-            rtol=rtol,
-            atol=rtol * p.scale,
-            jacfn=jacobian if not banded else None,
-            max_num_steps=MOST_STEPS,
-            **options,
-        )
-        sol = solver.solve(np.concatenate([[p.t_span[0]], p.times]), p.y0)
-        outputs = sol.y[-len(p.times) :].T  # of two times, all steps between them come back
-        return Outcome(p.error(outputs) if sol.success else np.inf, sol.nfev, sol.njev)
-
-    found: dict[str, Solve] = {name: partial(ours, method=method) for name, method in own.items()}
-    for method in ("BDF", "Radau", "LSODA"):
-        if not large or method == "BDF":  # LSODA has no sparse matrices, Radau takes a minute
-            found[f"SciPy {method}"] = partial(scipys, method=method)
-    if CVODE is not None and not large:
-        found["CVODE BDF"] = sundials
-    return found
 
 
 def orbit_contestants(p: TestProblem, tf: float, exact: np.ndarray) -> dict[str, Solve]:

@@ -154,6 +154,7 @@ class Integration {
   Verdict reject(Cause cause);
   Verdict ended(State state);
   bool explain_failure(Cause cause);
+  bool reconcile();
   [[nodiscard]] double roundoff_of_correction() const;
   /// The correction belongs to the bounds as well: it tells nothing of the invariants.
   [[nodiscard]] bool at_bounds() const { return active_set_ && active_set_->active(); }

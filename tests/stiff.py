@@ -26,7 +26,8 @@ class StiffProblem:
 
     `jac(t, y, *args)` is dense; packed, ``ab[uband + i - j, j] = J[i, j]``, if there are bands; sparse (CSC) and of the
     pattern `jac_sparsity` if that is given. `scale` is the size below which a component counts as small: a solver's
-    ``atol`` is ``rtol * scale``. `invariants` are the rows c with c·fun = 0.
+    ``atol`` is ``rtol * scale``. `invariants` are the rows c with c·fun = 0. With a matrix `mass` M the system is
+    M y' = fun(t, y), and `slope` is y' at the start.
     """
 
     name: str
@@ -42,6 +43,8 @@ class StiffProblem:
     uband: int | None = None
     jac_sparsity: sparse.csc_array | None = None
     every: int = 1
+    mass: np.ndarray | None = None
+    slope: np.ndarray | None = None
 
     def difference(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """|y - z| / max(|z|, scale) of the sampled components, of shape (components, times)."""

@@ -14,7 +14,7 @@ import invariode as iv
 import invariode.scipy as plugin
 from problems import PROBLEMS, blow_up, implicit
 
-CLASSES = {cls._method: cls for cls in (getattr(plugin, name) for name in plugin.__all__)}
+CLASSES = {name: getattr(plugin, name.upper()) for name in iv.METHODS}
 
 
 def theirs(problem, method, t_span=None, y0=None, **options):
@@ -28,6 +28,17 @@ def test_every_method_has_its_class(method):
     assert CLASSES[method].__name__ == method.upper()
     by_class = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], CLASSES[method])
     np.testing.assert_array_equal(by_class.y, iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], method).y)
+
+
+@pytest.mark.parametrize("name", [about.scipy_name for about in iv.METHODS.values() if about.scipy_name])
+def test_names_of_scipy_are_classes_too(name):
+    """Also where the name implies an option, as BDF does."""
+    problem = PROBLEMS["Kepler"]
+    expected = problem.solve(name)
+    for solve in (scipy.integrate.solve_ivp, iv.solve_ivp):
+        method = getattr(plugin, name)
+        sol = solve(problem.fun, problem.t_span, problem.y0, method=method, invariants=problem.invariants())
+        np.testing.assert_array_equal(sol.y, expected.y)
 
 
 @pytest.mark.parametrize("project", [False, True])

@@ -118,7 +118,7 @@ STEPPING = """
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [("scipy.integrate", "RK45"), ("invariode.scipy", "ODE45"), ("invariode.scipy", "ODE113")]
+    ("module", "name"), [("scipy.integrate", "RK45"), ("invariode.scipy", "RK45"), ("invariode.scipy", "ODE113")]
 )
 def test_stepping_by_hand_with_only_the_import_changed(module, name):
     code = textwrap.dedent(STEPPING).replace("from scipy.integrate import RK45", f"from {module} import {name} as RK45")

@@ -40,34 +40,6 @@ double amplification(const RadauFormula& formula) {
   return sum / formula.mu;
 }
 
-/// How many times larger than the errors of the transformed increments are those of the increments.
-double growth(const RadauFormula& formula) {
-  double largest = 0;
-  for (std::size_t i = 0; i < formula.stages; ++i) {
-    double sum = 0;
-    for (std::size_t k = 0; k < formula.stages; ++k) sum += std::abs(formula.T[i * formula.stages + k]);
-    largest = std::max(largest, sum);
-  }
-  return largest;
-}
-
-/// v = [real parts | imaginary parts], 2 n, becomes the complex numbers (real − i imaginary) / μ, and they become this
-/// again, not divided. An array of complex numbers is one of twice as many reals; `scratch` (n,).
-Complex* to_complex(double* v, std::size_t n, Complex mu, double* scratch) {
-  auto* z = reinterpret_cast<Complex*>(v);
-  std::copy(v, v + n, scratch);
-  for (std::size_t i = 0; i < n; ++i) z[i] = Complex(scratch[i], -v[n + i]) / mu;  // i < n: v[n + i] is still there
-  return z;
-}
-void from_complex(double* v, std::size_t n, double* scratch) {
-  for (std::size_t i = 0; i < n; ++i) {
-    const double real = v[2 * i], imaginary = v[2 * i + 1];
-    v[i] = real;
-    scratch[i] = -imaginary;
-  }
-  std::copy(scratch, scratch + n, v + n);
-}
-
 Convergence::Rules newton_rules(const RadauFormula& formula) {
   const double goal = std::pow(safety / least_growth, estimate_order(formula)) / amplification(formula);
   return {.most_iterations = 7 + 5 * (static_cast<int>(formula.stages) - 3) / 2,
@@ -90,26 +62,22 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       highest_(formula_up_to(max_order)),
       formula_(lowest_),
       accepted_(lowest_),
-      jacobian_(f, weights, linear, true),
+      systems_(f, weights, linear),
       initial_(f, linear),
-      lapack_(linear.lapack),
-      real_lu_(linear.krylov ? nullptr : make_factors<double>(jacobian_.jacobian().structure, linear.lapack)),
       convergence_(newton_rules(*lowest_)) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
   for (std::vector<double>* v : {&f_, &last_y_, &candidate_, &weight_, &error_vector_, &gap_, &scratch_})
     v->resize(weights.size());
   if (linear.mass) slope_.resize(weights.size());
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
-  if (linear.krylov) jacobian_.matrix_free()->take_scratch(candidate_.data(), gap_.data());
+  systems_.take_scratch(candidate_.data(), gap_.data());
 }
 
 /// The formula of the next attempt.
 void Radau::use(const RadauFormula* formula) {
   formula_ = formula;
   convergence_ = Convergence(newton_rules(*formula));
-  jacobian_.forget_factors();
-  while (real_lu_ && complex_lu_.size() < formula->pairs.size())
-    complex_lu_.push_back(make_factors<Complex>(jacobian_.jacobian().structure, lapack_));
+  systems_.use(*formula);
 }
 
 double Radau::norm(const double* v) const {
@@ -124,15 +92,15 @@ Outcome Radau::start(double t, const double* y, const Span& span) {
   failed_ = false;
   steps_until_raise_ = 0;
   use(lowest_);
-  jacobian_.forget();
+  systems_.forget();
   weights_.fill(y, weight_.data());
   double* slope = slope_.empty() ? candidate_.data() : slope_.data();
-  if (const Outcome outcome = initial_.first(jacobian_, t, y, weight_.data(), f_.data(), slope); outcome != Outcome::ok)
+  if (const Outcome outcome = initial_.first(systems_, t, y, weight_.data(), f_.data(), slope); outcome != Outcome::ok)
     return outcome;
   const double scale = starting_safety * std::pow(weights_.rtol(), -1 / estimate_order(*formula_));
   const double first = scale * norm(slope);
   const double h = std::copysign(first_h(first, t, span), span.tf - t);
-  if (initial_.second(jacobian_, t, y, h, f_.data(), slope, gap_.data(), scratch_.data()) == Status::stop)
+  if (initial_.second(systems_, t, y, h, f_.data(), slope, gap_.data(), scratch_.data()) == Status::stop)
     return Outcome::stop;
   const double second = scale * std::sqrt(0.5 * norm(scratch_.data()));
   h_ = first_h(std::max(first, second), t, span);
@@ -144,11 +112,11 @@ Step::Attempt Radau::attempt(double h, double t1) {
   h_ = std::abs(h);
   t1_ = t1;
   error_ = std::numeric_limits<double>::quiet_NaN();
-  jacobian_.forget_undefined();
+  systems_.forget_undefined();
   const Attempt stopped{Outcome::stop, error_, candidate_.data()};
   const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
-  if (prepare_jacobian() == Status::stop) return stopped;
-  switch (factor()) {
+  if (systems_.begin(h, t_, y(), f_.data()) == Status::stop) return stopped;
+  switch (systems_.prepare(t1, convergence_)) {
     case Outcome::stop: return stopped;
     case Outcome::not_finite: return diverged;
     case Outcome::ok: break;
@@ -169,47 +137,14 @@ Step::Attempt Radau::attempt(double h, double t1) {
   return {Outcome::ok, error_, candidate_.data()};
 }
 
-/// J of the attempt: one that is at hand; matrix-free that at (t, y).
-Status Radau::prepare_jacobian() {
-  jacobian_.renew_if_noise(signed_h_ / formula_->mu);
-  if (jacobian_.repair(t_, y(), f_.data()) == Status::stop) return Status::stop;
-  if (!real_lu_) jacobian_.matrix_free()->product().at(t_, y(), f_.data());
-  return Status::ok;
-}
-
-/// M at t₁ and the factors of M − (h/μ) J for all eigenvalues μ, or the preconditioner of the real one: the others are
-/// about as large, and with it their systems have eigenvalues on an arc between 1 and μ over the eigenvalue.
-Outcome Radau::factor() {
-  const double c = signed_h_ / formula_->mu;
-  if (!real_lu_) {
-    if (c != last_c_) convergence_.forget();
-    last_c_ = c;
-    return jacobian_.prepare_preconditioner(c, t1_);
-  }
-  return jacobian_.prepare(c, t1_, [this] {
-    convergence_.forget();
-    for (std::size_t k = 0; k <= formula_->pairs.size(); ++k) jacobian_.count_factorization();
-    return factorize();
-  });
-}
-
-bool Radau::factorize() {
-  const Matrix* M = jacobian_.mass_matrix();
-  const Matrix& J = jacobian_.jacobian();
-  if (!real_lu_->factor(M, signed_h_ / formula_->mu, J)) return false;
-  for (std::size_t k = 0; k < formula_->pairs.size(); ++k)
-    if (!complex_lu_[k]->factor(M, signed_h_ / formula_->pairs[k], J)) return false;
-  return true;
-}
-
 /// M(t) at the stages; the last of them is at hand.
 Status Radau::take_masses() {
   if (stage_masses_.empty()) return Status::ok;
   const std::size_t last = stages() - 1;
-  stage_masses_[last] = *jacobian_.mass_matrix();
+  stage_masses_[last] = *systems_.mass_matrix();
   for (std::size_t k = 0; k < last; ++k) {
-    if (jacobian_.mass()->evaluate(t_ + formula_->nodes[k] * signed_h_) == Status::stop) return Status::stop;
-    stage_masses_[k] = *jacobian_.mass_matrix();
+    if (systems_.mass()->evaluate(t_ + formula_->nodes[k] * signed_h_) == Status::stop) return Status::stop;
+    stage_masses_[k] = *systems_.mass_matrix();
   }
   return Status::ok;
 }
@@ -246,9 +181,9 @@ Newton::Result Radau::solve_stages() {
       case Outcome::ok: break;
     }
     bool negligible = convergence_.iterations() > 0;
-    if (const auto solved = solve_transformed(tolerance / growth(*formula_), negligible);
-        solved != Newton::Result::converged)
-      return solved;
+    const auto solved =
+        systems_.solve(mass(), weight_.data(), tolerance, residuals_.data(), scratch_.data(), negligible);
+    if (solved != Newton::Result::converged) return solved;
     if (negligible) {
       convergence_.settle(tolerance);
       return Newton::Result::converged;
@@ -274,10 +209,10 @@ Outcome Radau::stage_residuals() {
     double* residual = residuals_.data() + stage * n();
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + Z(stage)[i];
     const double t = stage + 1 == stages() ? t1_ : t_ + formula_->nodes[stage] * signed_h_;
-    if (const Outcome outcome = jacobian_.evaluate(t, scratch_.data(), error_vector_.data()); outcome != Outcome::ok)
+    if (const Outcome outcome = systems_.evaluate(t, scratch_.data(), error_vector_.data()); outcome != Outcome::ok)
       return outcome;
     const double* rate = residual;
-    if (const Matrix* M = stage_masses_.empty() ? jacobian_.mass_matrix() : &stage_masses_[stage]) {
+    if (const Matrix* M = stage_masses_.empty() ? systems_.mass_matrix() : &stage_masses_[stage]) {
       M->multiply(rate, gap_.data());
       rate = gap_.data();
     }
@@ -286,62 +221,12 @@ Outcome Radau::stage_residuals() {
   return Outcome::ok;
 }
 
-/// ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residual for each eigenvalue μ, in place of the residuals. By GMRES, with a
-/// tolerance for it; what is `negligible` at the start may be so: whether all right-hand sides are.
-Newton::Result Radau::solve_transformed(double tolerance, bool& negligible) {
-  formula_->transform(formula_->T_inverse, n(), residuals_.data(), residuals_.data());
-  double* v = residuals_.data();
-  for (std::size_t i = 0; i < n(); ++i) v[i] /= formula_->mu;
-  const bool may_skip = negligible;
-  const auto solve = [&](auto mu, auto* b, auto* lu) {
-    jacobian_.count_solve();
-    if (lu == nullptr) return solve_by_gmres(signed_h_ / mu, tolerance, b, may_skip, negligible);
-    lu->solve(b);
-    negligible = false;
-    return Newton::Result::converged;
-  };
-  Newton::Result result = solve(formula_->mu, v, real_lu_.get());
-  for (std::size_t k = 0; k < formula_->pairs.size() && result == Newton::Result::converged; ++k) {
-    double* pair = v + (2 * k + 1) * n();
-    Complex* b = to_complex(pair, n(), formula_->pairs[k], scratch_.data());
-    result = solve(formula_->pairs[k], b, real_lu_ ? complex_lu_[k].get() : nullptr);
-    from_complex(pair, n(), scratch_.data());
-  }
-  return result;
-}
-
-/// b becomes the solution of (M − c J) x = b, or 0 where it may be skipped and is negligible, as all before it were.
-template <class Scalar>
-Newton::Result Radau::solve_by_gmres(Scalar c, double tolerance, Scalar* b, bool may_skip, bool& negligible) {
-  MatrixFree& free = *jacobian_.matrix_free();
-  switch (free.precondition(b)) {
-    case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: return Newton::Result::failed;
-    case Outcome::ok: break;
-  }
-  if (may_skip && free.negligible(weight_.data(), tolerance, b)) {
-    std::fill_n(b, n(), 0);
-    return Newton::Result::converged;
-  }
-  negligible = false;
-  const Matrix* M = stage_masses_.empty() ? jacobian_.mass_matrix() : &stage_masses_[stages() - 1];
-  switch (free.solve(c, M, weight_.data(), tolerance, b)) {
-    case GmresResult::stop: return Newton::Result::stop;
-    case GmresResult::failed:
-    case GmresResult::undefined: return Newton::Result::failed;
-    case GmresResult::converged: break;
-  }
-  return Newton::Result::converged;
-}
-
-/// Z ← Z + T ω. The size of the update.
+/// Z becomes Z + residuals, which are updates now. Their size.
 double Radau::update_stages() {
-  double* v = residuals_.data();
-  formula_->transform(formula_->T, n(), v, v);
-  for (std::size_t i = 0; i < stages() * n(); ++i) increments_[i] += v[i];
+  for (std::size_t i = 0; i < stages() * n(); ++i) increments_[i] += residuals_[i];
   weigh_first_update();
   MaxNorm size;
-  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm(v + stage * n()));
+  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm(residuals_.data() + stage * n()));
   return size.value();
 }
 
@@ -355,31 +240,26 @@ Newton::Result Radau::estimate() {
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] += weight * Z(stage)[i];
   }
   gap_ = scratch_;
-  if (Mass* mass = jacobian_.mass()) {
+  if (Mass* mass = systems_.mass()) {
     if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
     mass->matrix().multiply(scratch_.data(), gap_.data());
   }
   const Newton::Result first = solve_for_error(f_.data());
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;
   for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + error_vector_[i];
-  switch (jacobian_.evaluate(t_, scratch_.data(), residuals_.data())) {
+  switch (systems_.evaluate(t_, scratch_.data(), residuals_.data())) {
     case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: jacobian_.forget_undefined(); return first;  // which has to do
+    case Outcome::not_finite: systems_.forget_undefined(); return first;  // which has to do
     case Outcome::ok: break;
   }
   return solve_for_error(residuals_.data());
 }
 
 Newton::Result Radau::solve_for_error(const double* f) {
-  const double c_real = signed_h_ / formula_->mu;
-  for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c_real * f[i] + gap_[i];
-  jacobian_.count_solve();
-  Newton::Result result = Newton::Result::converged;
-  bool negligible = false;  // what is small tells how much longer the next step may be
-  if (real_lu_)
-    real_lu_->solve(error_vector_.data());
-  else
-    result = solve_by_gmres(c_real, linear_part * weights_.rtol(), error_vector_.data(), false, negligible);
+  const double c = signed_h_ / formula_->mu;
+  for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c * f[i] + gap_[i];
+  const double tolerance = linear_part * weights_.rtol();
+  const Newton::Result result = systems_.solve_real(mass(), weight_.data(), tolerance, error_vector_.data());
   error_ = norm(error_vector_.data());
   return result;
 }
@@ -404,12 +284,12 @@ double Radau::factor_of_error() const {
 
 bool Radau::reject(Cause cause, double hmin) {
   failed_ = true;
-  if (cause == Cause::newton && jacobian_.hopeless()) return false;
-  const bool old = cause == Cause::newton || (cause == Cause::error && real_lu_);
-  const bool renewed = old && jacobian_.renew_if_old();
+  if (cause == Cause::newton && systems_.hopeless()) return false;
+  const bool old = cause == Cause::newton || (cause == Cause::error && systems_.has_matrices());
+  const bool renewed = old && systems_.renew_if_old();
   if (cause == Cause::newton && renewed) return true;
   if (h_ <= hmin) return false;
-  if (cause == Cause::newton) jacobian_.renew_if_undefined();
+  if (cause == Cause::newton) systems_.renew_if_undefined();
   h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : newton_cut));
   if (cause == Cause::newton && formula_ != lowest_) lower_order();
   return true;
@@ -425,12 +305,12 @@ double Radau::next_h() const {
     factor = std::min(factor, std::max(smallest_factor, factor * trend));
   }
   if (failed_) factor = std::min(factor, 1.0);
-  if (factor >= kept_from && factor <= kept_up_to && !jacobian_.renewal_due()) factor = 1;
+  if (factor >= kept_from && factor <= kept_up_to && !systems_.renewal_due()) factor = 1;
   return factor * h_;
 }
 
 Outcome Radau::accept(const double* y1) {
-  if (const Outcome outcome = jacobian_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
+  if (const Outcome outcome = systems_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
   std::swap(f_, scratch_);
   formula_->transform(formula_->coefficients, n(), increments_.data(), polynomial_.data());
   if (!slope_.empty()) {
@@ -441,8 +321,8 @@ Outcome Radau::accept(const double* y1) {
   last_y_.swap(y_);
   std::copy(y1, y1 + n(), y_.begin());
   t_ = t1_;
-  jacobian_.step_accepted();
-  if (real_lu_ && convergence_.rate() > fast) jacobian_.renew();
+  systems_.step_accepted();
+  if (systems_.has_matrices() && convergence_.rate() > fast) systems_.renew();
   const double h = next_h();
   last_h_ = h_;
   last_error_ = std::max(error_, smallest_error * weights_.rtol());
@@ -476,10 +356,6 @@ void Radau::lower_order() {
   steps_until_raise_ = patience;
 }
 
-void Radau::end_attempts() {
-  if (!real_lu_) jacobian_.matrix_free()->end_attempts();
-}
-
 void Radau::state(Archive& archive) {
   Step::state(archive);
   for (const RadauFormula** formula : {&formula_, &accepted_}) {
@@ -491,8 +367,7 @@ void Radau::state(Archive& archive) {
   if (archive.reading()) use(formula_);
   archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_);
   convergence_.state(archive);
-  if (!real_lu_) archive(last_c_);
-  jacobian_.state(archive, [&](double c) { return real_lu_ ? factorize() : jacobian_.set_up_again(c, archive); });
+  systems_.state(archive);
 }
 
 Interpolate Radau::interpolate() const { return runge_kutta::nested_polynomial; }

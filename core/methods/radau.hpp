@@ -7,8 +7,8 @@
 #include <memory>
 #include <vector>
 
-#include "methods/newton.hpp"
 #include "methods/radau_formula.hpp"
+#include "methods/radau_systems.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -37,7 +37,7 @@ class Radau final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
-  void end_attempts() override;
+  void end_attempts() override { systems_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
@@ -49,11 +49,11 @@ class Radau final : public Step {
 
   [[nodiscard]] int order() const override { return accepted_->order(); }
   [[nodiscard]] const double* slope() const override { return slope_.empty() ? f_.data() : slope_.data(); }
-  [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
-  [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
+  [[nodiscard]] int undefined_component() const override { return systems_.undefined_component(); }
+  [[nodiscard]] LinearWork linear_work() const override { return systems_.work(); }
+  [[nodiscard]] const Matrix* jacobian() const override { return &systems_.jacobian(); }
   Status multiply_jacobian(const double* slope, const double* v, double* out) override {
-    return jacobian_.multiply(t_, y(), slope, v, out);
+    return systems_.multiply(t_, y(), slope, v, out);
   }
 
  private:
@@ -61,17 +61,15 @@ class Radau final : public Step {
   double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
   [[nodiscard]] const double* last_increment() const { return increments_.data() + (stages() - 1) * n(); }
   [[nodiscard]] double norm(const double* v) const;
+  /// M at t₁; null: the identity.
+  [[nodiscard]] const Matrix* mass() const {
+    return stage_masses_.empty() ? systems_.mass_matrix() : &stage_masses_[stages() - 1];
+  }
   void use(const RadauFormula* formula);
-  Status prepare_jacobian();
-  Outcome factor();
-  bool factorize();
   Status take_masses();
   void predict();
   Newton::Result solve_stages();
   Outcome stage_residuals();
-  Newton::Result solve_transformed(double tolerance, bool& negligible);
-  template <class Scalar>
-  Newton::Result solve_by_gmres(Scalar c, double tolerance, Scalar* b, bool may_skip, bool& negligible);
   double update_stages();
   void weigh_first_update();
   Newton::Result estimate();
@@ -85,11 +83,8 @@ class Radau final : public Step {
   const RadauFormula *lowest_, *highest_;
   const RadauFormula* formula_;   // of the next attempt
   const RadauFormula* accepted_;  // of the last accepted step
-  AgingJacobian jacobian_;
+  RadauSystems systems_;
   InitialSlopes initial_;
-  const Lapack* lapack_;
-  std::unique_ptr<Factorization> real_lu_;                         // null: matrix-free
-  std::vector<std::unique_ptr<ComplexFactorization>> complex_lu_;  // of the pairs, as many as were needed so far
   Convergence convergence_;
   std::vector<double> increments_;    // Z_1 … Z_s
   std::vector<double> polynomial_;    // of the last accepted step, in nested form, 0 at θ = 0
@@ -98,7 +93,6 @@ class Radau final : public Step {
   std::vector<double> f_, slope_;     // f and y' at (t, y), where they are not the same
   std::vector<double> last_y_, candidate_, weight_, error_vector_, gap_, scratch_;
   double signed_h_ = 0, t1_ = 0;
-  double last_c_ = 0;                   // matrix-free: for which the rate of convergence is known
   double memory_h_ = 0;                 // signed h of the polynomial; 0: there is none
   double error_ = 0;                    // of the last attempt
   double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none

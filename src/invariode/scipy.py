@@ -25,15 +25,24 @@ from .methods import METHODS, Method
 from .stepper import Stepper
 
 
-def _class_of(method: Method) -> type[Stepper]:
+def _class_of(method: Method, name: str, stands_for: str) -> type[Stepper]:
     about = (Stepper.__doc__ or "").partition(".")[2]
     summary = method.summary[0].upper() + method.summary[1:]
-    contents = {"_method": method.name, "__doc__": f"{summary}.\n{about}", "__module__": __name__}
-    return type(method.name.upper(), (Stepper,), contents)
+    contents = {"_method": stands_for, "__doc__": f"{summary}.\n{about}", "__module__": __name__}
+    return type(name, (Stepper,), contents)
 
 
-_CLASSES = {name.upper(): _class_of(method) for name, method in METHODS.items()}
-#: SciPy's own name, as in ``method=LSODA``.
-_CLASSES["LSODA"] = _CLASSES["AUTO"]
+def _classes() -> dict[str, type[Stepper]]:
+    """By our names, then by SciPy's, as in ``method=LSODA``: the same classes, but for BDF, which implies an option."""
+    ours = {name.upper(): _class_of(method, name.upper(), name) for name, method in METHODS.items()}
+    theirs = {
+        name: _class_of(method, name, name) if method.scipy_options else ours[method.name.upper()]
+        for method in METHODS.values()
+        if (name := method.scipy_name)
+    }
+    return ours | theirs
+
+
+_CLASSES = _classes()
 __all__ = [*_CLASSES]
 globals().update(_CLASSES)

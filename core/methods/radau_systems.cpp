@@ -1,0 +1,154 @@
+#include "methods/radau_systems.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace invariode {
+namespace {
+
+/// By how much T magnifies errors.
+double magnification(const RadauFormula& formula) {
+  double largest = 0;
+  for (std::size_t i = 0; i < formula.stages; ++i) {
+    double sum = 0;
+    for (std::size_t k = 0; k < formula.stages; ++k) sum += std::abs(formula.T[i * formula.stages + k]);
+    largest = std::max(largest, sum);
+  }
+  return largest;
+}
+
+/// v = [real parts | imaginary parts], 2 n numbers, becomes the complex numbers (real − i imaginary) / μ, and they
+/// become [real parts | −imaginary parts]. An array of complex numbers is one of twice as many reals.
+Complex* to_complex(double* v, std::size_t n, Complex mu, double* scratch) {
+  auto* z = reinterpret_cast<Complex*>(v);
+  std::copy(v, v + n, scratch);
+  for (std::size_t i = 0; i < n; ++i) z[i] = Complex(scratch[i], -v[n + i]) / mu;  // i < n: v[n + i] is still there
+  return z;
+}
+void from_complex(double* v, std::size_t n, double* scratch) {
+  for (std::size_t i = 0; i < n; ++i) {
+    const double real = v[2 * i], imaginary = v[2 * i + 1];
+    v[i] = real;
+    scratch[i] = -imaginary;
+  }
+  std::copy(scratch, scratch + n, v + n);
+}
+
+}  // namespace
+
+RadauSystems::RadauSystems(Callback& f, const Weights& weights, const LinearAlgebra& linear)
+    : AgingJacobian(f, weights, linear, true),
+      n_(weights.size()),
+      lapack_(linear.lapack),
+      real_lu_(linear.krylov ? nullptr : make_factors<double>(jacobian().structure, linear.lapack)) {}
+
+void RadauSystems::take_scratch(double* first, double* second) {
+  if (!has_matrices()) matrix_free()->take_scratch(first, second);
+}
+
+void RadauSystems::use(const RadauFormula& formula) {
+  formula_ = &formula;
+  forget_factors();
+  while (has_matrices() && complex_lu_.size() < formula.pairs.size())
+    complex_lu_.push_back(make_factors<Complex>(jacobian().structure, lapack_));
+}
+
+Status RadauSystems::begin(double h, double t, const double* y, const double* f) {
+  h_ = h;
+  renew_if_noise(h / formula_->mu);
+  if (repair(t, y, f) == Status::stop) return Status::stop;
+  if (!has_matrices()) matrix_free()->product().at(t, y, f);
+  return Status::ok;
+}
+
+Outcome RadauSystems::prepare(double t1, Convergence& convergence) {
+  const double c = h_ / formula_->mu;
+  if (!has_matrices()) {
+    if (c != last_c_) convergence.forget();
+    last_c_ = c;
+    return prepare_preconditioner(c, t1);
+  }
+  return AgingJacobian::prepare(c, t1, [&] {
+    convergence.forget();
+    for (std::size_t k = 0; k <= formula_->pairs.size(); ++k) count_factorization();
+    return factorize();
+  });
+}
+
+bool RadauSystems::factorize() {
+  if (!real_lu_->factor(mass_matrix(), h_ / formula_->mu, jacobian())) return false;
+  for (std::size_t k = 0; k < formula_->pairs.size(); ++k)
+    if (!complex_lu_[k]->factor(mass_matrix(), h_ / formula_->pairs[k], jacobian())) return false;
+  return true;
+}
+
+/// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
+Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, double* residuals,
+                                   double* scratch, bool& negligible) {
+  tolerance /= magnification(*formula_);
+  const bool may_skip = negligible;
+  const auto one = [&](auto mu, auto* b, auto* lu) {
+    count_solve();
+    if (lu == nullptr) return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
+    lu->solve(b);
+    negligible = false;
+    return Newton::Result::converged;
+  };
+  formula_->transform(formula_->T_inverse, n_, residuals, residuals);
+  for (std::size_t i = 0; i < n_; ++i) residuals[i] /= formula_->mu;
+  Newton::Result result = one(formula_->mu, residuals, real_lu_.get());
+  for (std::size_t k = 0; k < formula_->pairs.size() && result == Newton::Result::converged; ++k) {
+    double* pair = residuals + (2 * k + 1) * n_;
+    Complex* b = to_complex(pair, n_, formula_->pairs[k], scratch);
+    result = one(formula_->pairs[k], b, has_matrices() ? complex_lu_[k].get() : nullptr);
+    from_complex(pair, n_, scratch);
+  }
+  formula_->transform(formula_->T, n_, residuals, residuals);
+  return result;
+}
+
+Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
+  count_solve();
+  if (has_matrices()) {
+    real_lu_->solve(b);
+    return Newton::Result::converged;
+  }
+  bool negligible = false;
+  return solve_by_gmres(h_ / formula_->mu, M, w, tolerance, b, false, negligible);
+}
+
+/// b becomes the solution of (M − c J) x = b, or 0 where it may be skipped and is negligible.
+template <class Scalar>
+Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b,
+                                            bool may_skip, bool& negligible) {
+  MatrixFree& free = *matrix_free();
+  switch (free.precondition(b)) {
+    case Outcome::stop: return Newton::Result::stop;
+    case Outcome::not_finite: return Newton::Result::failed;
+    case Outcome::ok: break;
+  }
+  if (may_skip && free.negligible(w, tolerance, b)) {
+    std::fill_n(b, n_, 0);
+    return Newton::Result::converged;
+  }
+  negligible = false;
+  switch (free.solve(c, M, w, tolerance, b)) {
+    case GmresResult::stop: return Newton::Result::stop;
+    case GmresResult::failed:
+    case GmresResult::undefined: return Newton::Result::failed;
+    case GmresResult::converged: break;
+  }
+  return Newton::Result::converged;
+}
+
+void RadauSystems::end_attempts() {
+  if (!has_matrices()) matrix_free()->end_attempts();
+}
+
+void RadauSystems::state(Archive& archive) {
+  archive(h_);
+  if (!has_matrices()) archive(last_c_);
+  AgingJacobian::state(archive, [&](double c) { return has_matrices() ? factorize() : set_up_again(c, archive); });
+}
+
+}  // namespace invariode

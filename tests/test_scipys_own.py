@@ -1,0 +1,61 @@
+"""SciPy's own tests of `solve_ivp` and its classes, with ours in their place."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import invariode as iv
+import invariode.scipy as plugin
+
+theirs = pytest.importorskip("scipy.integrate._ivp.tests.test_ivp", reason="SciPy was installed without its tests")
+
+#: What does not hold here. docs/scipy.md has the differences, here in their order.
+DIFFER = {
+    "test_integration": "max_step is a tenth of the interval: more f than SciPy allows; without, radau takes 41 of 39",
+    "test_integration_complex": "the same: 34 f where SciPy allows 24",
+    "test_integration_const_jac": "the same; without, radau needs 21 factorisations where SciPy allows 14",
+    "test_events": "y_events of an event that did not occur has the shape (0, n)",
+    "test_t_eval_early_event": "the same of y",
+    "test_event_terminal_iv": "another message",
+    "test_array_rtol": "another message",
+    "test_args_single_value": "another message",
+    "test_initial_state_finiteness": "another message",
+    "test_max_step": "no step is below 16 units of roundoff of t: max_step = 1e-20 is not an error",
+    "test_first_step": "BDF is ode15s, whose steps are longer: an error of 5.3 in units of the tolerances, not below 5",
+    "test_classes": "the class LSODA evaluates f when it is made",
+    "test_inital_maxstep": "the parts of SciPy's classes",
+}
+#: Of its own parts, which are not ours.
+OTHERS = ("test_OdeSolution", "test_ConstantDenseOutput", "test_num_jac", "test_num_jac_sparse")
+CLASSES = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
+
+
+def cases() -> Iterator[Any]:
+    """Each test with each of its parameters."""
+    for name, test in vars(theirs).items():
+        if not (name.startswith("test_") and inspect.isfunction(test)) or name in DIFFER or name in OTHERS:
+            continue
+        marks = [mark.args for mark in getattr(test, "pytestmark", []) if mark.name == "parametrize"]
+        for values in itertools.product(*(values for _, values in marks)):
+            arguments = dict(zip((argument for argument, _ in marks), values, strict=True))
+            yield pytest.param(test, arguments, id="-".join([name, *map(str, values)]))
+
+
+@pytest.mark.parametrize(("test", "arguments"), [*cases()])
+@pytest.mark.filterwarnings("ignore:option 'jac' has no effect", "ignore::invariode.DiscontinuityWarning")
+def test_that_hold(test, arguments, monkeypatch):
+    monkeypatch.setattr(theirs, "solve_ivp", iv.solve_ivp)
+    for name in CLASSES:
+        monkeypatch.setattr(theirs, name, getattr(plugin, name))
+    if "num_parallel_threads" in inspect.signature(test).parameters:
+        arguments = {**arguments, "num_parallel_threads": 1}
+    test(**arguments)
+
+
+def test_that_do_not_hold_are_there():
+    assert [name for name in (*DIFFER, *OTHERS) if not hasattr(theirs, name)] == []
