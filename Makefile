@@ -67,14 +67,14 @@ native-aarch64: $(VENV)/.installed-test  ## the core's tests, cross-compiled for
 	  -DCMAKE_CXX_COMPILER=$(AARCH64)-g++ "-DCMAKE_CROSSCOMPILING_EMULATOR=qemu-aarch64;-L;/usr/$(AARCH64)")
 endif
 
-# Line tables are what the reports need of -g.
-LINES := -DCMAKE_CXX_FLAGS_DEBUG=-g1
+# Line tables are what the reports need of -g; -O1 keeps them, and runs the tests several times as fast.
+SANITIZED_FLAGS := -DCMAKE_BUILD_TYPE=Debug "-DCMAKE_CXX_FLAGS_DEBUG=-g1 -O1" $(PRECOMPILE)
 
 sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
-	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug $(LINES) -DINVARIODE_SANITIZE=address,undefined
+	$(CMAKE) -S . -B $(NATIVE)-sanitize $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(CTEST) --test-dir $(NATIVE)-sanitize
-	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug $(LINES) -DINVARIODE_SANITIZE=thread
+	$(CMAKE) -S . -B $(NATIVE)-threads $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=thread
 	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble native_lanes
 	$(CTEST) --test-dir $(NATIVE)-threads -R '^native_(threads|run|ensemble|lanes)$$'
 
