@@ -12,6 +12,8 @@ STUBS := _core.pyi ode_functions.pyi scipy.pyi
 PIP := $(BIN)/python -m pip -q --disable-pip-version-check
 CTEST := $(BIN)/ctest --output-on-failure -j 2
 WHEEL := build/wheel
+# Lint and the other compilers do without, so that each file still has to include what it uses.
+PRECOMPILE := -DINVARIODE_PRECOMPILE=ON
 CMAKE := $(BIN)/cmake -G Ninja -DINVARIODE_PYTHON=OFF -DINVARIODE_NATIVE_TESTS=ON -DINVARIODE_WERROR=ON \
   -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja)
 
@@ -25,15 +27,19 @@ LOWEST := .venv-lowest
 paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/invariode paper --output paper-report.html
 
+# Each worker starts with half of the files, and takes over from the other at the end: what tests of one file share,
+# such as compiled functions, is made once.
+PYTEST := -m pytest -q -n 2 --dist worksteal
+
 test: $(VENV)/.installed-test native  ## every test: the core's own, then Python's
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python $(PYTEST)
 
 test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
-	$(LOWEST)/bin/python -m pytest -q -n 2 -W ignore::DeprecationWarning
+	$(LOWEST)/bin/python $(PYTEST) -W ignore::DeprecationWarning
 
 # With the core of the wheel, which pip has just built.
 native: $(VENV)/.installed-test
-	$(CMAKE) -S . -B $(NATIVE) -DINVARIODE_CORE_LIBRARY=$$(ls -t $(CURDIR)/build/cp*/libinvariode_core.a | head -n 1)
+	$(CMAKE) -S . -B $(NATIVE) $(PRECOMPILE) -DINVARIODE_CORE_LIBRARY=$$(ls -t $(CURDIR)/build/cp*/libinvariode_core.a | head -n 1)
 	$(BIN)/cmake --build $(NATIVE)
 	$(CTEST) --test-dir $(NATIVE)
 
@@ -61,14 +67,14 @@ native-aarch64: $(VENV)/.installed-test  ## the core's tests, cross-compiled for
 	  -DCMAKE_CXX_COMPILER=$(AARCH64)-g++ "-DCMAKE_CROSSCOMPILING_EMULATOR=qemu-aarch64;-L;/usr/$(AARCH64)")
 endif
 
-# Line tables are what the reports need of -g.
-LINES := -DCMAKE_CXX_FLAGS_DEBUG=-g1
+# Line tables are what the reports need of -g; -O1 keeps them, and runs the tests several times as fast.
+SANITIZED_FLAGS := -DCMAKE_BUILD_TYPE=Debug "-DCMAKE_CXX_FLAGS_DEBUG=-g1 -O1" $(PRECOMPILE)
 
 sanitize: $(VENV)/.installed-test  ## the core's tests under ASan and UBSan; what runs on threads under TSan too
-	$(CMAKE) -S . -B $(NATIVE)-sanitize -DCMAKE_BUILD_TYPE=Debug $(LINES) -DINVARIODE_SANITIZE=address,undefined
+	$(CMAKE) -S . -B $(NATIVE)-sanitize $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=address,undefined
 	$(BIN)/cmake --build $(NATIVE)-sanitize
 	$(CTEST) --test-dir $(NATIVE)-sanitize
-	$(CMAKE) -S . -B $(NATIVE)-threads -DCMAKE_BUILD_TYPE=Debug $(LINES) -DINVARIODE_SANITIZE=thread
+	$(CMAKE) -S . -B $(NATIVE)-threads $(SANITIZED_FLAGS) -DINVARIODE_SANITIZE=thread
 	$(BIN)/cmake --build $(NATIVE)-threads --target native_threads native_run native_ensemble native_lanes
 	$(CTEST) --test-dir $(NATIVE)-threads -R '^native_(threads|run|ensemble|lanes)$$'
 
@@ -149,7 +155,8 @@ $(VENV)/bin/python:
 # The package as it is now, built once. Warnings are errors where nobody but us is bothered by them.
 $(WHEEL)/.built: $(VENV)/bin/python $(SOURCES)
 	rm -rf $(WHEEL)
-	$(PIP) wheel --no-deps -w $(WHEEL) $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
+	$(PIP) wheel --no-deps -w $(WHEEL) --config-settings=cmake.define.INVARIODE_PRECOMPILE=ON \
+	  $(if $(CI),--config-settings=cmake.define.INVARIODE_WERROR=ON) .
 	$(PIP) install --force-reinstall --no-deps $(WHEEL)/invariode-*.whl
 	@touch $@
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -17,6 +18,14 @@ import invariode as iv
 from problems import PROBLEMS, TestProblem, implicit, switching
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, so would the tests
+
+
+def pytest_collection_finish() -> None:
+    """The items, the modules and what they hold stay to the end, so garbage collection need not search them each time;
+    numba and SymPy allocate so much that it also took place too often."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000)
 
 
 @pytest.fixture(params=list(iv.METHODS))

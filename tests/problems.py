@@ -95,9 +95,10 @@ henon_heiles, henon_heiles_energy, henon_heiles_jacobian = parts(problems.henon_
 
 
 def kepler_solution(t, e=0.6):
+    """At a time or at many; states are columns."""
     anomaly = t
     for _ in range(60):
-        anomaly -= (anomaly - e * np.sin(anomaly) - t) / (1 - e * np.cos(anomaly))
+        anomaly = anomaly - (anomaly - e * np.sin(anomaly) - t) / (1 - e * np.cos(anomaly))
     b, r = np.sqrt(1 - e * e), 1 - e * np.cos(anomaly)
     s, c = np.sin(anomaly), np.cos(anomaly)
     return np.array([c - e, b * s, -s / r, b * c / r])

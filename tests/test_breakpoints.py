@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import pickle
 
 import numpy as np
@@ -20,6 +21,10 @@ PULSES = 20
 EDGES = np.sort(np.random.default_rng(18039).uniform(0, 100 - 1e-3, PULSES)[:, None] + [0, 1e-3], axis=0).ravel()
 EDGES.sort()
 AREA = 1e-3 * PULSES
+
+
+#: Compiled once for all methods.
+compiled = functools.cache(iv.compile)
 
 
 def pulses(t, y):
@@ -74,10 +79,18 @@ def test_native_functions_have_inputs_first_in_their_parameters(method, jac):
     about = {"inputs": [wind, level], "args": (3.0,), "jac": slope if jac else differences}
     python = iv.Problem(f, (0, 10), [1.0, 0.0], **about)
     native = python.replace(
-        fun=iv.compile(lambda t, y, p: (y[1] + p[0], -p[3] * p[2] * y[0] + p[1])),
-        jac=iv.compile(lambda t, y, p: (0.0, 1.0, -p[3] * p[2], 0.0)) if jac else differences,
+        fun=compiled(blown),
+        jac=compiled(slope_of_blown) if jac else differences,
     )
     np.testing.assert_array_equal(python.solve(method).y, native.solve(method).y)
+
+
+def blown(t, y, p):
+    return (y[1] + p[0], -p[3] * p[2] * y[0] + p[1])
+
+
+def slope_of_blown(t, y, p):
+    return (0.0, 1.0, -p[3] * p[2], 0.0)
 
 
 @pytest.mark.parametrize("backwards", [False, True])
@@ -256,8 +269,8 @@ def test_algebraic_variables_jump_with_their_equations(with_action):
 @pytest.mark.parametrize("native", [False, True])
 def test_trajectories_of_an_ensemble(method, native, workers):
     pytest.importorskip("numba")
-    f = iv.compile(switched) if native else switched
-    act = iv.compile(add_one) if native else add_one
+    f = compiled(switched) if native else switched
+    act = compiled(add_one) if native else add_one
     about = {"breakpoints": [1.0, (2.0, act)], "t_eval": [0.5, 2.0, 3.0], **TIGHT}
     many = iv.solve_ensemble(f, (0, 3), [[1.0], [2.0], [3.0]], method, workers=workers, **about)
     for i, y0 in enumerate([1.0, 2.0, 3.0]):

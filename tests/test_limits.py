@@ -122,6 +122,12 @@ def native_circle():
     return iv.compile(circle)
 
 
+@pytest.fixture(scope="module")
+def native_oscillator():
+    pytest.importorskip("numba")
+    return iv.compile(lambda t, y, p: [y[1], -p[0] * y[0]])
+
+
 def test_native_runs_end_at_their_limits(method, native_circle):
     sol = iv.solve_ivp(native_circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, time_limit=0.05, keep="end")
     assert sol.status == -3
@@ -131,13 +137,13 @@ def test_native_runs_end_at_their_limits(method, native_circle):
 
 
 @pytest.mark.parametrize("native", [False, True])
-def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, native_circle):
+def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, native_oscillator):
     """The fast oscillations need more steps than the slow ones."""
 
     def oscillator(t, y, k):
         return [y[1], -k * y[0]]
 
-    fun = iv.compile(lambda t, y, p: [y[1], -p[0] * y[0]]) if native else oscillator
+    fun = native_oscillator if native else oscillator
     about = {"rtol": 1e-6, "atol": 1e-8, "max_steps": 60, "max_step": np.inf}
     sol = iv.solve_ensemble(fun, (0, 4), [1.0, 0.0], method, args=[[1e-2], [1e6]], workers=1, **about)
     assert sol.status.tolist() == [0, -3]

@@ -115,8 +115,10 @@ def test_jacobians_are_those_of_the_functions(name):
         np.testing.assert_allclose(one.jac(0.3, y, *args), quotient, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "rod"])
 def test_compiled_and_not_are_the_same_problem(name):
-    """The code is the same text; libraries of functions may differ in the last place."""
+    """The code is the same text; libraries of functions may differ in the last place. The rod has its published counts
+    below, compiled and not."""
     pair = [made(name, compiled) for compiled in (True, False)]
     for method in ("ode45", "ode15s"):
         runs = [problem.solve(method, rtol=1e-6) for problem in pair]

@@ -2,7 +2,7 @@
 
 #include "manifold/bounds.hpp"
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <algorithm>
 #include <limits>
 #include <numeric>
@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "decompositions.hpp"
 #include "manifold/active_set.hpp"
 #include "problems.hpp"
 
@@ -51,7 +52,7 @@ Vector nearest_with_fixed(const Sample& s, const Vector& value, const Vector& w,
     scaled.col(j).setZero();
   }
   const Vector residual = value - s.J * point;
-  point += w.cwiseProduct(scaled.completeOrthogonalDecomposition().solve(residual));
+  point += w.cwiseProduct(smallest_solution(scaled, residual));
   return (s.J * point - value).norm() < 1e-10 && (point.array() >= -1e-12).all() ? point : Vector();
 }
 

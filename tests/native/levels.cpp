@@ -2,11 +2,12 @@
 
 #include "manifold/levels.hpp"
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <random>
 #include <vector>
 
 #include "check.hpp"
+#include "decompositions.hpp"
 #include "manifold/projection.hpp"
 #include "problems.hpp"
 
@@ -85,10 +86,10 @@ struct Linear {
         Z(j, j) = one.moves.empty() || std::count(one.moves.begin(), one.moves.end(), static_cast<std::size_t>(j)) > 0;
       if (before.rows() > 0) {
         const RowMajor cut = before * w.asDiagonal() * Z;
-        Z -= cut.completeOrthogonalDecomposition().pseudoInverse() * cut;
+        Z -= pseudoinverse(cut) * cut;
       }
       const RowMajor free = one.J * w.asDiagonal() * Z;
-      result -= w.asDiagonal() * Z * free.completeOrthogonalDecomposition().solve(one.J * result);
+      result -= w.asDiagonal() * Z * smallest_solution(free, one.J * result);
       RowMajor both(before.rows() + one.J.rows(), y.size());
       both << before, one.J;
       before = both;
@@ -161,9 +162,9 @@ TEST(a_metric_gives_the_correction_that_is_least_in_it) {
     const RowMajor J = draw(2, 8), root = draw(4, 4);
     const RowMajor G = root * root.transpose() + 0.1 * RowMajor::Identity(4, 4);
     Linear held({{J, 1, second_half, {G.data(), G.data() + G.size()}}}, seed);
-    const RowMajor A = J.rightCols(4), weighted = G.llt().solve(A.transpose());
+    const RowMajor A = J.rightCols(4), weighted = pseudoinverse(G) * A.transpose();
     Vector nearest = held.y;
-    nearest.tail(4) -= weighted * (A * weighted).llt().solve(J * held.y);
+    nearest.tail(4) -= weighted * smallest_solution(A * weighted, J * held.y);
     CHECK_CLOSE(held.difference(held.project(), nearest), 0, conditioned);
   });
 }

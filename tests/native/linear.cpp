@@ -1,6 +1,6 @@
 // LU factors in each structure, difference Jacobians, mass matrices and algebraic equations.
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <random>
 
 #include "check.hpp"

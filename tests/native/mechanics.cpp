@@ -1,7 +1,7 @@
 // The equations of motion: derivatives by complex steps and differences, accelerations of known motions, sparse factors
 // against dense ones.
 
-#include <Eigen/Dense>
+#include <Eigen/SparseCore>
 #include <cmath>
 #include <complex>
 #include <random>

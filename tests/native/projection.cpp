@@ -1,12 +1,13 @@
 // The projection is the minimum-norm Newton correction in the norm of the weights, whatever the units and rank of g.
 
-#include <Eigen/Dense>
+#include <Eigen/QR>
 #include <algorithm>
 #include <complex>
 #include <random>
 #include <vector>
 
 #include "check.hpp"
+#include "decompositions.hpp"
 #include "problems.hpp"
 
 using namespace invariode;
@@ -68,7 +69,7 @@ struct Sample {
     Vector w(y.size());
     weights.fill(from.data(), y.data(), w.data());
     const RowMajor W2Jt = w.cwiseAbs2().asDiagonal() * J.transpose();
-    return y - W2Jt * (J * W2Jt).fullPivLu().solve(J * y - value);
+    return y - W2Jt * smallest_solution(J * W2Jt, J * y - value);
   }
   /// max_i |a_i − b_i| / w_i.
   [[nodiscard]] double difference(const Vector& a, const Vector& b) const {
@@ -82,7 +83,7 @@ struct Sample {
     Vector w(y.size());
     weights.fill(from.data(), y.data(), w.data());
     const RowMajor rows = (J * w.asDiagonal()).rowwise().normalized();
-    const Vector singular = rows.jacobiSvd().singularValues();
+    const Vector singular = singular_values(rows);
     const double size = 1 + y.cwiseQuotient(w).cwiseAbs().maxCoeff() + difference(y, project());
     return 20 * eps * std::pow(singular[0] / singular[singular.size() - 1], power) * size;
   }

@@ -2,10 +2,11 @@
 
 #include "linear/saddle.hpp"
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <random>
 
 #include "check.hpp"
+#include "decompositions.hpp"
 
 using namespace invariode;
 
@@ -87,7 +88,7 @@ TEST(a_mass_need_be_definite_only_where_the_constraints_allow_motion) {
   for_samples([](const Sample& s) {
     Sample massless = s;  // no mass in the directions of the first two rows
     const Matrix rows = s.A.topRows(2);
-    const Matrix P = Matrix::Identity(6, 6) - rows.completeOrthogonalDecomposition().pseudoInverse() * rows;
+    const Matrix P = Matrix::Identity(6, 6) - test::pseudoinverse(rows) * rows;
     massless.M = P * s.M * P;
     massless.check(massless.solve());
   });
@@ -96,7 +97,7 @@ TEST(a_mass_need_be_definite_only_where_the_constraints_allow_motion) {
 TEST(a_motion_without_mass_is_not_determined) {
   for_samples([](const Sample& s) {
     Sample massless = s;
-    const Matrix free = Matrix(s.A.fullPivLu().kernel()).col(0).normalized();
+    const Matrix free = test::null_space(s.A).col(0).normalized();
     const Matrix P = Matrix::Identity(6, 6) - free * free.transpose();
     massless.M = P * s.M * P;
     const ConstrainedSolution found = massless.solve();
