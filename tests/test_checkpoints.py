@@ -177,6 +177,15 @@ def test_other_options_are_refused(tmp_path):
     assert iv.load(tmp_path / "b", problem(), callback=lambda t, y: False, breakpoints=[(1, jump)]).extend(4).success
 
 
+def test_the_members_of_auto_are_in_the_file(tmp_path):
+    pair = {"prefer": ("ode45", "radau")}
+    whole, part = problem().solve("auto", **pair), problem().solve("auto", max_steps=5, **pair)
+    part.save(tmp_path / "run")
+    assert not differences(whole, iv.load(tmp_path / "run", problem(), **pair).extend(3, max_steps=None))
+    with pytest.raises(ValueError, match=r"prefer is \('ode78', 'radau'\) here, and \['ode45', 'radau'\] in the file"):
+        iv.load(tmp_path / "run", problem(), prefer=("ode78", "radau"))
+
+
 def changed(path, **about):
     with np.load(path) as archive:
         arrays = dict(archive)

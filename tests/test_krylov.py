@@ -477,5 +477,7 @@ def test_what_has_no_effect_draws_a_warning():
         solve(jac_sparsity=DIFFUSION)
     with pytest.warns(UserWarning, match="preconditioner has no effect without linear_solver='gmres'"):
         iv.ode15s(reacting, (0, 0.01), Y0, preconditioner=diffusive)
+    with pytest.warns(UserWarning, match="krylov_dimension has no effect without linear_solver='gmres'"):
+        iv.ode15s(reacting, (0, 0.01), Y0, krylov_dimension=3)
     with pytest.raises(TypeError, match="LinearOperator, whose entries are not known: give linear_solver='gmres'"):
         iv.ode15s(reacting, (0, 0.01), Y0, jac=aslinearoperator(DIFFUSION))

@@ -143,6 +143,43 @@ def test_a_point_off_the_algebraic_equations_is_put_back(jac, bdf):
         assert problem.error(sol.y) <= 2 * rtol
 
 
+@pytest.mark.parametrize(("rtol", "atol"), [(1e-9, 1e-9), (1e-9, 1e-11), (1e-10, 1e-10)])
+def test_a_step_that_grows_too_fast_does_not_lower_the_order_of_radau(rtol, atol):
+    """After a rise of the order h may grow so much that Newton's iteration fails: if the order fell then, it would stay
+    low for ten steps, rise again, and fall again (most steps had order 5, and took three times as many f)."""
+    problem = PROBLEMS["Robertson"]
+    about = {"rtol": rtol, "atol": atol, "jac": problem.jac}
+    chosen, fixed = (iv.radau(problem.fun, (0, 1e4), problem.y0, max_order=order, **about) for order in (13, 9))
+    assert chosen.success
+    assert chosen.nfev <= 1.3 * fixed.nfev
+
+
+@pytest.mark.parametrize("order", [5, 13])
+def test_radau_sees_how_fast_a_mass_matrix_changes(order):
+    """The rate of Newton's iteration grows with the age of the M(t) in the factors: a rate that was measured long ago
+    accepts what is wrong by as much as M has changed (74 tolerances, with order 5 at 1e-11)."""
+
+    def mass(t):
+        return np.array([[2 + np.sin(t), 0.3], [0.1 * t, 1.5]])
+
+    def fun(t, y):
+        return mass(t) @ [np.cos(t) - 1e3 * (y[0] - np.sin(t)), -np.sin(t) - 10 * (y[1] - np.cos(t))]
+
+    for rtol in (1e-9, 1e-11):
+        sol = iv.radau(
+            fun,
+            (0, 5),
+            [0, 1],
+            rtol=rtol,
+            atol=rtol,
+            max_order=order,
+            mass=mass,
+            jac=lambda t, y: mass(t) * [-1e3, -10],
+        )
+        assert sol.success
+        np.testing.assert_allclose(sol.y, [np.sin(sol.t), np.cos(sol.t)], rtol=0, atol=rtol)
+
+
 @pytest.mark.parametrize("name", SMALL)
 def test_radau_is_as_good_with_differences(name):
     sol = solve(name, 1e-5, "radau", t_eval=PROBLEMS[name].times, jac=None)

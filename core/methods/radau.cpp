@@ -122,6 +122,7 @@ Step::Attempt Radau::attempt(double h, double t1) {
     case Outcome::ok: break;
   }
   if (take_masses() == Status::stop) return stopped;
+  if (!stage_masses_.empty()) convergence_.forget();  // the matrices hold an older M(t) at every step
   predict();
   switch (solve_stages()) {
     case Newton::Result::stop: return stopped;
@@ -291,7 +292,8 @@ bool Radau::reject(Cause cause, double hmin) {
   if (h_ <= hmin) return false;
   if (cause == Cause::newton) systems_.renew_if_undefined();
   h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : newton_cut));
-  if (cause == Cause::newton && formula_ != lowest_) lower_order();
+  const bool grown = h_ > std::abs(memory_h_);  // even so: it was the longer step, not the order
+  if (cause == Cause::newton && formula_ != lowest_ && !grown) lower_order();
   return true;
 }
 

@@ -152,6 +152,8 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
             about["functions"].append(name)
         elif isinstance(value, (bool, int, float, str)):
             about["options"][name] = value
+        elif name == "prefer":
+            about["options"][name] = list(value)
         else:
             about["arrays"].append(name)
             arrays[name] = np.asarray(value)

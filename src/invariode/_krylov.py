@@ -49,10 +49,15 @@ def krylov(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array, dimensio
     )
 
 
-def unused_without_krylov(given: Matrices) -> None:
+def unused_without_krylov(given: Matrices, dimension: int | None) -> None:
     """A warning for what only GMRES uses."""
-    for name in ("jac_product", "preconditioner"):
-        if getattr(given, name) is not None:
+    of_gmres = {
+        "jac_product": given.jac_product,
+        "preconditioner": given.preconditioner,
+        "krylov_dimension": dimension,
+    }
+    for name, value in of_gmres.items():
+        if value is not None:
             warn(f"{name} has no effect without linear_solver='gmres'")
 
 

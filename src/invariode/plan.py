@@ -435,7 +435,7 @@ def _matrix_free(problem: Description, matrices: Matrices, options: Options, par
     from ._krylov import krylov, unused_without_krylov
 
     if options["linear_solver"] == "direct":
-        unused_without_krylov(matrices)
+        unused_without_krylov(matrices, options["krylov_dimension"])
         return None
     if problem.inputs and (matrices.jac_product is not None or matrices.preconditioner is not None):
         raise ValueError(
