@@ -134,7 +134,7 @@ def test_jacobians_are_the_derivatives(name):
 @pytest.mark.parametrize("jac", ["given", None])
 def test_a_point_off_the_algebraic_equations_is_put_back(jac, bdf):
     """Newton's iteration takes the exponentials of the transistors for linear, and its steps for solutions: in about a
-    quarter of these runs no step from such a point had a small error, however short it was."""
+    quarter of these runs no step from such a point had a small error, however short."""
     problem = ENDS["transistor amplifier"]
     for rtol in 10.0 ** -np.arange(2, 7, 0.5):
         options = {"bdf": bdf} if jac else {"bdf": bdf, "jac": None}
