@@ -107,7 +107,7 @@ def cvode(p: StiffProblem, rtol: float) -> Outcome:
 
 
 def ida(p: StiffProblem, rtol: float) -> Outcome:
-    """IDA solves F(t, y, y') = 0; it asks for y' at the start, and for the Jacobian by y and y' in one."""
+    """IDA solves F(t, y, y') = 0; it asks for y' at the start, and for one Jacobian by y and y' together."""
 
     def residual(t: float, y: Any, slope: Any, F: Any) -> None:
         F[:] = p.mass @ slope - p.fun(t, y)

@@ -465,7 +465,7 @@ def test_misuse_is_an_error(options, error, match):
 
 @pytest.mark.parametrize("method", WITH_MATRIX)
 def test_methods_that_need_exact_solutions_say_so(method):
-    match = f"{method} solves linear systems in place of an iteration, .* use one of ode15s, "
+    match = f"{method} has no iteration that would correct what GMRES leaves, .* use one of ode15s, "
     with pytest.raises(ValueError, match=match):
         solve(method)
     with pytest.raises(ValueError, match=match):

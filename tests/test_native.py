@@ -287,9 +287,9 @@ class TestCompile:
     def test_rows_of_another_shape_are_refused(self, rows, message):
         with pytest.raises(TypeError, match=message):
             iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=iv.compile(rows))
-        short = iv.compile(lambda t, y: [[0.0, 1.0], [y[0]]])
-        sol = iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=short)
-        assert "The Jacobian of fun is NaN or infinite" in sol.message
+        for uneven in (lambda t, y: [[0.0, 1.0], [y[0]]], lambda t, y: [[0.0, 1.0, y[0]], [0.0]]):
+            sol = iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=iv.compile(uneven))
+            assert "The Jacobian of fun is NaN or infinite" in sol.message
 
     @pytest.mark.parametrize(
         "fun",

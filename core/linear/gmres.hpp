@@ -39,7 +39,7 @@ class LinearOperator {
 /// twice as many reals.
 class KrylovMemory {
  public:
-  /// Room for so many vectors of n.
+  /// Makes room for that many vectors of n components.
   template <class Scalar>
   void reserve(std::size_t vectors, std::size_t n) {
     const std::size_t size = (parts<Scalar> * vectors * n + 1) / 2;
@@ -67,7 +67,7 @@ enum class [[nodiscard]] GmresResult { converged, failed, undefined, stop };
 template <class Scalar>
 class Gmres {
  public:
-  /// `dimension`: vectors of the space, after which it starts anew. Takes dimension + 2 vectors of the memory, which
+  /// `dimension`: of the space, after which GMRES starts anew. Takes dimension + 2 vectors of the memory, which
   /// outlives this.
   Gmres(std::size_t n, std::size_t dimension, KrylovMemory& memory);
 
@@ -98,7 +98,7 @@ class Gmres {
   KrylovMemory& memory_;
   Scalar* basis_ = nullptr;         // (dimension + 1, n), orthonormal
   Scalar* scratch_ = nullptr;       // a vector in the units of y, or the residual, weighted
-  std::vector<Scalar> hessenberg_;  // column by column; triangular once rotated, with a diagonal that is not negative
+  std::vector<Scalar> hessenberg_;  // column by column; triangular once rotated, with a diagonal ≥ 0
   std::vector<Scalar> cosines_;     // of the unitary rotations (c̄ s; −s c)
   std::vector<double> sines_;
   std::vector<Scalar> rotated_;       // the right-hand side of the least-squares problem

@@ -52,11 +52,11 @@ class JacobianProduct {
 };
 
 /// Solves (M − c J) x = b, also for complex c, x and b with one real preconditioner. It is applied from the left: what
-/// is then small is about the error of x.
+/// is then small is close to the error of x.
 class MatrixFree final : private LinearOperator<double>, private LinearOperator<Complex> {
  public:
-  /// `complex`: complex systems are to be solved too. Each vector of their space is two, so that it has 5 of them
-  /// where nothing is told, else 10.
+  /// `complex`: complex systems are to be solved too. A vector of their space takes the memory of two: by default it
+  /// has 5 of them, otherwise 10.
   MatrixFree(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex = false);
 
   /// Two vectors (n,) of the caller's, which complex systems overwrite.
@@ -70,7 +70,7 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
   Status set_up_again(double c);
 
   [[nodiscard]] JacobianProduct& product() { return product_; }
-  /// b becomes P⁻¹ b, which is about x. `not_finite`: it is not, or 0 of another b; see `unsolved`.
+  /// b becomes P⁻¹ b, which is about x. `not_finite`: it holds NaN or infinity, or is 0 where b is not; see `unsolved`.
   template <class Scalar>
   Outcome precondition(Scalar* b);
   /// Whether P⁻¹ b is about an x within the tolerance: see `solve`, which has solved another such system with this P.
@@ -88,8 +88,7 @@ class MatrixFree final : private LinearOperator<double>, private LinearOperator<
   void begin_attempt();
   /// A step was accepted, or the run starts anew.
   void forget_failures() { unsolved_ = Unsolved::none, undefined_ = 0; }
-  /// What users' functions return has not been finite, or 0, in so many attempts in a row that shorter steps will not
-  /// help.
+  /// Users' functions have returned NaN, infinity or 0 in so many attempts in a row that shorter steps will not help.
   [[nodiscard]] bool hopeless() const;
 
   /// Nothing is solved any more: gives memory back.

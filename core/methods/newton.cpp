@@ -233,7 +233,7 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
   return Outcome::ok;
 }
 
-/// M y'' = f_t + J y'. A product that is not finite is no part of it: whether it matters the attempts will tell.
+/// M y'' = f_t + J y'. A product that is not finite is left out: the attempts will tell whether it matters.
 Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f,
                              double* slope, double* ft, double* second) {
   const std::size_t n = jacobian.jacobian().n();

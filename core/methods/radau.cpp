@@ -292,7 +292,7 @@ bool Radau::reject(Cause cause, double hmin) {
   if (h_ <= hmin) return false;
   if (cause == Cause::newton) systems_.renew_if_undefined();
   h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : newton_cut));
-  const bool grown = h_ > std::abs(memory_h_);  // even so: it was the longer step, not the order
+  const bool grown = h_ > most_growth * std::abs(memory_h_);  // even so: it was the longer step, not the order
   if (cause == Cause::newton && formula_ != lowest_ && !grown) lower_order();
   return true;
 }

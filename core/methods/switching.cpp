@@ -76,7 +76,7 @@ Outcome Switching::start(double t, const double* y, const Span& span) {
   return outcome;
 }
 
-/// Evaluations of f so far, and products with J that are none.
+/// Evaluations of f so far, and products with J that take none.
 std::int64_t Switching::cost() const {
   return f_.calls() + (matrix_free_ && !differences_ ? implicit_->linear_work().products : 0);
 }

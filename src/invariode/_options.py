@@ -446,9 +446,9 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "callable",
             "``preconditioner(t, y, c, *args)`` for ``linear_solver='gmres'``: returns what solves ``(M - c J) x = b`` "
-            "approximately, with J at (t, y) and M the mass matrix or the identity, all of them real (also in radau, "
-            "where it serves the complex systems too, once for each part): an object with ``solve(b)``, such "
-            "as `scipy.sparse.linalg.spilu` returns, a `scipy.sparse.linalg.LinearOperator` that maps b to x, or a "
+            "approximately, with J at (t, y), M the mass matrix or the identity, and a real c (also in radau, "
+            "which applies it to both parts of its complex systems): an object with ``solve(b)``, such as "
+            "`scipy.sparse.linalg.spilu` returns, a `scipy.sparse.linalg.LinearOperator` that maps b to x, or a "
             "function of b. It is called again where c has changed by more than 30 %, after 20 steps, and where "
             "GMRES or Newton's iteration has failed.",
             every_method=False,

@@ -269,7 +269,7 @@ class CompiledFunction:
             return [
                 "k = 0",
                 "for row in r:",
-                "    k += len(row)",
+                f"    k += len(row) if len(row) == len(r[0]) else {size + 1}",
                 f"if k == {size}:",
                 "    k = 0",
                 "    for row in r:",

@@ -426,8 +426,8 @@ def _require_linear_solver(method: Method, chosen: object) -> None:
     if isinstance(chosen, str) and chosen == "gmres" and needs_exact_solutions:
         others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
         raise ValueError(
-            f"linear_solver='gmres': {method.name} solves linear systems in place of an iteration, so that what GMRES "
-            f"leaves would lower its order; use one of {others}, or linear_solver='direct' with jac_sparsity"
+            f"linear_solver='gmres': {method.name} has no iteration that would correct what GMRES leaves, which would "
+            f"lower its order; use one of {others}, or linear_solver='direct' with jac_sparsity"
         )
 
 
