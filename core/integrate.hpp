@@ -230,7 +230,7 @@ class Integration {
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;
-  double break_t_;                 // of the next one; NaN: there is none
+  double break_t_;                 // of the next one; NaN after the last
   double target_ = 0;              // the next breakpoint, or tf
   double piece_start_ = 0;         // of the present piece
   bool piece_from_break_ = false;  // which is a breakpoint

@@ -93,7 +93,7 @@ class Radau final : public Step {
   std::vector<double> f_, slope_;     // f and y' at (t, y), where they are not the same
   std::vector<double> last_y_, candidate_, weight_, error_vector_, gap_, scratch_;
   double signed_h_ = 0, t1_ = 0;
-  double memory_h_ = 0;                 // signed h of the polynomial; 0: there is none
+  double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step
   double error_ = 0;                    // of the last attempt
   double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
   bool failed_ = false;                 // an attempt of this step
