@@ -28,6 +28,21 @@ class Case(NamedTuple):
         return self.system.problem(self.t_span, self.q0, self.v0, correction=correction)
 
 
+# A point on a circle of radius 1, mass and gravity 1.
+
+
+def gravity(t, q, v):
+    return [0.0, -1.0]
+
+
+def circle(t, q):
+    return (q[0] ** 2 + q[1] ** 2 - 1) / 2
+
+
+def swing(constraints=circle, **options):
+    return MechanicalSystem([1, 1], gravity, constraints, **options)
+
+
 # Andrews' squeezing mechanism: seven bodies in the plane, driven by a torque. F. Mazzia, C. Magherini, Test Set for
 # Initial Value Problem Solvers, release 2.4, 2008, chapter II-9; E. Hairer, G. Wanner, Solving Ordinary Differential
 # Equations II, section VII.7. Masses, moments of inertia, fixed points, lengths, in SI units; the reference is PSIDE's.
