@@ -10,7 +10,7 @@ namespace {
 
 constexpr int most_cycles = 6;          // so many times the dimension, iterations at most
 constexpr double least_progress = 0.7;  // of a cycle: what it may leave of the residual, or the solve is given up
-constexpr std::size_t block = 512;      // components at a time: these of all vectors stay in the cache
+constexpr std::size_t block = 512;      // components at a time: those of all vectors stay in the cache
 
 /// Σ a_i b_i, in eight sums, so that none waits for the one before.
 double dot(const double* a, const double* b, std::size_t n) {

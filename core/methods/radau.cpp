@@ -222,7 +222,7 @@ Outcome Radau::stage_residuals() {
   return Outcome::ok;
 }
 
-/// Z becomes Z + residuals, which are updates now. Their size.
+/// Adds the updates, which the residuals have become, to Z. Their size.
 double Radau::update_stages() {
   for (std::size_t i = 0; i < stages() * n(); ++i) increments_[i] += residuals_[i];
   weigh_first_update();
@@ -250,7 +250,7 @@ Newton::Result Radau::estimate() {
   for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + error_vector_[i];
   switch (systems_.evaluate(t_, scratch_.data(), residuals_.data())) {
     case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: systems_.forget_undefined(); return first;  // which has to do
+    case Outcome::not_finite: systems_.forget_undefined(); return first;  // the first look has to do
     case Outcome::ok: break;
   }
   return solve_for_error(residuals_.data());
@@ -292,7 +292,7 @@ bool Radau::reject(Cause cause, double hmin) {
   if (h_ <= hmin) return false;
   if (cause == Cause::newton) systems_.renew_if_undefined();
   h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : newton_cut));
-  const bool grown = h_ > most_growth * std::abs(memory_h_);  // even so: it was the longer step, not the order
+  const bool grown = h_ > most_growth * std::abs(memory_h_);  // even after the cut: the step was too long
   if (cause == Cause::newton && formula_ != lowest_ && !grown) lower_order();
   return true;
 }

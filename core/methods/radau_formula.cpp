@@ -135,7 +135,7 @@ constexpr ComplexRow<s> eigenvector(const Row<s>& c, Complex mu) {
   return v;
 }
 
-/// θ, θ (1 − θ), θ² (1 − θ), …: what the coefficients of a nested polynomial stand before.
+/// θ, θ (1 − θ), θ² (1 − θ), …: what the coefficients of a nested polynomial multiply.
 template <std::size_t s>
 constexpr Row<s> nested_basis(double theta) {
   Row<s> basis{theta};

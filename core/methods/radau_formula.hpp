@@ -29,7 +29,7 @@ struct RadauFormula {
   [[nodiscard]] int order() const { return 2 * static_cast<int>(stages) - 1; }
 };
 
-/// All of them, by rising order. `transform`: out_k = Σ_j matrix_kj in_j, vectors (n,); out may be in.
+/// All of them, by rising order. `transform`: out_k = Σ_j matrix_kj in_j, vectors (n,); `out` may be `in`.
 inline constexpr std::size_t radau_formula_count = 3;
 extern const std::array<RadauFormula, radau_formula_count> radau_formulas;
 

@@ -24,8 +24,8 @@ class RadauSystems : public AgingJacobian {
   /// J for an attempt of signed size h from (t, y), where f is `f`; all of them stay with the caller.
   Status begin(double h, double t, const double* y, const double* f);
   /// M at t₁, and factors for all eigenvalues or the preconditioner of the real one: the others are about as large, and
-  /// with it their systems have eigenvalues on an arc between 1 and μ over the eigenvalue. Forgets the rate of an
-  /// iteration with other ones. `not_finite`: a matrix is singular.
+  /// with it their systems have eigenvalues on the segment between 1 and μ over the eigenvalue. Where they are new, the
+  /// rate of convergence is forgotten. `not_finite`: a matrix is singular.
   Outcome prepare(double t1, Convergence& convergence);
 
   /// Residuals of the stages, s n numbers, become the updates of the increments. By GMRES about the tolerance is left

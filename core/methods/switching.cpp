@@ -252,7 +252,7 @@ Status Switching::find_radius() {
     if (k >= first_power) sum += std::log(radius_);
     if (k + 1 == powers) radius_ = std::exp(sum / (powers - first_power));
   }
-  calls_ = cost();  // this is no part of a step
+  calls_ = cost();  // that was not part of a step
   return Status::ok;
 }
 
