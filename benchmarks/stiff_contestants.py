@@ -20,7 +20,7 @@ from stiff import StiffProblem
 
 try:
     from sksundae.cvode import CVODE  # type: ignore[import-untyped]  # scikit-sundae ships no types
-    from sksundae.ida import IDA  # type: ignore[import-untyped]
+    from sksundae.ida import IDA  # type: ignore[import-untyped]  # scikit-sundae ships no types
 except ImportError:
     CVODE = IDA = None
 

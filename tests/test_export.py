@@ -553,7 +553,7 @@ def test_data_set_has_names_coordinates_and_attributes(method):
     for name in ("message", "status", "success"):
         assert ds.attrs[name] == sol[name]
     for name, value in sol.stats.items():
-        assert ds.attrs.get(name) == (None if value == () else value)  # what there is none of is left out
+        assert ds.attrs.get(name) == (None if value == () else value)  # empty values are left out
     assert ds.attrs["invariode_version"] == iv.__version__
 
 

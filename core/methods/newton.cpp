@@ -330,13 +330,7 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
     return Result::converged;
   }
   matrix_free()->product().at(place_.t, place_.y, f_value_.data());
-  switch (matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b)) {
-    case GmresResult::stop: return Result::stop;
-    case GmresResult::failed:
-    case GmresResult::undefined: return Result::failed;
-    case GmresResult::converged: break;
-  }
-  return Result::converged;
+  return newton_result(matrix_free()->solve(place_.c, mass_matrix(), place_.w, tolerance, b));
 }
 
 void Newton::state(Archive& archive) {

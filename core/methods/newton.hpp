@@ -221,4 +221,10 @@ class Newton : public AgingJacobian {
   std::vector<double> f_value_, residual_, sum_;
 };
 
+/// What a solve by GMRES means to the iteration.
+inline Newton::Result newton_result(GmresResult result) {
+  if (result == GmresResult::converged) return Newton::Result::converged;
+  return result == GmresResult::stop ? Newton::Result::stop : Newton::Result::failed;
+}
+
 }  // namespace invariode

@@ -132,13 +132,7 @@ Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const dou
     return Newton::Result::converged;
   }
   negligible = false;
-  switch (free.solve(c, M, w, tolerance, b)) {
-    case GmresResult::stop: return Newton::Result::stop;
-    case GmresResult::failed:
-    case GmresResult::undefined: return Newton::Result::failed;
-    case GmresResult::converged: break;
-  }
-  return Newton::Result::converged;
+  return newton_result(free.solve(c, M, w, tolerance, b));
 }
 
 void RadauSystems::end_attempts() {

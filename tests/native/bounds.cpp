@@ -42,7 +42,8 @@ struct Sample {
   Vector from, y;
 };
 
-/// The point of J y = value with the components of `fixed` at 0 that is nearest to `candidate`; empty if there is none.
+/// Of the points of J y = value with the components of `fixed` at 0, the one nearest to `candidate`; empty if J y =
+/// value has no such solution.
 Vector nearest_with_fixed(const Sample& s, const Vector& value, const Vector& w, unsigned fixed) {
   Vector point = s.y;
   RowMajor scaled = s.J * w.asDiagonal();

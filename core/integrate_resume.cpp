@@ -1,0 +1,92 @@
+// A run that goes on where it was interrupted: its memory as bytes, and the steps after it.
+
+#include <algorithm>
+#include <chrono>
+
+#include "integrate.hpp"
+
+namespace invariode {
+
+/// Whether the method's memory is that of the point reached, and nothing is to happen there before the next step.
+bool Integration::between_steps() const {
+  const bool ended_there = state_ == State::running || state_ == State::reached_end || state_ == State::limit_reached ||
+                           state_ == State::stopped_by_request ||
+                           (state_ == State::stopped_by_callback && !events_.acts());
+  return ended_there && !left_ && !breaks_here() && reached_.t == step_->t();
+}
+
+void Integration::state(Archive& archive) {
+  std::vector<double> y(n_);
+  double target = target_;
+  if (!archive.reading()) {
+    std::copy(reached_.y, reached_.y + n_, y.begin());
+    anew_ = !between_steps();
+  }
+  archive(reached_.t, y, anew_, target, piece_start_, piece_from_break_, next_break_);
+  archive(counts_.steps, counts_.failed, counts_.projections, counts_.skipped, counts_.clipped);
+  archive(clipped, drift.residual, drift.distance, drift.correction);
+  archive_attempt(archive);
+  if (archive.reading()) {
+    archive.require(next_break_ <= breaks_.points.size());
+    pass_breakpoints(0);
+    interpolant_->start_at(reached_.t, y.data());
+    reached_.y = interpolant_->start_y();
+    enter_piece();
+    in_step_ = in_step_ && target == target_;
+  }
+  step_->state(archive);
+  for (std::optional<Projector>* one : {&projector_, &output_projector_})
+    if (*one) (*one)->state(archive);
+  if (guard_) guard_->state(archive);
+  if (restoration_) restoration_->state(archive);
+  if (harm_) harm_->state(archive);
+  stiffness_.state(archive);
+  discontinuities_.state(archive);
+  events_.state(archive);
+  interpolant_->state(archive);
+  if (!archive.whole()) anew_ = true;
+  if (archive.stopped()) end(State::interrupted);
+}
+
+/// The attempt that comes next, where the run was interrupted between two of a step.
+void Integration::archive_attempt(Archive& archive) {
+  auto& [h, t1, hmin, landing, error, correction, refused, refusals] = attempt_;
+  archive(in_step_, h, t1, hmin, landing, refused[0], refused[1], refusals);
+}
+
+State Integration::resume(bool anew) {
+  started_ = std::chrono::steady_clock::now();
+  if (state_ == State::interrupted) return state_;
+  report_.t = reached_.t;
+  steps_before_ = counts_.steps;
+  if (settings_.max_steps < Settings::unlimited - steps_before_) settings_.max_steps += steps_before_;
+  anew = left_ = anew || anew_;
+  if (anew && !breaks_here()) {
+    bool moved = false;
+    if (!make_consistent(moved)) return state_;
+  }
+  const auto& [t, y] = reached_;
+  if (dense) dense->start(t, y);
+  if (!settings_.save_all) points.add(t, y, n_);
+  if (settings_.save_all && settings_.output_at_times && !emit_times(breaks_here())) return state_;
+  if (n_ == 0)
+    nothing_to_integrate();
+  else if (t == settings_.tf)
+    end(State::reached_end);
+  else if (!anew || start_again())
+    state_ = State::running;
+  return state_;
+}
+
+/// Starts the method at the point reached, where a run ended inside a step, before a breakpoint, or without memory.
+bool Integration::start_again() {
+  in_step_ = false;
+  if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
+  if (breaks_here()) return pass_breakpoint();
+  leave_step(reached_.y);
+  if (!start_memory(reached_.t, reached_.y)) return false;
+  if (settings_.first_step > 0) step_->set_h(settings_.first_step);
+  return true;
+}
+
+}  // namespace invariode
