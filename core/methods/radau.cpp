@@ -40,11 +40,11 @@ double amplification(const RadauFormula& formula) {
   return sum / formula.mu;
 }
 
+int most_iterations(const RadauFormula& formula) { return 7 + 5 * (static_cast<int>(formula.stages) - 3) / 2; }
+
 Convergence::Rules newton_rules(const RadauFormula& formula) {
   const double goal = std::pow(safety / least_growth, estimate_order(formula)) / amplification(formula);
-  return {.most_iterations = 7 + 5 * (static_cast<int>(formula.stages) - 3) / 2,
-          .goal = goal,
-          .first_goal = first_goal * goal};
+  return {.most_iterations = most_iterations(formula), .goal = goal, .first_goal = first_goal * goal};
 }
 
 const RadauFormula* formula_up_to(int order) {
@@ -277,7 +277,7 @@ std::size_t Radau::directions(const double** vectors) const {
 
 /// By which h is to be multiplied; less where Newton's iteration was long.
 double Radau::factor_of_error() const {
-  const double most = 2 * newton_rules(*formula_).most_iterations + 1;
+  const double most = 2 * most_iterations(*formula_) + 1;
   const double slack = safety * most / (most - 1 + convergence_.iterations());
   const double factor = slack * std::pow(weights_.rtol() / error_, 1 / estimate_order(*formula_));
   return std::clamp(factor, smallest_factor, largest_factor);

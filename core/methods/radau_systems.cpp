@@ -48,6 +48,7 @@ void RadauSystems::take_scratch(double* first, double* second) {
 
 void RadauSystems::use(const RadauFormula& formula) {
   formula_ = &formula;
+  magnification_ = magnification(formula);
   forget_factors();
   while (has_matrices() && complex_lu_.size() < formula.pairs.size())
     complex_lu_.push_back(make_factors<Complex>(jacobian().structure, lapack_));
@@ -85,7 +86,7 @@ bool RadauSystems::factorize() {
 /// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
 Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, double* residuals,
                                    double* scratch, bool& negligible) {
-  tolerance /= magnification(*formula_);
+  tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
     count_solve();

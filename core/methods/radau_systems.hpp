@@ -51,6 +51,7 @@ class RadauSystems : public AgingJacobian {
   std::size_t n_;
   const Lapack* lapack_;
   const RadauFormula* formula_ = nullptr;
+  double magnification_ = 1;                                       // of errors, by its T
   std::unique_ptr<Factorization> real_lu_;                         // null: matrix-free
   std::vector<std::unique_ptr<ComplexFactorization>> complex_lu_;  // of the pairs, as many as were needed so far
   double h_ = 0;                                                   // of the attempt
