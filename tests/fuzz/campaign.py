@@ -21,7 +21,10 @@ from random import Random
 from tempfile import TemporaryFile
 
 import calls
+import exceptions
 import files
+import networks
+import patterns
 import runs
 
 with suppress(ModuleNotFoundError):  # on Windows, which has no fork either
@@ -32,6 +35,9 @@ KINDS: dict[str, Callable[[Random], str | None]] = {
     "calls": calls.wrong_call,
     "runs": runs.right_run,
     "files": files.damaged_file,
+    "exceptions": exceptions.raising_run,
+    "networks": networks.held_network,
+    "patterns": patterns.stated_pattern,
 }
 
 #: Seconds after which a case hangs.
