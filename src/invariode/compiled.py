@@ -325,9 +325,7 @@ class CompiledFunction:
         """numba's type of what the function returns."""
         numba = _numba()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
-        vector, values = (
-            numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double)
-        )
+        vector, values = (numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double))
         time = number if shape.complex_time else numba.types.double
         arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
         try:
