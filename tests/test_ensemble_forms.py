@@ -11,6 +11,9 @@ from matplotlib.figure import Figure
 
 import invariode as iv
 
+#: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
+pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
+
 
 def rotation(t, y, w):
     return [w * y[1], -w * y[0]]

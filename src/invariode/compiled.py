@@ -40,7 +40,6 @@ __all__ = [
     "is_native",
     "made_by_compile",
     "to_native",
-    "values_of",
 ]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
@@ -563,23 +562,6 @@ def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
     call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)(fun.address)
     value: float = call(t, y.ctypes.data, p.ctypes.data if len(p) else None)
     return value
-
-
-def values_of(fun: Any, t: Array, y: Array, args: tuple[Any, ...]) -> Array:
-    """f at points, (n, n_t), of a native function or of Python's."""
-    rows = np.ascontiguousarray(y.T)
-    values = np.empty_like(rows)
-    if not is_native(fun):
-        for value, at, state in zip(values, t.tolist(), rows, strict=True):
-            value[:] = fun(at, state.copy(), *args)
-        return values.T
-    p = native_parameters(args, [fun])
-    n = rows.view(float).shape[1]
-    vector = ctypes.c_void_p
-    call = ctypes.CFUNCTYPE(None, ctypes.c_double, vector, vector, vector)(to_native("fun", fun, n, n, p).address)
-    for value, at, state in zip(values, t.tolist(), rows, strict=True):
-        call(at, state.ctypes.data, value.ctypes.data, p.ctypes.data if len(p) else None)
-    return values.T
 
 
 _NO_PARAMETERS = np.zeros(0)

@@ -13,6 +13,7 @@ from ._arguments import call_name, distinct_labels, extra_arguments, function, i
 from ._bounds import limits
 from ._formulas import unlambdified
 from ._options import ProblemArguments
+from ._slope import Slope
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
 from .events import direction_sign, terminal_count, to_events
@@ -79,6 +80,11 @@ class Description:
         self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
         self._bounds_as_given = {"nonnegative": nonnegative, "bounds": bounds}
         self.limits = limits(nonnegative, bounds, self.y0, self._labels)
+
+    @property
+    def slope(self) -> Slope:
+        """f as runs call it."""
+        return Slope(self.fun, self.inputs, self.args)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A copy of this problem with some arguments changed.

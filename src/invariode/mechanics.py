@@ -15,7 +15,8 @@ from ._films import HasPoints
 from ._motion import FunctionOfState, Functions, Motion, MotionFunction, Point
 from ._types import Span
 from .compiled import is_native
-from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
+from .failures import InvariantError
+from .invariants import Invariants, InvariantsLike, to_invariants
 from .problem import Problem
 
 __all__ = ["MechanicalSystem"]

@@ -17,7 +17,7 @@ from scipy.sparse import csc_array
 from ._arguments import EPS, Array
 from ._below_zero import BelowZero, Lowest, below_zero
 from ._matrices import null_basis
-from .invariants import InvariantError
+from .failures import InvariantError
 from .methods import METHODS, Method
 from .problem import Problem
 from .result import StiffnessWarning
