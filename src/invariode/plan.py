@@ -15,6 +15,7 @@ from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times,
 from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
 from ._files import PathLike
+from ._given_matrices import Matrices
 from ._messages import (
     MESSAGES,
     Laws,
@@ -29,7 +30,7 @@ from ._options import Options, checked
 from ._types import MethodName, Numbers, OnFailure, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
 from .compiled import native_parameters, to_native
-from .description import Description, Matrices
+from .description import Description
 from .events import EventSpec, event_spec
 from .failures import InvariantError
 from .inputs import fed
