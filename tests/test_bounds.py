@@ -342,7 +342,7 @@ def test_continuous_solutions_travel_with_their_bounds(tmp_path, method):
 def test_ensembles_are_as_single_solves(method):
     starts = np.array([[1.0], [0.3], [-1.0]])
     options = {"nonnegative": True, "t_eval": [10.0, 40.0]}
-    many = iv.solve_ensemble(sink, (0, 40), starts, method, workers=1, **options)
+    many = iv.solve_ensemble(sink, (0, 40), starts, method, workers=1, on_failure="return", **options)
     assert many.status.tolist() == [0, 0, -4]
     assert "bounds" in many.messages[2]
     for i in (0, 1):

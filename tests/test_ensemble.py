@@ -414,6 +414,9 @@ def test_the_bar_counts_trajectories(capsys):
 FOREVER = """
 import os, signal, sys, threading
 import numpy as np, invariode as iv
+
+#: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
+pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
 f = lambda t, y: (y[1], -y[0])
 if {native}:
     f = iv.compile(f)

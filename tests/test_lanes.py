@@ -14,6 +14,9 @@ from problems import PROBLEMS
 numba = pytest.importorskip("numba")
 from invariode import _machine_code  # noqa: E402
 
+#: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
+pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
+
 SIZE = 60
 SETS = [name for name, _, _ in _core.LANES]
 PAIRS = [name for name, method in iv.METHODS.items() if method.stages]

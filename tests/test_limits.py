@@ -145,7 +145,9 @@ def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, nativ
 
     fun = native_oscillator if native else oscillator
     about = {"rtol": 1e-6, "atol": 1e-8, "max_steps": 60, "max_step": np.inf}
-    sol = iv.solve_ensemble(fun, (0, 4), [1.0, 0.0], method, args=[[1e-2], [1e6]], workers=1, **about)
+    sol = iv.solve_ensemble(
+        fun, (0, 4), [1.0, 0.0], method, args=[[1e-2], [1e6]], workers=1, on_failure="return", **about
+    )
     assert sol.status.tolist() == [0, -3]
     assert sol.messages[1].startswith("max_steps = 60 is reached at t = ")
     single = iv.solve_ivp(oscillator, (0, 4), [1.0, 0.0], method, args=(1e6,), **about)

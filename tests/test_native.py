@@ -449,3 +449,77 @@ def test_ctrl_c_stops_native_code():
         iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
     thread.join()
     assert iv.solve_ivp(SLOW, (0, 1), [1, 0]).success
+
+
+class TestArguments:
+    """What a compiled function writes to its arguments stays there, as that of a Python function does."""
+
+    @staticmethod
+    def honest(t, y, p):
+        return y[1], -p[0] * y[0]
+
+    @staticmethod
+    def writing(t, y, p):
+        slopes = y[1], -p[0] * y[0]
+        y[0] = p[0] = 99.0
+        return slopes
+
+    @staticmethod
+    def energy(t, y, p):
+        size = p[0] * y[0] * y[0] + y[1] * y[1]
+        y[:] = 99.0
+        return size
+
+    @staticmethod
+    def gradient(t, y, p):
+        rows = 2 * p[0] * y[0], 2 * y[1]
+        p[:] = 99.0
+        return rows
+
+    @staticmethod
+    def crossing(t, y, p):
+        value = y[0] * p[0]
+        y[1] = 99.0
+        return value
+
+    @pytest.mark.parametrize("method", ["ode45", "ode15s"])
+    def test_a_run_is_that_of_functions_that_write_nothing(self, method):
+        def solved(f, g, gjac, event):
+            law = iv.Invariants(iv.compile(g), iv.compile(gjac), names="energy")
+            events = iv.Event(iv.compile(event))
+            return iv.solve_ivp(iv.compile(f), (0, 2), [1.0, 0.5], method, args=(2.0,), invariants=law, events=events)
+
+        sol = solved(self.writing, self.energy, self.gradient, self.crossing)
+        clean = solved(
+            self.honest,
+            lambda t, y, p: p[0] * y[0] * y[0] + y[1] * y[1],
+            lambda t, y, p: (2 * p[0] * y[0], 2 * y[1]),
+            lambda t, y, p: y[0] * p[0],
+        )
+        assert sol.success, sol.message
+        np.testing.assert_array_equal(sol.y, clean.y)
+        np.testing.assert_array_equal(sol.t_events[0], clean.t_events[0])
+
+    def test_in_place_too(self):
+        def fill(t, y, out, p):
+            out[0], out[1] = y[1], -p[0] * y[0]
+            y[0] = 99.0
+
+        for fun in (iv.compile(fill, inplace=True), iv.compile(self.honest)):
+            sol = iv.solve_ivp(fun, (0, 2), [1.0, 0.0], args=(4.0,), rtol=1e-8, atol=1e-10)
+            np.testing.assert_allclose(sol.y[0, -1], np.cos(4), atol=1e-7)
+
+    def test_functions_of_a_fixed_signature_can_be_called(self):
+        @numba.njit("float64(float64[::1])")
+        def first(y):
+            return y[0]
+
+        sol = iv.solve_ivp(iv.compile(lambda t, y: -first(y)), (0, 1), [1.0], rtol=1e-8)
+        np.testing.assert_allclose(sol.y[0, -1], np.exp(-1), rtol=1e-6)
+
+    def test_they_have_no_form_for_lanes(self):
+        rows = np.ones((1000, 2))
+        for fun, lanes in ((self.writing, "one at a time: f writes to y or p"), (self.honest, "lanes")):
+            out = iv.solve_ensemble(iv.compile(fun), (0, 1), rows, "ode23", args=(1.0,))
+            assert lanes in out.stats.lanes
+            np.testing.assert_allclose(out.y_end, rows * [np.cos(1) + np.sin(1), np.cos(1) - np.sin(1)], 1e-2)

@@ -102,6 +102,8 @@ def test_defaults_of_the_signature_are_those_of_the_table(way):
     for name, parameter in inspect.signature(entry).parameters.items():
         if name in TABLE and name not in others:
             own = METHODS[way].refine if name == "refine" and way in METHODS else TABLE[name].default
+            if (way, name) == ("solve_ensemble", "on_failure"):
+                own = "warn"  # it fails in some trajectories of many
             assert parameter.default == own, f"default of {name}: change the row of _options.py"
 
 

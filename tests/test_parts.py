@@ -18,6 +18,9 @@ from ensembles import same
 from invariode._parts import GivenRows, StreamedRows, digest, packed
 from invariode.ensemble import _rows
 
+#: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
+pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
+
 numba = pytest.importorskip("numba")
 
 SIZE, SPAN = 23, (0.0, 4.0)

@@ -676,8 +676,18 @@ class TestWorkAndPrecision:
             "ode45", "dop853", "plain", "projected"]  # fmt: skip
 
     def test_every_method_has_a_look_of_its_own(self):
-        looks = [precision._style(name, "plain") for name in iv.METHODS]
+        looks = [precision._style(name, "plain") for name in (*iv.METHODS, "BDF")]
         assert len({(look["color"], look["marker"]) for look in looks}) == len(looks)
+
+    def test_names_of_scipy_run_what_they_mean(self):
+        """BDF is ode15s with an option, and takes other steps."""
+        problem = turning((0, 5), invariants=None)
+        given = {"reference": [np.cos(5), np.sin(5)], "rtols": [1e-3], "axes": Figure().subplots(1, 2)}
+        panels = iv.plot_work_precision(problem, ["BDF", "ode15s", "RK45"], **given)
+        work = [int(line.get_xdata()[0]) for line in panels[0].lines]
+        expected = [problem.solve(name, rtol=1e-3, atol=1e-6).nfev for name in ("BDF", "ode15s", "ode45")]
+        assert work == expected
+        assert len(set(work)) == 3
 
     def test_a_method_without_a_point_is_not_in_the_legend(self):
         reached, failed = Run(1e-5, 100, 0, 0, 0.01), Run(np.inf, 100, 0, 0, 0.01, "takes too long")

@@ -135,6 +135,7 @@ def leaving(t, y, p):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
 def test_sys_exit_fails_its_trajectory_whatever_the_number_of_workers(workers):
     out = iv.solve_ensemble(leaving, (0, 1), [1.0], args=[[k] for k in range(6)], workers=workers)
     assert out.status.tolist() == [0, 0, 0, -4, 0, 0]

@@ -14,11 +14,12 @@ from .ensemble import solve_ensemble
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from .ensemble_store import EnsembleStore
 from .events import Event
+from .failures import FailureWarning, InvariantError, SolveError
 from .imposing import ImposeResult, impose
 from .inputs import Input
 from .invariant_check import CheckReport, check_invariants
 from .invariant_search import PolynomialInvariant, find_invariants
-from .invariants import AccuracyWarning, InvariantError, Invariants
+from .invariants import AccuracyWarning, Invariants
 from .ivp import solve_ivp
 from .loading import load
 from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
@@ -45,6 +46,7 @@ __all__ = [
     "EnsembleStats",
     "EnsembleStore",
     "Event",
+    "FailureWarning",
     "ImposeResult",
     "Input",
     "InvariantError",
@@ -56,6 +58,7 @@ __all__ = [
     "Problem",
     "RotationMatrix",
     "Solution",
+    "SolveError",
     "Stats",
     "Steps",
     "StiffnessWarning",

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from ._arguments import call_name, shown
+from ._arguments import PACKAGE, call_name, shown
 from .compiled import is_native
 from .description import Description
 
@@ -16,7 +16,7 @@ __all__ = ["explain"]
 def explain(error: TypeError | ValueError, problem: Description) -> None:
     """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
     if isinstance(error, TypeError):
-        if problem.args and (found := [name for name, fun in _functions(problem) if not _takes(fun, problem.args)]):
+        if problem.args and _is_of_the_call(error) and (found := _not_taking(problem)):
             several = len(found) > 1
             error.add_note(
                 f"args = {shown(problem.args)} are passed to all functions of the problem, also to invariants and "
@@ -25,6 +25,24 @@ def explain(error: TypeError | ValueError, problem: Description) -> None:
             )
     elif "returned shape" in str(error) and ", 1)" in str(error):
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
+
+
+def _is_of_the_call(error: TypeError) -> bool:
+    """Whether the call itself failed: no function of the user's was entered, in which anything may fail."""
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    return last is None or last.tb_frame.f_code.co_filename.startswith(PACKAGE)
+
+
+def _not_taking(problem: Description) -> list[str]:
+    """The functions that do not take what they are called with."""
+    fed = {"fun", "jac"}
+    return [
+        name
+        for name, fun in _functions(problem)
+        if not _takes(fun, [*(problem.inputs if name in fed else ()), *problem.args])
+    ]
 
 
 def _functions(problem: Description) -> Iterator[tuple[str, Any]]:

@@ -8,7 +8,7 @@ from . import _core
 from ._arguments import EPS, Array
 from ._derivatives import sizes
 from ._motion import DEPENDENT, Motion, Point
-from .invariants import InvariantError
+from .failures import InvariantError
 
 __all__ = ["consistent_state", "dependent_rows", "nearby_state"]
 

@@ -165,9 +165,8 @@ def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
             if report:
                 report(sum(len(part.y0) for part, _ in done))
     done.sort(key=lambda one: one[0].number)
-    return solution(
-        ensemble.task(*rejoined([part for part, _ in done])), run.plan, joined([outcomes for _, outcomes in done])
-    )
+    task = ensemble.task(*rejoined([part for part, _ in done]))
+    return solution(task, run.plan, joined([outcomes for _, outcomes in done]), ensemble.on_failure)
 
 
 def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:
@@ -191,19 +190,21 @@ def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> Ensemb
     ):
         for part, outcomes in found:
             writer.write(part, outcomes)
-            remarks.add(outcomes)
+            remarks.add(outcomes, part.start)
             done += len(part.y0)
             if report:
                 report(done)
     writer.finish(size)
     remarks.say(run.plan)
-    return EnsembleStore(place.store)
+    result = EnsembleStore(place.store)
+    remarks.conclude(result, ensemble.on_failure)
+    return result
 
 
 def _layout(run: _Parted) -> Layout:
     plan, described, attempts = run.plan, run.ensemble.described, run.ensemble.attempts
     y0, args = run.rows.first(1)
-    running = table_of(EnsembleOptions).keys() - table_of(DescribingOptions).keys()
+    running = table_of(EnsembleOptions).keys() - table_of(DescribingOptions).keys() - {"on_failure"}
     defaults = {name: row.default for name, row in table_of(EnsembleOptions).items() if name in running}
     about = {
         "fun": described.fun,

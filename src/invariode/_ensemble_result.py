@@ -9,7 +9,10 @@ from ._arguments import Array, call_name, warn
 from ._ensemble_task import Task
 from ._messages import harmful_projection
 from ._outcomes import Outcomes, counts_by_name
-from .ensemble_solution import EnsembleSolution, EnsembleStats, Trajectories
+from ._types import OnFailure
+from .ensemble_solution import EnsembleSolution, EnsembleStats, Trajectories, final_states
+from .ensemble_store import EnsembleStore
+from .failures import FailureWarning, SolveError
 from .invariants import AccuracyWarning
 from .plan import Plan
 from .result import DiscontinuityWarning, StiffnessWarning, default_labels
@@ -21,15 +24,15 @@ _WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
 assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")
 
 
-def solution(task: Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
+def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> EnsembleSolution:
     """The result, with its warnings."""
     times = plan.settings.times
     remarks = Remarks()
     remarks.add(found)
     remarks.say(plan)
-    return EnsembleSolution(
+    result = EnsembleSolution(
         t=np.array([plan.settings.tf]) if times is None else times,
-        y=found.y_end[:, :, None].copy() if times is None else found.y,
+        y=final_states(found.y_end, found.status) if times is None else found.y,
         t_end=found.t_end,
         y_end=found.y_end,
         status=found.status,
@@ -48,8 +51,11 @@ def solution(task: Task, plan: Plan, found: Outcomes) -> EnsembleSolution:
         residual_after=found.residual_after,
         correction=found.correction,
         attempt=found.attempt,
-        _trajectories=_trajectories(plan, task),
+        _trajectories=_trajectories(plan, task, found),
+        _final=times is None,
     )
+    remarks.conclude(result, on_failure)
+    return result
 
 
 class Remarks:
@@ -58,9 +64,22 @@ class Remarks:
     def __init__(self) -> None:
         self._dropped = self._stiff = self._discontinuous = 0
         self._harmed: list[Array] = []
+        self._size = self._failed = 0
+        self._first: tuple[int, str] | None = None  # of those that failed: its number, and why
+        self._error: tuple[int, BaseException] | None = None
 
-    def add(self, found: Outcomes) -> None:
-        """Those of some more trajectories."""
+    def add(self, found: Outcomes, start: int = 0) -> None:
+        """Those of some more trajectories, of which the first has the number `start`."""
+        self._size += len(found)
+        if found.messages:
+            self._failed += len(found.messages)
+            i = min(found.messages)
+            if self._first is None or start + i < self._first[0]:
+                self._first = start + i, found.messages[i]
+        if found.error is not None:
+            i, error = found.error
+            if self._error is None or start + i < self._error[0]:
+                self._error = start + i, error
         jumps = ~np.isnan(found.discontinuity)
         if jumps.any():
             self._discontinuous += int(np.count_nonzero(jumps))
@@ -86,6 +105,16 @@ class Remarks:
             where = "stats['discontinuity'] tells where at first"
             warn(f"{plan.method.name}: {text} ({where}); {what}", DiscontinuityWarning)
 
+    def conclude(self, result: EnsembleSolution | EnsembleStore, on_failure: OnFailure) -> None:
+        """Says that trajectories failed, as is asked for."""
+        if self._first is None or on_failure == "return":
+            return
+        i, message = self._first
+        text = f"{self._failed} of {self._size} trajectories failed; the first, number {i}: {message}"
+        if on_failure == "raise":
+            raise SolveError(text, result) from (self._error and self._error[1])
+        warn(f"{text} (y is NaN at times that they did not reach; `failed` and `messages` say more)", FailureWarning)
+
 
 def _warn_harmed(plan: Plan, harmed: Array) -> None:
     """`harmed`: 1 + the component that projection harmed, of each trajectory with one that did not fail."""
@@ -97,7 +126,7 @@ def _warn_harmed(plan: Plan, harmed: Array) -> None:
     warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
 
 
-def _trajectories(plan: Plan, task: Task) -> Trajectories:
+def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
     """What the results of single trajectories need to know."""
     acting = any(event.action is not None for event in plan.functions.events)
     return Trajectories(
@@ -108,4 +137,5 @@ def _trajectories(plan: Plan, task: Task) -> Trajectories:
         task.args,
         plan.rtol,
         plan.atol,
+        found.error and found.error[1],
     )

@@ -16,12 +16,13 @@ from ._ensemble_task import Ensemble, Task
 from ._messages import inconsistent_start
 from ._outcomes import Outcomes, in_order
 from ._parts import rows_of
+from ._pickling import travelling
 from ._processes import may_start, solve_rows
 from .compiled import native_parameters
 from .ensemble_solution import EnsembleEvents
 from .lanes import Lanes, choose_lanes
 from .plan import Plan, solver
-from .result import LIMIT_REACHED
+from .result import LIMIT_REACHED, NOT_CONSERVED
 
 __all__ = ["attempted"]
 
@@ -29,7 +30,7 @@ _STATUS = {
     "reached_end": 0,
     "terminal_event": 1,
     "stopped_by_callback": 2,
-    "invariant_convicted": -2,
+    "invariant_convicted": NOT_CONSERVED,
     "limit_reached": LIMIT_REACHED,
 }
 #: What a single solve ends with by an exception.
@@ -91,11 +92,13 @@ def _on_threads(
     states = run.take_states()
     value, before, after, correction = run.take_drift()
     stiff_since, discontinuity = run.take_remarks()
+    status, y_end = _CODES[states], run.take_end().view(dtype)
+    y_end[status == _RAISED] = np.nan
     return Outcomes(
         y=run.take_y().view(dtype),
         t_end=run.take_t(),
-        y_end=run.take_end().view(dtype),
-        status=_CODES[states],
+        y_end=y_end,
+        status=status,
         counts=run.take_counts(),
         clipped_amount=run.take_clipped(),
         stiff_since=stiff_since,
@@ -174,6 +177,10 @@ class _Outcome:
     status: int
     message: str
     run: _Row | None
+    error: BaseException | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "error": travelling(self.error)}
 
 
 def _solve_one(task: Task, i: int) -> _Outcome:
@@ -188,7 +195,7 @@ def _solve_one(task: Task, i: int) -> _Outcome:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # sys.exit in a function too
-        return _Outcome(i, _RAISED, _as_text(error), None)
+        return _Outcome(i, _RAISED, _as_text(error), None, error)
 
 
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
@@ -228,7 +235,7 @@ class _Rows:
         times, m = plan.settings.times, len(plan.bound)
         self.task, self.plan = task, plan
         self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
-        self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), task.y0.copy()
+        self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), np.full_like(task.y0, np.nan)
         self.status = np.full(size, _RAISED, dtype=np.int8)
         self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
         self.value = np.full((size, m), np.nan)
@@ -236,6 +243,7 @@ class _Rows:
         self.clipped_amount = np.zeros(size)
         self.stiff_since, self.discontinuity = np.full(size, np.nan), np.full(size, np.nan)
         self.messages: dict[int, str] = {}
+        self.error: tuple[int, BaseException] | None = None
         self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
 
     def keep(self, outcome: _Outcome) -> None:
@@ -244,10 +252,14 @@ class _Rows:
         if outcome.status < 0:
             self.messages[i] = outcome.message
         self.status[i] = outcome.status
+        if outcome.error is not None and (self.error is None or i < self.error[0]):
+            self.error = i, outcome.error
         if outcome.run is None:
             return
         one = outcome.run
-        self.t_end[i], self.y_end[i] = one.t_end, one.y_end
+        self.t_end[i] = one.t_end
+        if outcome.status != _RAISED:
+            self.y_end[i] = one.y_end
         self.y[i, :, : one.y.shape[1]] = one.y
         self.counts[i] = one.counts
         self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
@@ -275,6 +287,7 @@ class _Rows:
             residual_after=self.after,
             correction=self.correction,
             lanes=Lanes(reason="functions are in Python").described(),
+            error=self.error,
         )
 
     def _events(self, found: list[tuple[int, Array, Array]]) -> EnsembleEvents:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ._arguments import Array
 from ._options import DescribingOptions, Options
-from ._types import EventsLike, MethodName
+from ._types import EventsLike, MethodName, OnFailure
 from .description import Description
 from .plan import Plan, make_plan
 
@@ -61,6 +61,7 @@ class Ensemble:
     described: Described
     attempts: list[Attempt]  # the first, and those for rows that failed
     in_lanes: bool  # if they can be
+    on_failure: OnFailure
 
     def task(self, y0: Array, args: Any, attempt: int = 0) -> Task:
         """These rows, by one of the attempts."""

@@ -15,9 +15,8 @@ from ._arguments import Array, call_name
 from ._options import Options
 from ._types import MethodName
 from .breakpoints import to_breakpoints
-from .compiled import CompiledFunction, is_native, values_of
+from .compiled import CompiledFunction
 from .description import Description
-from .inputs import fed
 from .methods import find_method
 
 __all__ = ["Identity", "identity_of_run", "in_words", "options_of", "require_same"]
@@ -26,7 +25,7 @@ __all__ = ["Identity", "identity_of_run", "in_words", "options_of", "require_sam
 _FEW = 8
 
 #: Options of who looks at a run, which it goes on without.
-_OF_THE_SESSION = frozenset({"progress", "on_interrupt", "checkpoint"})
+_OF_THE_SESSION = frozenset({"progress", "on_interrupt", "on_failure", "checkpoint"})
 
 #: Values of f that differ by less, relative to the largest component, are the same: another machine rounds otherwise.
 _SAME = 1e-9
@@ -249,11 +248,8 @@ def _told(value: Any) -> Any:
 
 
 def _slope(problem: Description) -> Array:
-    """f at the start; nothing where native code wants inputs, which only the core can call."""
-    if problem.inputs and is_native(problem.fun):
-        return np.zeros(0)
-    fun = fed(problem.fun, problem.inputs)
-    return values_of(fun, np.array([problem.t_span[0]]), problem.y0[:, None], problem.args)[:, 0]
+    """f at the start."""
+    return problem.slope(np.array([problem.t_span[0]]), problem.y0[:, None])[:, 0]
 
 
 def _times(breakpoints: Any) -> Array:

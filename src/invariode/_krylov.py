@@ -11,8 +11,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator
 
 from ._arguments import Array, as_array, function, shown, warn
+from ._given_matrices import Matrices
 from .compiled import is_native, to_native
-from .description import Matrices
 
 __all__ = ["Krylov", "is_operator", "krylov", "unused_without_krylov"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -15,18 +14,17 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from . import _core
-from ._arguments import EPS, Array, as_array, shown, warn
+from ._arguments import EPS, Array, warn
 from ._complex_steps import compiled_at_complex, python_at_complex
+from ._given_matrices import Matrices, as_matrix, bandwidths, require_shape
 from ._krylov import Krylov, is_operator
 from ._sparsity import find_pattern
 from .compiled import is_native, to_native
-from .description import Matrices
 
 __all__ = ["Start", "prepare", "too_large_to_be_dense"]
 
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
-_WAYS = ("complex-step", "differences")  # to compute a Jacobian
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
 
 
@@ -50,10 +48,8 @@ class _Storage:
 
     def values(self, name: str, given: Any) -> Any:
         """What a user gave, checked, as the core reads it: an array, or (starts, rows, values)."""
-        matrix = _matrix(name, given, self.complex)
-        if matrix.shape != self.given_shape:
-            packed = " (the bands, packed as [uband + i - j, j])" if self.kind == "banded" else ""
-            raise ValueError(f"{name} has shape {matrix.shape}, expected shape {self.given_shape}{packed}")
+        matrix = as_matrix(name, given, self.complex)
+        require_shape(name, matrix, self.given_shape, banded=self.kind == "banded")
         if self.kind == "sparse":
             return _columns(_real_blocks(sp.csc_array(matrix)) if self.complex else sp.csc_array(matrix))
         dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
@@ -63,9 +59,8 @@ class _Storage:
 
     def mass_values(self, given: Any) -> Any:
         """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
-        matrix = _matrix("mass", given, self.complex)
-        if matrix.shape != (self.n, self.n):
-            raise ValueError(f"mass has shape {matrix.shape}, expected shape {(self.n, self.n)}")
+        matrix = as_matrix("mass", given, self.complex)
+        require_shape("mass", matrix, (self.n, self.n))
         if self.kind != "banded":
             return self.values("mass", matrix)
         entries = sp.coo_array(matrix)
@@ -140,9 +135,7 @@ def _jacobian(given: Matrices, start: Start) -> _Jacobian:
     """How it is stored, of which kind it is, and its values or its function."""
     y0, args = start.y, start.args
     n, is_complex = len(y0), np.iscomplexobj(y0)
-    bands = _bands(given.lband, given.uband, n)
-    if bands is not None and given.jac_sparsity is not None:
-        raise ValueError("give either jac_sparsity or lband and uband, not both")
+    bands = bandwidths(given.lband, given.uband, n)
     if is_native(given.jac):
         return _Jacobian(*_native_jacobian(given, bands, y0, start.parameters))
     if given.jac is None or isinstance(given.jac, str):
@@ -190,8 +183,6 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
 
 def _complex_steps(jac: str | None, start: Start) -> Any:
     """f for complex y, where complex steps were chosen, or f is compiled. None: differences."""
-    if jac not in (None, *_WAYS):
-        raise ValueError(f"jac must be a function, a matrix, {' or '.join(map(repr, _WAYS))}, got {jac!r}")
     if jac == "differences" or (jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default)):
         return None
     if np.iscomplexobj(start.y):
@@ -315,82 +306,8 @@ def _regular(A: sp.csc_array) -> bool:
     return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
 
 
-def _matrix(name: str, given: Any, is_complex: bool) -> Any:
-    """A 2-d array or sparse matrix of numbers of the right kind, its values not checked."""
-    if is_operator(given):
-        raise TypeError(
-            f"{name} is a LinearOperator, whose entries are not known: give linear_solver='gmres', or a sparse matrix"
-        )
-    matrix: Any = _sound(name, given) if sp.issparse(given) else as_array(name, given)
-    if matrix.ndim == 0 and not sp.issparse(matrix):  # one component
-        matrix = matrix.reshape(1, 1)
-    if matrix.dtype == object or not (np.issubdtype(matrix.dtype, np.number) or matrix.dtype == bool):
-        raise TypeError(f"{name} must hold numbers, got {shown(given)}")
-    if np.issubdtype(matrix.dtype, np.complexfloating) and not is_complex:
-        raise TypeError(f"{name} is complex, expected real numbers (for a complex problem give a complex y0)")
-    if matrix.ndim != 2:
-        raise ValueError(f"{name} must be 2-dimensional, got shape {matrix.shape}")
-    return matrix
-
-
-def _sound(name: str, given: Any) -> Any:
-    """A sparse matrix, once its indices are seen to fit its shape.
-
-    SciPy's constructors do not check them all, and nothing prevents later changes; its conversions, and the
-    core, would write where they point.
-    """
-    matrix = given if given.format in ("csc", "csr", "bsr", "coo", "dia") else given.tocsr()
-    if matrix.ndim != 2:
-        return matrix
-    if matrix.format == "dia":
-        sound = matrix.data.ndim == 2 and len(matrix.offsets) == len(matrix.data) == len(set(matrix.offsets.tolist()))
-    elif matrix.format == "coo":
-        sound = len(matrix.row) == len(matrix.col) == len(matrix.data) and (
-            _within(matrix.row, matrix.shape[0]) and _within(matrix.col, matrix.shape[1])
-        )
-    else:
-        block = matrix.blocksize if matrix.format == "bsr" else (1, 1)
-        rows, columns = (size // side for size, side in zip(matrix.shape, block, strict=True))
-        lines, places = (columns, rows) if matrix.format == "csc" else (rows, columns)
-        starts, size = matrix.indptr, min(len(matrix.indices), len(matrix.data))
-        sound = (
-            len(starts) == lines + 1
-            and starts[0] == 0
-            and starts[-1] <= size
-            and bool((starts[1:] >= starts[:-1]).all())
-            and _within(matrix.indices[: starts[-1]], places)
-        )
-    if not sound:
-        raise ValueError(
-            f"{name} is a sparse matrix whose indices do not fit its shape {matrix.shape}: rows and columns count "
-            "from 0; check_format() of a matrix in compressed form tells more"
-        )
-    return matrix
-
-
-def _within(indices: Array, size: int) -> bool:
-    return len(indices) == 0 or bool(indices.min() >= 0 and indices.max() < size)
-
-
-def _bands(lband: Any, uband: Any, n: int) -> tuple[int, int] | None:
-    if lband is None and uband is None:
-        return None
-    widths = []
-    for name, width in (("lband", lband), ("uband", uband)):
-        try:
-            value = 0 if width is None else operator.index(width)
-        except TypeError:
-            raise TypeError(
-                f"{name} must be a bandwidth, an integer from 0 to {max(n - 1, 0)}, got {width!r}"
-            ) from None
-        if not 0 <= value < max(n, 1):
-            raise ValueError(f"{name} must be a bandwidth, an integer from 0 to {max(n - 1, 0)}, got {width!r}")
-        widths.append(value)
-    return widths[0], widths[1]
-
-
 def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
-    pattern = sp.csc_array(_matrix("jac_sparsity", given, is_complex) != 0).astype(float)
+    pattern = sp.csc_array(as_matrix("jac_sparsity", given, is_complex) != 0).astype(float)
     # A complex f need not be analytic: real and imaginary parts may depend on both.
     return sp.csc_array(pattern * (1 + 1j)) if is_complex else pattern
 

@@ -298,7 +298,7 @@ class MotionFunction(CoreFunction):
 
     def __init__(self, motion: Motion, part: str) -> None:
         self._motion, self._part = motion, part
-        self.__name__ = self.__qualname__ = part
+        self.__name__ = self.__qualname__ = "mechanism" if part == "slope" else part
 
     def __repr__(self) -> str:
         return f"<the {self._part.replace('_', ' ')} of a mechanical system>"

@@ -24,6 +24,7 @@ from ._types import (
     LinearSolver,
     MethodName,
     Numbers,
+    OnFailure,
     OnInterrupt,
     Span,
 )
@@ -328,7 +329,25 @@ class BreakingOptions(TypedDict, total=False):
     ]
 
 
-class RunOptions(SteppingOptions, KeepingOptions, LimitOptions, CheckpointOptions, BreakingOptions, total=False):
+class FailureOptions(TypedDict, total=False):
+    """What a failed run does."""
+
+    on_failure: Annotated[
+        OnFailure,
+        Option(
+            "return",
+            "{'return', 'warn', 'raise'}",
+            "If a run ends with a negative status: return the results so far, return them with a `FailureWarning`, or "
+            "raise a `SolveError` (for status -2 an `InvariantError`), whose `solution` holds them. Of the failed "
+            "trajectories of an ensemble one warning or error tells how many they are, and why the first one failed.",
+            partial(choice, known=get_args(OnFailure)),
+        ),
+    ]
+
+
+class RunOptions(
+    SteppingOptions, KeepingOptions, LimitOptions, CheckpointOptions, BreakingOptions, FailureOptions, total=False
+):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[
@@ -511,7 +530,9 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
     ]
 
 
-class EnsembleOptions(SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, DescribingOptions, total=False):
+class EnsembleOptions(
+    SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, FailureOptions, DescribingOptions, total=False
+):
     """Those of `solve_ensemble` that its signature does not spell out."""
 
 
@@ -530,6 +551,7 @@ class ExtensionOptions(TypedDict, total=False):
     max_steps: int | None
     time_limit: float | None
     max_points: int | None
+    on_failure: OnFailure
     on_interrupt: OnInterrupt
     progress: bool
 

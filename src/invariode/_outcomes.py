@@ -10,6 +10,7 @@ import numpy as np
 
 from . import _core
 from ._arguments import Array
+from ._pickling import travelling
 from .ensemble_solution import EnsembleEvents
 
 __all__ = ["ROWS", "Outcomes", "counts_by_name", "in_order", "joined"]
@@ -41,6 +42,7 @@ class Outcomes:
     messages: dict[int, str]
     events: list[EnsembleEvents]
     lanes: str  # as `EnsembleStats` says it
+    error: tuple[int, BaseException] | None = None  # of the first trajectory that raised one
     attempt: Array = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
@@ -52,7 +54,8 @@ class Outcomes:
     def __getstate__(self) -> dict[str, Any]:
         """Counts are most of what travels from a worker, and small."""
         largest = max(int(self.counts.max(initial=0)), -int(self.counts.min(initial=0)))
-        return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1))}
+        error = None if self.error is None else (self.error[0], travelling(self.error[1]))
+        return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1)), "error": error}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, counts=state["counts"].astype(np.int64))
@@ -73,6 +76,8 @@ class Outcomes:
         self.attempt[places] = attempt
         for i in places.tolist():
             self.messages.pop(i, None)
+        if self.error is not None and self.error[0] not in self.messages:  # the next one is of the other attempt
+            self.error = None if other.error is None else (int(rows[other.error[0]]), other.error[1])
         self.events = [
             in_order(
                 *(np.concatenate(pair) for pair in zip(_without(old, places), _only(new, rows, better), strict=True))
@@ -83,7 +88,9 @@ class Outcomes:
 
 #: The arrays of `Outcomes` that every run fills.
 ROWS = tuple(
-    field.name for field in dataclasses.fields(Outcomes) if field.name not in ("messages", "events", "lanes", "attempt")
+    field.name
+    for field in dataclasses.fields(Outcomes)
+    if field.name not in ("messages", "events", "lanes", "error", "attempt")
 )
 
 
@@ -104,6 +111,9 @@ def joined(parts: Sequence[Outcomes]) -> Outcomes:
             for these in zip(*(part.events for part in parts), strict=True)
         ],
         lanes="; ".join(dict.fromkeys(part.lanes for part in parts)),
+        error=next(
+            ((start + one.error[0], one.error[1]) for start, one in zip(starts, parts, strict=False) if one.error), None
+        ),
     )
     whole.attempt = np.concatenate([part.attempt for part in parts])
     return whole

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import pickle
+import traceback
 from typing import Any
 
 from .compiled import CompiledFunction
 
-__all__ = ["dumps"]
+__all__ = ["dumps", "travelling"]
 
 
 def dumps(cloudpickle: Any, value: Any) -> bytes:
@@ -23,3 +25,15 @@ def dumps(cloudpickle: Any, value: Any) -> bytes:
     with io.BytesIO() as file:
         Pickler(file).dump(value)
         return file.getvalue()
+
+
+def travelling(error: BaseException | None) -> BaseException | None:
+    """An exception that can be pickled, with its traceback, which cannot, as a note."""
+    if error is None or error.__traceback__ is None:
+        return error
+    try:
+        alike: BaseException = pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever the user's class does
+        alike = RuntimeError(f"{type(error).__name__}: {error}")
+    alike.add_note(f"In the process that solved the trajectory:\n{''.join(traceback.format_exception(error))}")
+    return alike

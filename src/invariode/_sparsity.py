@@ -11,8 +11,8 @@ import scipy.sparse as sp
 
 from . import _core
 from ._arguments import Array
+from ._given_matrices import Matrices
 from .compiled import is_native, to_native
-from .description import Matrices
 
 __all__ = ["find_pattern"]
 
@@ -22,8 +22,6 @@ _LARGE = 200
 #: the pattern; more entries than this part of all are not sparse.
 _PART_OF_DENSE, _PART_OF_COLUMNS, _FULL = 0.5, 0.25, 0.1
 
-_WAYS = ("detect", "dense")
-
 
 def find_pattern(
     given: Matrices, fun: Any, t: float, y: Array, args: tuple[Any, ...], parameters: Array
@@ -31,8 +29,6 @@ def find_pattern(
     """The pattern of ∂f/∂y as (starts, rows, values), and the evaluations of f that it took. None: the Jacobian is
     dense, or not large, or is not to be examined."""
     way = given.jac_sparsity
-    if way not in (None, *_WAYS):
-        raise ValueError(f"jac_sparsity must be a matrix, {' or '.join(map(repr, _WAYS))}, got {way!r}")
     reals = y.view(float)
     n = len(reals)
     if way == "dense" or n == 0 or (way is None and (n < _LARGE or not _sparse(given.mass))):

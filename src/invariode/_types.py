@@ -23,6 +23,7 @@ __all__ = [
     "LowLevelCallable",
     "MethodName",
     "Numbers",
+    "OnFailure",
     "OnInterrupt",
     "Span",
 ]
@@ -54,4 +55,5 @@ Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
 LinearSolver: TypeAlias = Literal["direct", "gmres"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
+OnFailure: TypeAlias = Literal["return", "warn", "raise"]
 OnInterrupt: TypeAlias = Literal["raise", "return"]

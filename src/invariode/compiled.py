@@ -40,7 +40,6 @@ __all__ = [
     "is_native",
     "made_by_compile",
     "to_native",
-    "values_of",
 ]
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
@@ -87,8 +86,8 @@ class _Shape(NamedTuple):
         first = int(self.complex_time)
         middle = first + self.n - self.second
         if not first and not self.second:
-            return [f"y = carray(y_, ({self.n},))"]
-        lines = [f"x = carray(y_, ({first + self.n},))", f"y = x[{first}:{middle}]"]
+            return [f"y = given(carray(y_, ({self.n},)))"]
+        lines = [f"x = given(carray(y_, ({first + self.n},)))", f"y = x[{first}:{middle}]"]
         lines += ["t = x[0]"] if first else []
         return [*lines, *([f"v = x[{middle}:{first + self.n}]"] if self.second else [])]
 
@@ -132,6 +131,7 @@ class CompiledFunction:
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self._made: dict[tuple[Any, ...], _core.Native] = {}
         self._own: set[_Shape] = set()
+        self._copying: set[_Shape] = set()
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
@@ -179,7 +179,7 @@ class CompiledFunction:
 
     def result_type(self, n: int, size: int, parameters: int) -> Any:
         """numba's type of what the function returns for n components, where that is `size` values."""
-        return self._result(self.jitted, _Shape(n, size, parameters, event=False))
+        return self._result(self.jitted, _Shape(n, size, parameters, event=False), copies=False)
 
     def _machine_code(self, shape: _Shape) -> _core.Native:
         with self._making:
@@ -190,13 +190,34 @@ class CompiledFunction:
         return made
 
     def _make(self, shape: _Shape) -> Any:
+        """Its arguments are arrays that it may only read. What numba does not compile for these, because it writes to
+        them or hands them to a function of a fixed signature, gets copies."""
+        refused = _numba().core.errors.NumbaError
+        try:
+            code = self._code(shape, copies=False)
+        except refused:
+            try:
+                code = self._code(shape, copies=True)
+            except refused as error:
+                raise self._cannot_compile(error, shape.parameters) from error
+            self._copying.add(shape)
+        own = _with_own_functions(code) if self.elementary == "own" else None
+        if own is None:
+            return code
+        self._own.add(shape)
+        return own
+
+    def _code(self, shape: _Shape, *, copies: bool) -> Any:
+        """numba's code, whose arguments are read-only or copies."""
+        from ._given_arrays import copied, read_only
+
         numba = _numba()
         jitted = self._jit(shape.is_complex)
         names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
         names += ["p"] if shape.parameters else []
         self._check_call(names)
         call = f"f({', '.join(names)})"
-        body = [*shape.unpacked(), *([f"p = carray(p_, ({shape.parameters},))"] if shape.parameters else [])]
+        body = [*shape.unpacked(), *([f"p = given(carray(p_, ({shape.parameters},)))"] if shape.parameters else [])]
         if shape.event:
             head = "def code(t, y_, p_):"
             body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
@@ -204,9 +225,10 @@ class CompiledFunction:
             head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
             body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
             body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
-            body += [] if self.inplace else self._stores(jitted, shape)
+            body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size)
         text = "\n    ".join([head, *body])
-        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "nan": np.nan}
+        given = copied if copies else read_only
+        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan}
         exec(text, namespace)
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         double, pointer, numbers = (
@@ -215,15 +237,11 @@ class CompiledFunction:
             numba.types.CPointer(number),
         )
         signature = double(double, pointer, pointer) if shape.event else numba.void(double, numbers, numbers, pointer)
-        try:
-            code = numba.cfunc(signature, error_model="numpy")(namespace["code"])
-        except numba.core.errors.NumbaError as error:
-            raise self._cannot_compile(error, shape.parameters) from error
-        own = _with_own_functions(code) if self.elementary == "own" else None
-        if own is None:
-            return code
-        self._own.add(shape)
-        return own
+        return numba.cfunc(signature, error_model="numpy")(namespace["code"])
+
+    def works_on_copies(self, n: int, size: int, parameters: int, event: bool) -> bool:
+        """Whether what was made for n components, with `size` values, gets copies of y and p."""
+        return _Shape(n, size, parameters, event) in self._copying
 
     def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
         """Whether what was made for n components, with `size` values, calls our elementary functions."""
@@ -251,10 +269,9 @@ class CompiledFunction:
             form = "with args it is" if "p" in names else "without args it is"
             raise TypeError(f"compile({self.__name__}): {error}; {form} f({', '.join(names)})") from None
 
-    def _stores(self, jitted: Any, shape: _Shape) -> list[str]:
-        """Lines that store the result r in `out`."""
+    def _stores(self, result: Any, size: int) -> list[str]:
+        """Lines that store the result r, of numba's type `result`, in `out`."""
         types = _numba().types
-        result, size = self._result(jitted, shape), shape.size
         if isinstance(result, types.Array) and result.ndim > 1:
             return [
                 f"if r.size == {size}:",
@@ -303,16 +320,18 @@ class CompiledFunction:
             raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size} values")
         return [f"out[{i * columns + j}] = r[{i}][{j}]" for i in range(rows) for j in range(columns)]
 
-    def _result(self, jitted: Any, shape: _Shape) -> Any:
+    def _result(self, jitted: Any, shape: _Shape, copies: bool) -> Any:
         """numba's type of what the function returns."""
         numba = _numba()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
-        vector, values = numba.types.Array(number, 1, "C"), numba.types.Array(numba.types.double, 1, "C")
+        vector, values = (numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double))
         time = number if shape.complex_time else numba.types.double
         arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
         try:
             jitted.compile(arguments)
-        except (numba.core.errors.NumbaError, TypeError) as error:
+        except numba.core.errors.NumbaError:
+            raise
+        except TypeError as error:
             raise self._cannot_compile(error, shape.parameters) from error
         return jitted.overloads[arguments].signature.return_type
 
@@ -335,7 +354,8 @@ def compile(
         compiles; it returns a number, a tuple (fast), a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or
         with its rows one after the other.
         If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here'. If it is
-        already compiled by numba or by this function, its Python function is used.
+        already compiled by numba or by this function, its Python function is used. A function that writes to y or p
+        gets copies of them in each call, which takes longer.
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
     elementary : {"own", "libm"}, default "own"
@@ -542,23 +562,6 @@ def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
     call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)(fun.address)
     value: float = call(t, y.ctypes.data, p.ctypes.data if len(p) else None)
     return value
-
-
-def values_of(fun: Any, t: Array, y: Array, args: tuple[Any, ...]) -> Array:
-    """f at points, (n, n_t), of a native function or of Python's."""
-    rows = np.ascontiguousarray(y.T)
-    values = np.empty_like(rows)
-    if not is_native(fun):
-        for value, at, state in zip(values, t.tolist(), rows, strict=True):
-            value[:] = fun(at, state.copy(), *args)
-        return values.T
-    p = native_parameters(args, [fun])
-    n = rows.view(float).shape[1]
-    vector = ctypes.c_void_p
-    call = ctypes.CFUNCTYPE(None, ctypes.c_double, vector, vector, vector)(to_native("fun", fun, n, n, p).address)
-    for value, at, state in zip(values, t.tolist(), rows, strict=True):
-        call(at, state.ctypes.data, value.ctypes.data, p.ctypes.data if len(p) else None)
-    return values.T
 
 
 _NO_PARAMETERS = np.zeros(0)

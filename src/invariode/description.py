@@ -3,42 +3,44 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Self, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from ._arguments import call_name, distinct_labels, extra_arguments, function, interval, shown, state
-from ._bounds import limits
+from ._arguments import Array, call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from ._bounds import Limits, limits
 from ._formulas import unlambdified
+from ._given_matrices import Matrices
 from ._options import ProblemArguments
+from ._slope import Slope
 from ._types import EventsLike, Function, Span
 from .compiled import is_native
 from .events import direction_sign, terminal_count, to_events
-from .inputs import InputsLike, to_inputs
-from .invariants import InvariantsLike, to_invariants
+from .inputs import Input, InputsLike, to_inputs
+from .invariants import Invariants, InvariantsLike, to_invariants
 from .notebook import html_of_problem
 
-__all__ = ["Description", "Matrices"]
-
-
-@dataclass(frozen=True)
-class Matrices:
-    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure; products with
-    ∂f/∂y, and a preconditioner."""
-
-    jac: Any
-    jac_sparsity: Any
-    lband: Any
-    uband: Any
-    mass: Any
-    jac_product: Any = None
-    preconditioner: Any = None
+__all__ = ["Description"]
 
 
 class Description:
-    """The data of a `Problem`."""
+    """The data of a `Problem`, which does not change."""
+
+    fun: Any
+    t_span: tuple[float, float]
+    y0: Array
+    args: tuple[Any, ...]
+    invariants: list[Invariants]
+    events: list[Any]
+    matrices: Matrices
+    inputs: list[Input]
+    name: str
+    limits: Limits | None
+    _title: str | None
+    _labels: list[str] | None
+    _bounds_as_given: dict[str, Any]
 
     def __init__(
         self,
@@ -62,23 +64,55 @@ class Description:
         name: str | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        self.fun = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
-        self.t_span = interval(t_span)
-        self.y0 = state(y0)
-        self.args = extra_arguments(args)
-        self.invariants = to_invariants(invariants)
-        self.events = to_events(events)
-        for event in self.events:
+        called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
+        span, start = interval(t_span), state(y0)
+        start.flags.writeable = False
+        listed = to_events(events)
+        for event in listed:
             terminal_count(event), direction_sign(event)
-        self.matrices = Matrices(jac, jac_sparsity, lband, uband, mass, jac_product, preconditioner)
-        self.inputs = to_inputs(inputs, self.t_span)
+        matrices = Matrices(jac, jac_sparsity, lband, uband, mass, jac_product, preconditioner)
+        matrices.check(len(start), is_complex=start.dtype.kind == "c")
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
-        self.name = call_name(self.fun, "problem") if name is None else name
-        self._title = name
-        self._labels = None if labels is None else distinct_labels(labels, len(self.y0))
-        self._bounds_as_given = {"nonnegative": nonnegative, "bounds": bounds}
-        self.limits = limits(nonnegative, bounds, self.y0, self._labels)
+        named = None if labels is None else distinct_labels(labels, len(start))
+        self.__dict__.update(
+            fun=called,
+            t_span=span,
+            y0=start,
+            args=extra_arguments(args),
+            invariants=to_invariants(invariants),
+            events=listed,
+            matrices=matrices,
+            inputs=to_inputs(inputs, span),
+            name=call_name(called, "problem") if name is None else name,
+            limits=limits(nonnegative, bounds, start, named),
+            _title=name,
+            _labels=named,
+            _bounds_as_given={"nonnegative": nonnegative, "bounds": bounds},
+        )
+
+    if not TYPE_CHECKING:  # for whom `__init__` says it
+
+        def __new__(cls, *by_position: Any, **by_name: Any) -> Self:
+            if len(by_position) > 3:
+                raise TypeError(
+                    "Problem takes fun, t_span and y0 by position and everything else by name, as in args=..., got "
+                    f"{shown(by_position[3])} as a fourth"
+                )
+            return super().__new__(cls)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        argument = name in ProblemArguments.__annotations__
+        instead = f"make another one, problem.replace({name}=...)" if argument else "it has only its arguments"
+        raise AttributeError(f"a Problem does not change, and {name} cannot be set: {instead}")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
+
+    @property
+    def slope(self) -> Slope:
+        """f as runs call it."""
+        return Slope(self.fun, self.inputs, self.args)
 
     def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
         """A copy of this problem with some arguments changed.
@@ -132,3 +166,8 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+#: That of `__init__`, since `__new__` only refuses a fourth argument by position.
+_OWN = inspect.signature(Description.__init__)
+Description.__signature__ = _OWN.replace(parameters=[*_OWN.parameters.values()][1:])  # type: ignore[attr-defined]  # ours

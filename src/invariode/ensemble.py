@@ -31,7 +31,7 @@ Retry: TypeAlias = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 
 _DESCRIBING = table_of(DescribingOptions).keys()
 #: What another attempt at trajectories that failed may change.
-_OF_RETRIES = table_of(EnsembleOptions).keys() - _DESCRIBING - {"keep", "save", "callback", "breakpoints"}
+_OF_RETRIES = table_of(EnsembleOptions).keys() - _DESCRIBING - {"keep", "save", "callback", "breakpoints", "on_failure"}
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
 
 
@@ -77,7 +77,7 @@ def solve_ensemble(
     seed: Any = None,
     **options: Unpack[EnsembleOptions],
 ) -> EnsembleStore: ...
-@documented(options=table_of(EnsembleOptions))
+@documented({"on_failure": "warn"}, options=table_of(EnsembleOptions))
 def solve_ensemble(
     fun: Function,
     t_span: Span,
@@ -101,7 +101,8 @@ def solve_ensemble(
     """Solves one problem from many initial values, or with many parameter sets, in parallel.
 
     The result is the same, bit for bit, for any number of workers, and the same as that of single solves. A trajectory
-    that fails, also with an exception, gets a status and a message; the others go on.
+    that fails, also with an exception, gets a status, a message and NaN as its final state; the others go on. One
+    warning says how many failed: see `on_failure`.
 
     Parameters
     ----------
@@ -190,7 +191,9 @@ def solve_ensemble(
             "at_start is for single runs: evaluate the event at the initial states of an ensemble yourself"
         )
     described = Described(fun, interval(t_span), events, describing)
-    ensemble = Ensemble(described, _attempts(method, _options_of_each(running, t_eval), retry), _side_by_side(lanes))
+    on_failure = TABLE["on_failure"].check("on_failure", running.pop("on_failure", "warn"))
+    attempts = _attempts(method, _options_of_each(running, t_eval), retry)
+    ensemble = Ensemble(described, attempts, _side_by_side(lanes), on_failure)
     drawn = flag("progress", progress)
     if executor is None and store is None and not isinstance(y0, Iterator):
         if chunk is not None or seed is not None or flag("resume", resume):
@@ -212,7 +215,8 @@ def _at_once(ensemble: Ensemble, y0: Array, args: Any, workers: int, shown: bool
     first, plan = first_plan(task)
     plans = [plan, *(ensemble.task(y0, args, k).plan(first) for k in range(1, len(ensemble.attempts)))]
     with bar(shown, "trajectories", len(y0)) as report:
-        return solution(task, plan, attempted(ensemble, plans, y0, args, workers, report))
+        found = attempted(ensemble, plans, y0, args, workers, report)
+    return solution(task, plan, found, ensemble.on_failure)
 
 
 def _attempts(method: MethodName, options: Options, retry: Retry | None) -> list[Attempt]:

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import operator
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -18,7 +18,7 @@ from ._types import Numbers
 from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
 from .notebook import html_of_ensemble
 from .pictures.ensembles import draw as draw_ensemble
-from .result import BeforeProjection, Names, Record, Stats
+from .result import BeforeProjection, Drift, Names, Record, Stats
 from .solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # extras, imported when they are used
     import xarray
     from matplotlib.axes import Axes
 
-__all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories"]
+__all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories", "final_states"]
 
 #: What every file says of itself.
 _FORMAT = "invariode ensemble"
@@ -43,6 +43,7 @@ class Trajectories:
     args: Any  # of all, or of each
     rtol: Numbers
     atol: Numbers
+    error: BaseException | None = None  # of the first trajectory that raised one
 
     @classmethod
     def unknown(cls, events: int, invariants: int) -> Trajectories:
@@ -69,6 +70,11 @@ class Trajectories:
             else np.zeros(0)
         )
         return dataclasses.replace(self.bound, value=value, args=args, parameters=p)
+
+
+def final_states(y_end: Array, status: Array) -> Array:
+    """The final states (N, n, 1), NaN for trajectories that failed."""
+    return np.where((status >= 0)[:, None], y_end, np.nan)[:, :, None]
 
 
 @dataclasses.dataclass(eq=False, repr=False)
@@ -154,12 +160,12 @@ class EnsembleSolution:
     t : ndarray, (n_t,)
         `t_eval`; without it the end of the interval.
     y : ndarray, (N, n, n_t)
-        The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, wherever the
-        trajectory ended: see `t_end`.
+        The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, at `t_end`,
+        which is earlier where an event or the callback stopped a trajectory; NaN for those that failed.
     t_end : ndarray, (N,)
         Where each trajectory ended.
     y_end : ndarray, (N, n)
-        The state there.
+        The state there, also of trajectories that failed on their way (status -1 to -3); NaN for status -4.
     status : ndarray of int, (N,)
         0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
         invariant is not conserved, -3 a limit was reached, -4 what ends a single solve with an exception: the initial
@@ -201,6 +207,7 @@ class EnsembleSolution:
     correction: Array
     attempt: Array
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
+    _final: bool = False  # whether y are the final states
 
     def _repr_html_(self) -> str:
         return html_of_ensemble(self)
@@ -221,6 +228,12 @@ class EnsembleSolution:
     def failed(self) -> Array:
         """The numbers of the trajectories that failed; `messages` say why."""
         return np.flatnonzero(~self.success)
+
+    @property
+    def exception(self) -> BaseException | None:
+        """The exception of the first trajectory that raised one, with its traceback, which is a note where another
+        process solved it. None without one, and in a result from a pickle or a file."""
+        return None if self._trajectories is None else self._trajectories.error
 
     def keys(self) -> list[str]:
         """The names of the fields."""
@@ -252,16 +265,15 @@ class EnsembleSolution:
     def _trajectory(self, i: int) -> Solution:
         """One trajectory as the result of a single solve: without steps and dense output, which are not kept."""
         about = self._trajectories or Trajectories.unknown(len(self.events), self.value.shape[1])
-        reached = np.isfinite(self.y[i]).all(axis=0)
         invariants = about.invariants(i, self.value[i])
         status = int(self.status[i])
-        m = len(invariants)
         stats = self._stats_of(i)
         here = [event.trajectory == i for event in self.events]
-        t = np.array([self.t_end[i]]) if self._final else self.t[reached]
+        t, y = (self.t_end[i : i + 1], self.y_end[i][:, None]) if self._final else (self.t, self.y[i])
+        reached = np.isfinite(y).all(axis=0)
         return Solution(
-            t=t,
-            y=self.y[i][:, reached],
+            t=t[reached],
+            y=y[:, reached],
             sol=None,
             t_events=[event.t[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
             y_events=[event.y[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
@@ -277,7 +289,7 @@ class EnsembleSolution:
             _invariants=invariants,
             _rtol=about.rtol,
             _atol=about.atol,
-            _drift=BeforeProjection(self.residual_before[i, :m], np.full(m, np.nan), float(self.correction[i])),
+            _drift=self._drift(i, about, stats, known=len(invariants) > 0),
             _names=Names(f"{about.name} {i}", None, None, self.y.shape[1], about.events),
         )
 
@@ -293,10 +305,24 @@ class EnsembleSolution:
             discontinuities=() if np.isnan(jump) else (jump,),
         )
 
-    @property
-    def _final(self) -> bool:
-        """Whether there are final states only."""
-        return self.y.shape[2] == 1 and np.array_equal(self.y[:, :, 0], self.y_end, equal_nan=True)
+    def _drift(self, i: int, about: Trajectories, stats: Stats, *, known: bool) -> BeforeProjection:
+        """What was before the projection; where the functions and the values after jumps are not known, all that is."""
+        unknown = np.full(self.value.shape[1], np.nan)
+        correction = float(self.correction[i])
+        if known or not len(unknown):
+            return BeforeProjection(self.residual_before[i], unknown, correction)
+        whole = Drift(
+            names=list(about.laws),
+            value=self.value[i],
+            residual_before=self.residual_before[i],
+            distance_before=unknown,
+            residual_after=self.residual_after[i],
+            distance_after=unknown,
+            correction=correction,
+            projections=stats.projections,
+            skipped=stats.skipped,
+        )
+        return BeforeProjection(unknown[:0], unknown[:0], correction, whole)
 
     def plot(
         self,
@@ -380,7 +406,7 @@ class EnsembleSolution:
         arrays = {**fields, **{f"stats.{name}": counts for name, counts in self.stats.items()}}
         for i, event in enumerate(self.events):
             arrays |= {f"events.{i}.{name}": event[name] for name in event}
-        about = {"format": _FORMAT, "messages": self.messages, "events": len(self.events)}
+        about = {"format": _FORMAT, "messages": self.messages, "events": len(self.events), "final": self._final}
         write_arrays({**arrays, "about": np.array(json.dumps(about))}, path)
 
     @classmethod
@@ -415,8 +441,14 @@ class EnsembleSolution:
                     stats=EnsembleStats(**{**none, **parts["stats"]}),
                     events=[EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])],
                     messages={int(i): text for i, text in about["messages"].items()},
+                    _final=about["final"] if "final" in about else _looks_final(arrays),  # 0.1 did not say
                 )
             except Exception as wrong:  # whatever it is: the file is the only input
                 raise ValueError(
                     f"the file {os.fspath(path)} was not written by EnsembleSolution.save, or is damaged: {wrong}"
                 ) from None
+
+
+def _looks_final(arrays: Mapping[str, Array]) -> bool:
+    """Whether the states of a result are those at its ends."""
+    return arrays["y"].shape[2] == 1 and np.array_equal(arrays["y"][:, :, 0], arrays["y_end"], equal_nan=True)

@@ -15,7 +15,7 @@ from . import _core
 from ._arguments import Array
 from ._outcomes import ROWS, Outcomes, counts_by_name
 from ._parts import Part, digest
-from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, final_states
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import xarray
@@ -339,11 +339,11 @@ class EnsembleStore:
         times = bool(self.attributes["kept_times"])
         held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
         of_stats: dict[str, Any] = {name: held.pop(name) for name in ("clipped_amount", "stiff_since", "discontinuity")}
-        y = held["y"] if times else held["y_end"][:, :, None].copy()
+        y = held["y"] if times else final_states(held["y_end"], held["status"])
         counts = counts_by_name(held.pop("counts"))
         stats = EnsembleStats(**counts, **of_stats)
         about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
-        return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y})
+        return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y, "_final": not times})
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -182,7 +182,8 @@ def ensemble_to_dataframe(ensemble: Any) -> pandas.DataFrame:
     """See `EnsembleSolution.to_dataframe`."""
     pd = _extra("pandas")
     size, n, times = ensemble.y.shape
-    index = pd.MultiIndex.from_product([np.arange(size), ensemble.t], names=["trajectory", "t"])
+    t = ensemble.t_end if ensemble._final else np.tile(ensemble.t, size)
+    index = pd.MultiIndex.from_arrays([np.repeat(np.arange(size), times), t], names=["trajectory", "t"])
     rows = ensemble.y.transpose(0, 2, 1).reshape(size * times, n)
     table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=default_labels(n))
     return table[np.isfinite(rows).all(axis=1)]

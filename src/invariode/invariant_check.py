@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
-from ._arguments import Array, extra_arguments, flag, function, number, quietly, reals, state, tolerances
+from ._arguments import Array, flag, number, quietly, reals, state, tolerances
 from ._bound_invariants import BoundInvariants, bind
 from ._messages import wrong_jacobian
 from ._types import Function, Numbers
-from .compiled import is_native, native_parameters, to_native
+from .compiled import native_parameters
 from .description import Description
 from .invariants import InvariantsLike, to_invariants
 from .notebook import html_of_check
@@ -149,20 +149,26 @@ def check_invariants(
     >>> report.ok
     False
     """
-    if not is_native(fun):
-        function("fun", fun, "f(t, y)")
-    at, point, extra = number("t", t), state(y), extra_arguments(args)
-    least, threshold, scale = tolerances(rtol, atol, point)
+    at, point = number("t", t), state(y)
     listed = to_invariants(invariants)
     if not listed:
         raise ValueError("check_invariants needs at least one invariant")
+    problem = Description(fun, (at, np.inf), point, args=args, invariants=listed)
+    return checked_at(problem, at, point, rtol=rtol, atol=atol, nearby=flag("nearby", nearby))
+
+
+def checked_at(
+    given: Description, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool
+) -> CheckReport:
+    """The report on the invariants of a problem at a point."""
+    extra, listed = given.args, given.invariants
+    least, threshold, scale = tolerances(rtol, atol, point)
     bound = bind(listed, at, point, extra, threshold)
-    p = native_parameters(extra, [fun, *(f for one in listed for f in (one.fun, one.jac))])
-    n = reals(point)
+    p = native_parameters(extra, [given.fun, *(f for one in listed for f in (one.fun, one.jac))])
     problem = _core.Problem(
-        n=n,
+        n=reals(point),
         complex=np.iscomplexobj(point),
-        fun=to_native("fun", fun, n, n, p),
+        fun=given.slope.for_core(point, p),
         args=extra,
         parameters=p,
         invariants=[_core.Invariant(*spec) for spec in bound.specs],
@@ -175,9 +181,11 @@ def check_invariants(
             f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}: give a point where all are"
         )
     report = _report(found, bound, at, np.iscomplexobj(point))
-    if not (flag("nearby", nearby) and report.conserved.any()):
+    if not (nearby and report.conserved.any()):
         return report
-    others = _points_nearby(Description(fun, (at, np.inf), point, args=extra))
+    others = _points_nearby(
+        Description(given.fun, (at, given.t_span[1]), point, args=extra, inputs=given.inputs, name=given.name)
+    )
     return _with_points(report, [_examined(*other, problem, weights) for other in others])
 
 

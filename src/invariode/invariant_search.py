@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, distinct_labels, extra_arguments, function, interval, positive_integer, quietly, state
+from ._arguments import (
+    Array,
+    distinct_labels,
+    extra_arguments,
+    function,
+    interval,
+    positive_integer,
+    quietly,
+    real_numbers,
+    shown,
+    state,
+)
 from ._types import Span
 from .invariants import Invariants
 from .ivp import solve_ivp
@@ -146,7 +157,7 @@ def find_invariants(
     t0, tf = interval(t_span)
     start, extra = state(y0), extra_arguments(args)
     if not np.isfinite(tf):
-        raise ValueError(f"t_span must be finite for find_invariants, got {t_span!r}")
+        raise ValueError(f"t_span must be finite for find_invariants, got {shown(t_span)}")
     if not len(start):
         raise ValueError("find_invariants needs at least one component, got an empty y0")
     if np.iscomplexobj(start):
@@ -170,6 +181,13 @@ def find_invariants(
     return found
 
 
+def _require_shape(slope: Any, y0: Array) -> None:
+    """What f returns at y0: elsewhere it may not be defined, and points where it fails are left out."""
+    values = real_numbers("what fun(t, y) returns", slope)
+    if values.shape != y0.shape:
+        raise ValueError(f"fun(t, y) returned shape {values.shape}, expected shape {y0.shape}")
+
+
 class _Search:
     """Sample points of a problem, and the rates of polynomials there.
 
@@ -180,8 +198,9 @@ class _Search:
     def __init__(self, fun: Callable[..., Any], t_span: tuple[float, float], y0: Array, args: tuple[Any, ...]) -> None:
         self._exponent = math.frexp(np.abs(y0).max(initial=0) or 1.0)[1] - 1
         self._unit = math.ldexp(1.0, self._exponent)
-        y0 = y0 / self._unit
         self._users_fun, self._t_span, self._args = fun, t_span, args
+        _require_shape(fun(t_span[0], y0.copy(), *args), y0)
+        y0 = y0 / self._unit
         self._random = np.random.default_rng(20260)
         self._largest = np.abs(y0).max(initial=0) or 1.0
         first = self._trajectory(y0, 1e-6)

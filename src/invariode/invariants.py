@@ -23,15 +23,11 @@ from ._formulas import unlambdified
 from ._types import Function, JacobianKind, Numbers
 from .compiled import is_native
 
-__all__ = ["AccuracyWarning", "InvariantError", "Invariants", "InvariantsLike", "to_invariants"]
+__all__ = ["AccuracyWarning", "Invariants", "InvariantsLike", "to_invariants"]
 
 
 #: How a Jacobian is computed without a function for it.
 _KINDS = ("complex-step", "3-point", "2-point")
-
-
-class InvariantError(ValueError):
-    """An invariant contradicts the problem: its value at the start, or its Jacobian, or f does not keep it."""
 
 
 class Invariants:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import flag
+from ._arguments import flag, function
 from ._docstrings import documented
 from ._options import (
     CallingOptions,
@@ -111,9 +112,11 @@ def solve_ivp(
 
 
 def one_column(fun: Any) -> Callable[..., Any]:
-    """A function of columns y (n, k) as a function of one y."""
+    """A function of columns y (n, k) as a function of one y, with its name."""
+    function("fun", fun, "f(t, y)")
 
-    def column(t: float, y: Any, *args: Any) -> Any:
+    @functools.wraps(fun)
+    def alone(t: float, y: Any, *args: Any) -> Any:
         return np.asarray(fun(t, y[:, None], *args)).ravel()
 
-    return column
+    return alone

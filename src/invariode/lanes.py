@@ -110,6 +110,8 @@ def choose_lanes(solver: _core.Solver, functions: Mapping[str, Any], size: int) 
 def _lane_code(made: Compiled, width: int, bits: int) -> MachineCode | str:
     """The form, or the reason why the function {f} has no form for lanes."""
     global _warned
+    if made.function.works_on_copies(*made[1:]):
+        return "{f} writes to y or p, or hands them to a function that may"
     reason, own = "", made.function.has_own_functions(*made[1:])
     for by_tuples in (False, True):  # loops over len(y) are unrolled for tuples only
         try:
@@ -126,6 +128,8 @@ def _lane_code(made: Compiled, width: int, bits: int) -> MachineCode | str:
 
 def _loop(made: Compiled, width: int, by_tuples: bool) -> Any:
     """numba's compilation of the function in a loop over a number of lanes that it does not know."""
+    from ._given_arrays import read_only
+
     compiled, n, size, parameters, event = made
     numba: Any = importlib.import_module("numba")
     config, pointer = numba.core.config, numba.types.CPointer(numba.types.double)
@@ -134,15 +138,17 @@ def _loop(made: Compiled, width: int, by_tuples: bool) -> Any:
         return f"({''.join(f'{name}_[{i * width} + l],' for i in range(size))})" if by_tuples else f"{name}[:, l]"
 
     fills = compiled.inplace and not event
-    head = [f"y = carray(y_, ({n}, {width}))", f"out = carray(out_, ({size}, {width}))"]
-    head += [f"p = carray(p_, ({parameters}, {width}))"] if parameters else []
+    head = [f"y = read_only(carray(y_, ({n}, {width})))", f"out = carray(out_, ({size}, {width}))"]
+    head += [f"p = read_only(carray(p_, ({parameters}, {width})))"] if parameters else []
     values = ["t_[l]", row("y", n), *(["out[:, l]"] if fills else [])]
     values += [row("p", parameters)] if parameters else []
     call = f"f({', '.join(values)})"
     unfilled = f"for i in range({size}): out[i, l] = nan"  # what f does not fill is not defined
     body = [unfilled, call] if fills else [f"r = {call}", *_stores(made)]
     lines = ["def code(lanes, t_, y_, out_, p_):", *head, "for l in range(lanes):", *(f"    {line}" for line in body)]
-    namespace: dict[str, Any] = {"f": compiled.jitted, "carray": numba.carray, "nan": math.nan}
+    namespace: dict[str, Any] = {
+        "f": compiled.jitted, "carray": numba.carray, "read_only": read_only, "nan": math.nan
+    }  # fmt: skip
     exec("\n    ".join(lines), namespace)
     signature = numba.types.void(numba.types.intp, pointer, pointer, pointer, pointer)
     kept, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # the loop is left to the second pass

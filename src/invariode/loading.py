@@ -229,12 +229,22 @@ class _StoredInvariants(BoundInvariants):
     """The invariants of a file, without functions: at its outputs, what was computed when it was saved."""
 
     at_outputs: tuple[Array, Array] = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t)
+    outputs: Array = dataclasses.field(kw_only=True)  # y of the file
 
     def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
+        self._require_outputs(y)
         return self.at_outputs[0]
 
     def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
+        self._require_outputs(y)
         return self.at_outputs[1]
+
+    def _require_outputs(self, y: Array) -> None:
+        if len(self) and y is not self.outputs and not np.array_equal(y, self.outputs, equal_nan=True):
+            raise ValueError(
+                f"the functions of the invariants {', '.join(self.names)} are not in the file, which has their "
+                "residuals only at its outputs, and y has changed: give them, invariode.load(path, invariants=...)"
+            )
 
     def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> NoReturn:
         raise ValueError(
@@ -270,7 +280,16 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         raise ValueError("invariants do not match")
     jumps = map(Jump, arrays["jumps.row"].tolist(), arrays["jumps.t"].tolist(), arrays["jumps.value"])
     g = _StoredInvariants(
-        [], value, names, (), np.zeros(0), None, jumps=tuple(jumps), forward=about["forward"], at_outputs=at_outputs
+        [],
+        value,
+        names,
+        (),
+        np.zeros(0),
+        None,
+        jumps=tuple(jumps),
+        forward=about["forward"],
+        at_outputs=at_outputs,
+        outputs=y,
     )
     dense = None
     if about["dense"]:

@@ -15,7 +15,8 @@ from ._films import HasPoints
 from ._motion import FunctionOfState, Functions, Motion, MotionFunction, Point
 from ._types import Span
 from .compiled import is_native
-from .invariants import InvariantError, Invariants, InvariantsLike, to_invariants
+from .failures import InvariantError
+from .invariants import Invariants, InvariantsLike, to_invariants
 from .problem import Problem
 
 __all__ = ["MechanicalSystem"]
@@ -199,7 +200,7 @@ class MechanicalSystem(HasPoints):
         >>> import invariode as iv
         >>> bead = iv.MechanicalSystem([1, 1], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
         >>> bead.problem((0, 1), [1, 1], [0, 0])
-        Problem('slope', t_span=(0.0, 1.0), n=4)
+        Problem('mechanism', t_span=(0.0, 1.0), n=4)
         """
         choice("consistent", consistent, ("check", "project"))
         choice("correction", correction, ("levels", "joint", "none"))

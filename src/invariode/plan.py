@@ -15,6 +15,7 @@ from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times,
 from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
 from ._files import PathLike
+from ._given_matrices import Matrices
 from ._messages import (
     MESSAGES,
     Laws,
@@ -26,20 +27,20 @@ from ._messages import (
     status_and_message,
 )
 from ._options import Options, checked
-from ._types import MethodName, Numbers, OnInterrupt
+from ._types import MethodName, Numbers, OnFailure, OnInterrupt
 from .breakpoints import Breakpoint, of_inputs, ordered
 from .compiled import native_parameters, to_native
-from .description import Description, Matrices
+from .description import Description
 from .events import EventSpec, event_spec
+from .failures import InvariantError
 from .inputs import fed
-from .invariants import InvariantError
 from .methods import METHODS, Method, find_method
 from .result import LIMIT_REACHED, Names
 
 if TYPE_CHECKING:
     from ._krylov import Krylov
 
-__all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "solver"]
+__all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "ordered_breakpoints", "solver"]
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -134,6 +135,7 @@ class Plan(NamedTuple):
     atol: Numbers
     progress: bool
     on_interrupt: OnInterrupt
+    on_failure: OnFailure
     checkpoint: PathLike | None
     checkpoint_every: float  # seconds
 
@@ -222,9 +224,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     settings = _settings(problem, chosen, options)
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
-    breakpoints: list[Breakpoint] = []
-    if options["breakpoints"] or problem.inputs:
-        breakpoints = ordered([*(options["breakpoints"] or ()), *of_inputs(problem.inputs)], *problem.t_span)
+    breakpoints = ordered_breakpoints(problem, options["breakpoints"])
     parameters, fun = _native_functions(problem, breakpoints)
     linear, y0 = _linear_algebra(problem, chosen, options, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
@@ -251,6 +251,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         atol=kept(atol),
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
+        on_failure=options["on_failure"],
         checkpoint=options["checkpoint"],
         checkpoint_every=options["checkpoint_every"],
     )
@@ -332,11 +333,17 @@ def _highest_order(method: Method, order: int | None) -> int:
 # Functions
 
 
+def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
+    """Where a run of the problem starts anew: the breakpoints, and where its inputs jump, in their order."""
+    if not given and not problem.inputs:
+        return []
+    return ordered([*(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
+
+
 def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
     p = native_parameters(problem.args, _called(problem, breakpoints))
-    n = reals(problem.y0)
-    return p, to_native("fun", fed(problem.fun, problem.inputs), n, n, p)
+    return p, problem.slope.for_core(problem.y0, p)
 
 
 def _called(problem: Description, breakpoints: list[Breakpoint]) -> Iterator[Any]:
@@ -395,7 +402,7 @@ def _linear_algebra(
     if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
-    start = Start(fed(problem.fun, problem.inputs), t0, y0, problem.args, parameters, complex_by_default=compiled)
+    start = Start(problem.slope.fun, t0, y0, problem.args, parameters, complex_by_default=compiled)
     linear = prepare(matrices, start, _matrix_free(problem, matrices, options, parameters))
     if not linear.algebraic:
         return linear, y0

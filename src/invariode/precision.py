@@ -17,7 +17,7 @@ from scipy.sparse import csc_array
 from ._arguments import EPS, Array
 from ._below_zero import BelowZero, Lowest, below_zero
 from ._matrices import null_basis
-from .invariants import InvariantError
+from .failures import InvariantError
 from .methods import METHODS, Method
 from .problem import Problem
 from .result import StiffnessWarning
@@ -213,17 +213,18 @@ def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
 
 
 def compare_runs(
-    problem: Problem, methods: Sequence[Method], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
+    problem: Problem, methods: Sequence[str], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
 ) -> Iterator[Row]:
-    """All runs, method by method from the crudest tolerance on. A method that takes too long is given up.
+    """All runs, method by method, by names that `solve` takes, from the crudest tolerance on. A method that takes too
+    long is given up.
 
     Raises InvariantError if a run finds that f does not conserve an invariant.
     """
     plain = unprojected(problem)
     for method in methods:
         for rtol in rtols:
-            options = {"method": method.name, "rtol": rtol, "atol": ratio * rtol, "keep": "end"}
-            row = Row(method.name, rtol, *_measured(problem, plain, options, seconds, truth))
+            options = {"method": method, "rtol": rtol, "atol": ratio * rtol, "keep": "end"}
+            row = Row(method, rtol, *_measured(problem, plain, options, seconds, truth))
             if row.projected and row.projected.problem == "refused":
                 raise InvariantError(row.projected.message)
             yield row

@@ -18,7 +18,7 @@ from ._types import MethodName, Span
 from .compiled import CoreFunction, native_parameters
 from .description import Description
 from .plan import Plan, make_plan, solver
-from .run import presented, solve
+from .run import concluded, presented, solve
 from .solution import Solution
 
 __all__ = ["PreparedSolver"]
@@ -102,7 +102,8 @@ class PreparedSolver:
             run = self._run(start, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
                 source = _Changed(self, run, args, t_span)
-                return presented(run, self._as_run(run, args, cover), source, self._members)
+                sol = presented(run, self._as_run(run, args, cover), source, self._members)
+                return concluded(sol, self._plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
         return solve(_changed(self.problem, y0, args, t_span), self.method, self._options)
 

@@ -45,7 +45,12 @@ class Problem(Description):
         An argument of a wrong type, such as a `fun` that is not callable.
     ValueError
         y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; the number of `labels` is not n; an input
-        does not cover `t_span`. What only a method can check, such as the shape of a Jacobian, is an error in `solve`.
+        does not cover `t_span`; a constant `jac`, `mass` or `jac_sparsity` is no matrix of n components. What functions
+        return is checked by `solve`.
+
+    Notes
+    -----
+    A problem does not change: `replace` makes another one.
 
     Examples
     --------

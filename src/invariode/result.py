@@ -16,6 +16,7 @@ from ._core import Dense
 
 __all__ = [
     "LIMIT_REACHED",
+    "NOT_CONSERVED",
     "BeforeProjection",
     "DenseSolution",
     "DiscontinuityWarning",
@@ -28,8 +29,9 @@ __all__ = [
     "StiffnessWarning",
 ]
 
-#: The status of a run ended by a limit: its results are right, and it can be extended.
-LIMIT_REACHED = -3
+#: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
+#: invariant which f does not conserve.
+LIMIT_REACHED, NOT_CONSERVED = -3, -2
 
 
 class Record(Mapping[str, Any]):
@@ -269,6 +271,7 @@ class BeforeProjection(NamedTuple):
     residual: Array  # of each invariant
     distance: Array
     correction: float  # of a step
+    all_that_is_known: Drift | None = None  # where the functions are not
 
 
 class DenseSolution:
@@ -444,13 +447,19 @@ class Result(dict[str, Any]):
     __eq__ = object.__eq__  # arrays do not compare to one truth
     __hash__ = object.__hash__  # type: ignore[assignment]  # a dict has none
 
-    @cached_property
+    @property
     def residual(self) -> Array:
-        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs. Computed on first use.
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs t and y as they are now.
 
         For an `invariode.Dissipated` function, how far it has risen above its lowest earlier output, or fallen
-        below its highest.
+        below its highest. Each access evaluates the invariants.
         """
+        if self._drift.all_that_is_known is not None:
+            raise ValueError(
+                "the residuals of this trajectory at its outputs are not known: the ensemble comes from a file or a "
+                "pickle, without functions, or has events whose actions change the values of invariants. drift() has "
+                "the largest residuals; for those at outputs solve this trajectory alone"
+            )
         return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
 
     def drift(self) -> Drift:
@@ -459,6 +468,8 @@ class Result(dict[str, Any]):
         Those before are at the candidates of the accepted steps; those after are at the outputs, where g and its
         Jacobian are evaluated when this is called.
         """
+        if self._drift.all_that_is_known is not None:
+            return self._drift.all_that_is_known
         g = self._invariants
         after = g.distance(self.t, self.y, self._rtol, self._atol, g.pieces_of_output(len(self.t)))
         return Drift(

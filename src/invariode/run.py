@@ -28,17 +28,28 @@ from ._messages import (
 )
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
-from ._types import MethodName
+from ._types import MethodName, OnFailure
+from .breakpoints import to_breakpoints
 from .checkpoint import Checkpoint
-from .compiled import CoreFunction, values_of
+from .compiled import CoreFunction
 from .description import Description
+from .failures import FailureWarning, InvariantError, SolveError
 from .invariants import AccuracyWarning
 from .methods import find_method
-from .plan import Plan, make_plan, solver
-from .result import LIMIT_REACHED, BeforeProjection, DenseSolution, DiscontinuityWarning, Stats, Steps, StiffnessWarning
+from .plan import Plan, make_plan, ordered_breakpoints, solver
+from .result import (
+    LIMIT_REACHED,
+    NOT_CONSERVED,
+    BeforeProjection,
+    DenseSolution,
+    DiscontinuityWarning,
+    Stats,
+    Steps,
+    StiffnessWarning,
+)
 from .solution import Solution
 
-__all__ = ["RunOrigin", "Solved", "Source", "presented", "solve"]
+__all__ = ["RunOrigin", "Solved", "Source", "concluded", "presented", "solve"]
 
 
 class Resumed(NamedTuple):
@@ -102,35 +113,51 @@ class RunOrigin:
             {"memory": memory, "y": self.y, **of_identity},
         )
 
-    def slopes(self, t: Array, y: Array) -> Array | None:
+    def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
         problem, options = self.source.problem, self.source.options
         known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
         if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
             return None
         if not np.allclose(y[:, -1], self.y, rtol=1e-2, atol=0):  # the user has changed its units
             return None
-        if "jac" in find_method(self.source.method)[0].options:
-            return self._slopes_of_shape(t, y)
-        return values_of(problem.fun, t, y, problem.args)
+        given = options.get("breakpoints")
+        points = ordered_breakpoints(problem, () if given is None else to_breakpoints("breakpoints", given))
+        jumps = np.isin(t, [point.t for point in points])
+        stiff = "jac" in find_method(self.source.method)[0].options
+        return self._slopes_of_shape(t, y, jumps) if stiff else self._sides(t, y, jumps)
 
-    def _slopes_of_shape(self, t: Array, y: Array) -> Array:
-        """Those of monotone cubics, for implicit methods: f at stiff solutions magnifies their errors, and its cubics
-        overshoot."""
+    def _sides(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
+        """Those of f. `jumps`: where it may differ from one side to the other."""
+        slope = self.source.problem.slope
+        after = before = slope(np.where(jumps, np.nextafter(t, self.forward * np.inf), t), y)
+        if jumps.any():
+            before = after.copy()
+            before[:, jumps] = slope(np.nextafter(t[jumps], -self.forward * np.inf), y[:, jumps])
+        return after, before
+
+    def _slopes_of_shape(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
+        """Those of monotone cubics between the jumps, for implicit methods: f at stiff solutions magnifies their
+        errors, and its cubics overshoot."""
         from scipy.interpolate import PchipInterpolator
 
         reals = np.ascontiguousarray(y.T).view(float)
-        slopes = np.zeros_like(reals)
-        for piece in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) == 0) + 1):  # between jumps
-            if len(piece) > 1:
+        after, before = np.zeros_like(reals), np.zeros_like(reals)
+        twice = np.append(np.diff(t) == 0, False)  # a jump of y, after which its next piece begins
+        ends = np.flatnonzero(twice | (jumps & ~np.append(False, twice[:-1])))
+        begins = np.append(0, ends + twice[ends])
+        for begin, end in zip(begins, np.append(ends, len(t) - 1), strict=True):
+            piece = slice(begin, end + 1)
+            if end > begin:
                 at = self.forward * t[piece]
-                slopes[piece] = self.forward * PchipInterpolator(at, reals[piece])(at, 1)
-        return as_columns(slopes, y.dtype)
+                slopes = self.forward * PchipInterpolator(at, reals[piece])(at, 1)
+                after[begin:end], before[begin + 1 : end + 1] = slopes[:-1], slopes[1:]
+        return as_columns(after, y.dtype), as_columns(before, y.dtype)
 
     def field(self, y: Array) -> Array | None:
         problem = self.source.problem
         if problem.matrices.mass is not None:
             return None
-        return values_of(problem.fun, np.full(y.shape[1], problem.t_span[0]), y, problem.args)
+        return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 
     def imposing(self) -> RunOrigin:
         return dataclasses.replace(self, imposed=True)
@@ -163,8 +190,25 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
         if ended_at_start(plan, found) and sol.success:
             status, message = MESSAGES["terminal_event"]
             sol = sol.changed(status=status, message=message)
+    else:
+        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source))
+    return concluded(sol, plan.on_failure)
+
+
+def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
+    """The solution; if it failed, with the warning that is asked for.
+
+    Raises
+    ------
+    SolveError
+        It failed, and is to raise.
+    """
+    if sol.success or on_failure == "return":
         return sol
-    return _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source))
+    if on_failure == "warn":
+        warn(sol.message, FailureWarning)
+        return sol
+    raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
 
 
 def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
@@ -374,7 +418,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
         origin.checkpoint.go_on(old.stats.mechanics)
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
     points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
-    return _joined(old, new.impose() if origin.imposed else new, points, forward)
+    return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
 
 
 def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:

@@ -21,8 +21,9 @@ class Origin(Protocol):
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
-    def slopes(self, t: Array, y: Array) -> Array | None:
-        """Slopes of the solution at the outputs, (n, n_t), if these are the steps of a differential equation."""
+    def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
+        """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
+        equation."""
 
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""

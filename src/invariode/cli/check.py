@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from .._below_zero import Lowest, below_zero
-from ..invariant_check import CheckReport, check_invariants
+from ..invariant_check import CheckReport, checked_at
 from ..precision import unprojected
 from ..problem import Problem
 from .load import File, load
@@ -110,7 +110,7 @@ def _checkable(problem: Problem) -> None:
 
 def _report(problem: Problem, t: float, y: np.ndarray, rtol: float, atol: float, nearby: bool = False) -> CheckReport:
     given: dict[str, Any] = {"rtol": rtol, "atol": atol, "nearby": nearby}
-    return check_invariants(problem.fun, problem.invariants, float(t), y, problem.args, **given)
+    return checked_at(problem, float(t), y, **given)
 
 
 def _print_report(console: Console, problem: Problem, report: CheckReport) -> None:

@@ -185,10 +185,11 @@ def _all(
         raise stop(str(none), code=1) from None
     rows = []
     try:
-        for row in compare_runs(problem, methods, rtols, ratio, limit, truth):
+        names = [method.name for method in methods]
+        for row in compare_runs(problem, names, rtols, ratio, limit, truth):
             rows.append(row)
             if told:
-                told(len(rtols) * [m.name for m in methods].index(row.method) + rtols.index(row.rtol) + 1, row.method)
+                told(len(rtols) * names.index(row.method) + rtols.index(row.rtol) + 1, row.method)
     except KeyboardInterrupt:
         done = f"{len(rows)} of {len(methods) * len(rtols)} comparisons"
         raise stop(f"Interrupted after {done}; nothing was written. Try --method and --decades.", INTERRUPTED) from None

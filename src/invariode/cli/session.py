@@ -22,7 +22,7 @@ from rich.text import Text
 
 from .._arguments import PACKAGE
 from .._options import TABLE
-from ..invariants import InvariantError
+from ..failures import InvariantError
 from ..methods import METHODS, Method, find_method
 
 __all__ = [

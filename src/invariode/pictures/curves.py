@@ -62,16 +62,17 @@ def _by_interpolant(sol: Result) -> Curve:
     return Curve(np.insert(t, cuts, np.nan), np.insert(sol.sol(t), cuts, np.nan, axis=1), smooth=True)
 
 
-def _by_slopes(sol: Result, slopes: Array) -> Curve:
-    """Cubic Hermite interpolation: between the steps of a run it is of order 4, enough for the eye."""
+def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:
+    """Cubic Hermite interpolation: between the steps of a run it is of order 4, enough for the eye. `slopes`: those
+    after and before each point."""
     x = _inside(len(sol.t))[:, None]
-    t, y, f = sol.t, sol.y, slopes
+    t, y, (after, before) = sol.t, sol.y, slopes
     h = np.diff(t)
     start, end = y[:, None, :-1], y[:, None, 1:]
     inside = (
         (1 + 2 * x) * (1 - x) ** 2 * start
         + x**2 * (3 - 2 * x) * end
-        + x * (1 - x) * h * ((1 - x) * f[:, None, :-1] - x * f[:, None, 1:])
+        + x * (1 - x) * h * ((1 - x) * after[:, None, :-1] - x * before[:, None, 1:])
     )
     # by steps, and the points of a step in their order
     times = np.append((t[:-1] + x * h).T.ravel(), t[-1:])

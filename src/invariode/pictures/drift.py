@@ -24,13 +24,13 @@ __all__ = ["draw"]
 def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relative: bool, line: dict[str, Any]) -> Axes:
     """See `Solution.plot_drift`."""
     given_ones = to_invariants(invariants)
-    if not given_ones and not len(sol._invariants):
+    if not given_ones and not len(sol._invariants) and not sol.drift().names:
         raise ValueError("the run had no invariants: give those to draw, plot_drift(invariants=g)")
     if not len(sol.t):
         raise ValueError("the output has no points: t_eval was empty; solve with times in t_eval")
     g = _bound(sol, given_ones) if given_ones else sol._invariants
     pieces = g.pieces_of_output(len(sol.t))
-    residual = np.abs(g.residual(sol.t, sol.y, pieces))
+    residual = np.abs(g.residual(sol.t, sol.y, pieces) if given_ones else sol.residual)
     largest = np.zeros(len(g)) if given_ones else sol._drift.residual[: len(g)]
     if relative:
         g, residual, largest = _relative(g, residual, largest)

@@ -1,4 +1,4 @@
-"""Many trajectories over t: as bands, as quantiles, or one by one."""
+"""Many trajectories over t: as bands, as quantiles, or one by one. Imaginary parts are dashed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from .._arguments import Array
 from .._style import COLOURS, LOOK
 from ..result import default_labels
 from .canvas import component, joined, legend, properties, require_matplotlib
+from .curves import parts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,10 +38,16 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
     ax = _new() if ax is None else ax
     look, given = properties(line)
     for place, k in enumerate(rows):
-        values = ensemble.y[:, k].real
-        colour = COLOURS[place % len(COLOURS)]
-        own = {"color": colour, "label": joined(names[k], given), "linewidth": 1.4, **look}
-        {"bands": _bands, "quantiles": _quantiles, "spaghetti": _threads}[kind](ax, ensemble.t, values, own)
+        for part, values, dashes in zip(*parts(ensemble.y[:, k]), ("-", "--"), strict=False):
+            label = joined(f"{part}{names[k]}", given)
+            own = {
+                "color": COLOURS[place % len(COLOURS)],
+                "linestyle": dashes,
+                "label": label,
+                "linewidth": 1.4,
+                **look,
+            }
+            {"bands": _bands, "quantiles": _quantiles, "spaghetti": _threads}[kind](ax, ensemble.t, values, own)
     ax.set_xlabel("$t$")
     if len(rows) == 1:
         ax.set_ylabel(names[rows[0]])

@@ -95,10 +95,10 @@ def plot_work_precision(
     """
     require_matplotlib()
     possible = able(problem)
-    chosen = [find_method(name)[0] for name in methods] if methods is not None else possible
-    for one in chosen:
-        if one not in possible:
-            raise ValueError(f"{one.name} cannot use a mass matrix: choose from {', '.join(m.name for m in possible)}")
+    chosen = [one.name for one in possible] if methods is None else [_named(name) for name in methods]
+    for name in chosen:
+        if find_method(name)[0] not in possible:
+            raise ValueError(f"{name} cannot use a mass matrix: choose from {', '.join(m.name for m in possible)}")
     truth = _truth(problem, reference, atol_ratio, limit)
     rows = list(compare_runs(problem, chosen, rtols, atol_ratio, limit, truth))
     if not any(math.isfinite(run.error) for row in rows for way in WAYS if (run := row.run(way))):
@@ -115,6 +115,12 @@ def plot_work_precision(
         raise ValueError(f"plot_work_precision draws on two axes, got {len(panels)}")
     _draw_costs(panels, rows, truth)
     return panels
+
+
+def _named(name: str) -> str:
+    """The method's own name; SciPy's where that implies options, as 'BDF' does."""
+    method, implied = find_method(name)
+    return str(method.scipy_name) if implied else method.name
 
 
 def _truth(problem: Problem, given: Any, ratio: float, limit: float) -> Reference:
@@ -181,7 +187,8 @@ def _curves(axes: Axes, rows: Sequence[Row], cost: str, truth: Reference) -> Non
 
 
 def _style(method: str, way: str) -> dict[str, Any]:
-    k = list(METHODS).index(method)
+    about, implied = find_method(method)
+    k = list(METHODS).index(about.name) + (len(METHODS) if implied else 0)  # the same method with options
     colour, plain = COLOURS[k % len(COLOURS)], way == "plain"
     return {
         "color": colour,

@@ -11,8 +11,8 @@ from sympy.physics.mechanics import KanesMethod, LagrangesMethod
 
 from .._arguments import choice, interval, warn
 from .._types import Span
+from ..failures import InvariantError
 from ..imposing import impose
-from ..invariants import InvariantError
 from ..problem import Problem
 from .code import System
 from .mechanism import Consistent, Correction, Mechanism

@@ -1,0 +1,41 @@
+"""How a failed run says so, where `on_failure` asks for more than its status."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["FailureWarning", "InvariantError", "SolveError"]
+
+
+class SolveError(RuntimeError):
+    """A run failed, and was asked to raise: ``on_failure="raise"``. The text is the `message` of its solution.
+
+    Parameters
+    ----------
+    message : str
+        Why it failed.
+    solution : Solution, EnsembleSolution or EnsembleStore, optional
+        The results so far.
+
+    Attributes
+    ----------
+    solution : Solution, EnsembleSolution, EnsembleStore or None
+        The results so far; those of a run that reached a limit can be extended. None where a run failed at its start.
+        An ensemble's error also has the exception of its first failed trajectory, if there is one, as ``__cause__``.
+    """
+
+    def __init__(self, message: str, solution: Any = None) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+class InvariantError(SolveError, ValueError):
+    """An invariant contradicts the problem: its value at the start, or its Jacobian, or f does not keep it.
+
+    A run refuses such an invariant at its start with this error; where it is found later, the run ends with status -2,
+    or with ``on_failure="raise"`` with this error and the solution up to there.
+    """
+
+
+class FailureWarning(UserWarning):
+    """A run failed, or some trajectories of an ensemble: what ``on_failure="warn"`` says."""
