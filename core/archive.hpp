@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <span>
 #include <stdexcept>
 #include <type_traits>
@@ -19,10 +20,14 @@ using Memory = Buffer<std::byte>;
 /// Bytes to which a memory is written, or from which it is read. Each class has one function `state(Archive&)` that
 /// names its fields, so that what is written and what is read cannot disagree. Sizes are those of the problem: what
 /// reads has been made for the same one, and a field of another size throws std::invalid_argument.
+///
+/// The bytes may be of a file that anyone wrote. What is read as a truth is one, and what is read as a count is not
+/// negative and can be added to; a class whose fields are indices or sizes, or belong together, checks them by
+/// `require` before it uses them. Numbers may have any value: they can spoil the solution, but nothing else.
 class Archive {
  public:
   /// Raised whenever the fields of any class change, or their order.
-  static constexpr std::uint32_t version = 3;
+  static constexpr std::uint32_t version = 4;
 
   /// To write. Where it would take more than `most_values` matrix entries, matrices are left out: whoever reads it
   /// starts the method anew.
@@ -45,18 +50,20 @@ class Archive {
   [[nodiscard]] bool stopped() const { return stopped_; }
   /// What was read must be so.
   void require(bool right) const {
-    if (!right) throw damaged();
+    if (reading_ && !right) throw damaged();
   }
   /// All has been read.
   [[nodiscard]] bool exhausted() const { return place_ == source_.size(); }
 
   /// What was written, once.
   [[nodiscard]] Memory take() {
-    std::memcpy(written_.data() + sizeof(version), &whole_, sizeof(whole_));
+    const std::uint8_t whole = whole_ ? 1 : 0;
+    std::memcpy(written_.data() + sizeof(version), &whole, sizeof(whole));
     return std::move(written_);
   }
 
-  /// Fields one after the other: numbers, enumerations, and vectors of these that keep their size.
+  /// Fields one after the other: numbers, truths, counts, enumerations, and vectors of numbers that keep their size.
+  /// Whole numbers are counts; `values` takes others.
   template <class... Fields>
   void operator()(Fields&... fields) {
     (field(fields), ...);
@@ -92,10 +99,21 @@ class Archive {
     return std::invalid_argument("the memory of the run is damaged, or of another problem");
   }
 
+  /// Runs add to their counts, and multiply them by a few.
+  template <class T>
+  static constexpr T most = std::numeric_limits<T>::max() / (sizeof(T) > sizeof(std::int32_t) ? 128 : 2);
+
   template <class T>
   void field(T& value) {
     static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
     bytes(&value, sizeof(T));
+    if constexpr (std::is_integral_v<T>) require(value >= 0 && value <= most<T>);
+  }
+  void field(bool& value) {
+    std::uint8_t byte = value ? 1 : 0;
+    bytes(&byte, sizeof(byte));
+    require(byte <= 1);
+    value = byte == 1;
   }
   template <class T>
   void field(std::vector<T>& v) {

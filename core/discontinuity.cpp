@@ -98,6 +98,9 @@ void DiscontinuityDetector::state(Archive& archive) {
   archive(m.count, m.failed, m.stepped, m.longest, m.latest, m.beyond, m.latest_t, m.from_t, evaluations_);
   series_.go_on(m);
   for (std::vector<double>* one : {&from_, &latest_, &found_}) archive.resizable(*one);
+  for (const std::vector<double>* one : {&from_, &latest_})
+    archive.require(one->empty() || one->size() == weights_.size());
+  archive.require(found_.size() <= most);
 }
 
 }  // namespace invariode

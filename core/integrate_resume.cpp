@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 
 #include "integrate.hpp"
 
@@ -27,7 +28,7 @@ void Integration::state(Archive& archive) {
   archive(clipped, drift.residual, drift.distance, drift.correction);
   archive_attempt(archive);
   if (archive.reading()) {
-    archive.require(next_break_ <= breaks_.points.size());
+    archive.require(std::isfinite(reached_.t) && next_break_ <= breaks_.points.size());
     pass_breakpoints(0);
     interpolant_->start_at(reached_.t, y.data());
     reached_.y = interpolant_->start_y();
@@ -35,6 +36,7 @@ void Integration::state(Archive& archive) {
     in_step_ = in_step_ && target == target_;
   }
   step_->state(archive);
+  archive.require(anew_ || n_ == 0 || step_->h() > 0);
   for (std::optional<Projector>* one : {&projector_, &output_projector_})
     if (*one) (*one)->state(archive);
   if (guard_) guard_->state(archive);
@@ -52,6 +54,7 @@ void Integration::state(Archive& archive) {
 void Integration::archive_attempt(Archive& archive) {
   auto& [h, t1, hmin, landing, error, correction, refused, refusals] = attempt_;
   archive(in_step_, h, t1, hmin, landing, refused[0], refused[1], refusals);
+  archive.require(!in_step_ || (std::isfinite(h) && h * forward_ > 0 && std::isfinite(t1) && hmin >= 0));
 }
 
 State Integration::resume(bool anew) {

@@ -169,6 +169,9 @@ class Step {
   bool moved_onto_bounds_ = false;
 };
 
-inline void Step::state(Archive& archive) { archive(t_, y_, h_, moved_onto_bounds_); }
+inline void Step::state(Archive& archive) {
+  archive(t_, y_, h_, moved_onto_bounds_);
+  archive.require(std::isfinite(t_) && h_ >= 0);
+}
 
 }  // namespace invariode

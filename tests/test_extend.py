@@ -186,8 +186,10 @@ def test_times_of_output(method):
     np.testing.assert_allclose(sol.y, single.y, atol=1e-5)
     more = sol.extend(12, t_eval=[10, 11, 12])  # that at 10 is there already
     np.testing.assert_array_equal(more.t, [*times, 11, 12])
-    with pytest.raises(ValueError, match="no times left up to t_end = 12"):
-        sol.extend(12)
+    beyond = sol.extend(12)  # where none are left there is no output
+    np.testing.assert_array_equal(beyond.t, times)
+    np.testing.assert_array_equal(beyond.extend(13, t_eval=[13]).y[:, -1], sol.extend(13, t_eval=[13]).y[:, -1])
+    assert beyond.t_end == 12
     with pytest.raises(ValueError, match=r"within t_span = \(10.0, 12.0\)"):
         sol.extend(12, t_eval=[9])
     with pytest.raises(ValueError, match="output at its steps"):

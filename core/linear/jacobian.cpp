@@ -24,12 +24,22 @@ const double wide_factor = large;   // its truncation error is far below the rou
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr double most_entries = 0x1p27;      // of a pattern that has grown: a gigabyte and a half
 
-bool well_formed(const Matrix& sparse) {
+/// Compressed columns, each with ascending rows.
+bool well_formed_pattern(const Matrix& sparse) {
   const auto& [structure, values, starts, rows] = sparse;
-  const auto entries = static_cast<int>(rows.size()), n = static_cast<int>(structure.n);
-  return starts.size() == structure.n + 1 && starts.front() == 0 && starts.back() == entries &&
-         values.size() == rows.size() && std::ranges::is_sorted(starts) &&
-         std::ranges::all_of(rows, [n](int row) { return row >= 0 && row < n; });
+  const auto n = static_cast<int>(structure.n);
+  if (starts.size() != structure.n + 1 || starts.front() != 0 || !std::ranges::is_sorted(starts) ||
+      !std::in_range<int>(rows.size()) || starts.back() != static_cast<int>(rows.size()))
+    return false;
+  for (std::size_t j = 0; j < structure.n; ++j) {
+    int above = -1;
+    for (int p = starts[j]; p < starts[j + 1]; ++p) {
+      const int row = rows[static_cast<std::size_t>(p)];
+      if (row <= above || row >= n) return false;
+      above = row;
+    }
+  }
+  return true;
 }
 
 }  // namespace
@@ -232,15 +242,17 @@ void Jacobian::matrix_state(Archive& archive) {
     archive.resizable(matrix_.rows);
   }
   const bool kept = archive.matrix(matrix_.values);
-  if (!archive.reading() || !kept || matrix_.values.empty()) return;  // empty: it has not been needed yet
-  archive.require(sparse ? well_formed(matrix_) : matrix_.values.size() == matrix_.size());
-  if (source_.found_pattern) group_columns();
+  if (!archive.reading()) return;
+  archive.require(!sparse || well_formed_pattern(matrix_));
+  archive.require(!kept || matrix_.values.empty() || provided());
+  if (sparse && source_.found_pattern) group_columns();
 }
 
 void Jacobian::state(Archive& archive) {
   archive(count_, noise_, factor_, kind_, left_complex_steps_, enlargements_, doubtful_now_, examined_);
   source_.complex_f.state(archive);
   archive.require(kind_ == source_.kind || (source_.kind == Kind::complex_steps && kind_ == Kind::differences));
+  archive.require(!examined_ || source_.found_pattern);
 }
 
 void Jacobian::widen_increments() {

@@ -49,6 +49,7 @@ class Jacobian {
   [[nodiscard]] const Matrix& matrix() const { return matrix_; }
   /// Its values are there from now on, zeros until it is evaluated.
   void provide() { matrix_.provide(); }
+  [[nodiscard]] bool provided() const { return matrix_.values.size() == matrix_.size(); }
   [[nodiscard]] Kind kind() const { return kind_; }
   /// Of columns, for differences and complex steps: so many evaluations of f it takes.
   [[nodiscard]] std::size_t groups() const { return groups_.size(); }

@@ -493,8 +493,11 @@ void Projector::leave_out(std::size_t i, double t) {
 void Projector::state(Archive& archive) {
   archive(linearized_, bent_, r_, J_, norm_, w_, point_, left_out_, dropped_, corrections_, deficient_, corrected_at_);
   archive(covered_, covered_deficient_, dropped_at_);
-  archive(idle_, idle_count_);
+  archive(idle_);
   archive.resizable(linearized_w_);
+  if (!archive.reading()) return;
+  archive.require(linearized_w_.size() == w_.size() || (linearized_w_.empty() && !(linearized_ && negligible_ > 0)));
+  idle_count_ = idle_.size() - static_cast<std::size_t>(std::ranges::count(idle_, char{0}));
 }
 
 std::vector<char> Projector::dropped() const {

@@ -302,7 +302,7 @@ void Adams::state(Archive& archive) {
   archive.values(slope_, n());
   if (!archive.reading()) return;
   for (const int k : {order_, previous_order_, lower_}) archive.require(k >= 1 && k <= max_order_);
-  archive.require(steps_at_h_ >= 0 && steps_at_h_ <= highest_order + 1);
+  archive.require(steps_at_h_ <= highest_order + 1);
   predicted_ = false;
 }
 

@@ -12,6 +12,7 @@ namespace invariode {
 namespace {
 
 bool rows_of_n(const double*, std::size_t size, std::size_t n) { return size > 0 && size % n == 0; }
+bool two_cubics(const double*, std::size_t size, std::size_t n) { return size == TrBdf2::extension_rows * n; }
 bool rows_and_steps(const double*, std::size_t size, std::size_t n) {
   return size > n && (size - n) % (n + 1) == 0 && (size - n) / (n + 1) <= Adams::highest_order + 1;
 }
@@ -20,7 +21,7 @@ bool numbered(const double* data, std::size_t size, std::size_t n);
 constexpr Extension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n},
                               {"Adams", integrate_polynomial, rows_and_steps},
                               {"NDF", newton_backward, rows_of_n},
-                              {"TR-BDF2", two_hermite_cubics, rows_of_n},
+                              {"TR-BDF2", two_hermite_cubics, two_cubics},
                               {"numbered", numbered_extension, numbered}};
 
 /// The extension with that number; null if the number is unknown, or names a numbered extension.

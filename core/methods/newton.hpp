@@ -150,7 +150,12 @@ Outcome AgingJacobian::prepare(double c, double t1, Factor&& factor, double tole
 template <class Factor>
 void AgingJacobian::state(Archive& archive, Factor&& factor) {
   fields(archive);
-  if (!archive.reading() || !archive.whole() || factored_ == 0) return;
+  if (!archive.reading() || !archive.whole()) return;
+  if (!free_ && !jacobian_.provided()) {  // a member of auto that has not begun
+    archive.require(factored_ == 0);
+    renew_ = true;
+  }
+  if (factored_ == 0) return;
   if (mass_ && mass_->evaluate(factored_at_) == Status::stop) return archive.stop();
   archive.require(factor(factored_));
 }

@@ -20,7 +20,8 @@ class TrBdf2 final : public OrderTwo {
   [[nodiscard]] std::size_t max_directions() const override { return 3; }
 
   [[nodiscard]] Interpolate interpolate() const override { return two_hermite_cubics; }
-  [[nodiscard]] std::size_t extension_size() const override { return 6 * n(); }
+  static constexpr std::size_t extension_rows = 6;
+  [[nodiscard]] std::size_t extension_size() const override { return extension_rows * n(); }
   [[nodiscard]] int degree() const override { return 6; }  // 3 in each part
   Status extension(double* data) override;
 

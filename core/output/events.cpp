@@ -94,9 +94,9 @@ Outcome Events::go_on(double t, const double* y) {
 void Events::state(Archive& archive) {
   archive(last_, sign_);
   for (std::size_t e = 0; e < count(); ++e) {
-    std::int64_t left = functions_[e].terminal - times_seen_[e];
-    archive(left);
-    times_seen_[e] = functions_[e].terminal - left;
+    std::int64_t terminal = functions_[e].terminal, seen = times_seen_[e];
+    archive(terminal, seen);
+    times_seen_[e] = functions_[e].terminal - (terminal - seen);
   }
   std::vector<std::size_t> which;
   std::vector<double> when;
@@ -107,6 +107,7 @@ void Events::state(Archive& archive) {
   archive.resizable(which);
   archive.resizable(when);
   if (!archive.reading()) return;
+  archive.require(std::ranges::all_of(sign_, [](int sign) { return sign >= -1 && sign <= 1; }));
   archive.require(which.size() == when.size());
   occurrences_.clear();
   for (std::size_t k = 0; k < which.size(); ++k) {

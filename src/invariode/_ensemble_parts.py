@@ -173,6 +173,16 @@ def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> Ensemb
     """All rows, with their results in a store."""
     run = _Parted(ensemble, rows, means)
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, in_words(place.seed), place.resume)
+    with writer:
+        remarks = _filled(writer, run, rows, means)
+    remarks.say(run.plan)
+    result = EnsembleStore(place.store)
+    remarks.conclude(result, ensemble.on_failure)
+    return result
+
+
+def _filled(writer: StoreWriter, run: _Parted, rows: Rows, means: Means) -> Remarks:
+    """Solves the rows that the store lacks. What is remarkable about them."""
     if means.chunk not in (None, writer.length):
         raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
     remarks = Remarks()
@@ -195,10 +205,7 @@ def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> Ensemb
             if report:
                 report(done)
     writer.finish(size)
-    remarks.say(run.plan)
-    result = EnsembleStore(place.store)
-    remarks.conclude(result, ensemble.on_failure)
-    return result
+    return remarks
 
 
 def _layout(run: _Parted) -> Layout:

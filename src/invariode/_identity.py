@@ -3,23 +3,25 @@ difference is named."""
 
 from __future__ import annotations
 
+import dis
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from ._arguments import Array, call_name
-from ._options import Options
+from ._arguments import Array, call_name, shown
+from ._options import Options, table_of
 from ._types import MethodName
 from .breakpoints import to_breakpoints
-from .compiled import CompiledFunction
+from .compiled import CompiledFunction, CoreFunction
 from .description import Description
 from .methods import find_method
 
-__all__ = ["Identity", "identity_of_run", "in_words", "options_of", "require_same"]
+__all__ = ["Identity", "identity_of_run", "in_words", "known_identity", "options_of", "require_same"]
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
@@ -55,10 +57,10 @@ def in_words(value: Any) -> Any:
         return [in_words(one) for one in value]
     if isinstance(value, Mapping):
         return {str(name): in_words(one) for name, one in value.items()}
-    function = _function(value)
-    if function is not None:
+    code = _digest_of_code(value)
+    if code is not None:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
-        return f"{call_name(value, 'function')} ({_digest(_code(function, set()))}{', libm' * libm})"
+        return f"{call_name(value, 'function')} ({code}{', libm' * libm})"
     own = getattr(value, "__dict__", None)
     if type(value).__module__.startswith("invariode.") and own is not None:
         about = {name: in_words(one) for name, one in own.items() if not name.startswith("_")}
@@ -67,11 +69,29 @@ def in_words(value: Any) -> Any:
 
 
 def _function(value: Any) -> FunctionType | None:
-    """The Python function behind a function, if there is one."""
+    """The Python function behind a function or a callable object, if there is one."""
     if isinstance(value, CompiledFunction):
         value = value.fun
     value = getattr(value, "py_func", value)  # numba's
+    value = getattr(value, "__func__", value)  # a method's
+    if not isinstance(value, FunctionType) and not isinstance(value, type):
+        value = vars(type(value)).get("__call__")
     return value if isinstance(value, FunctionType) else None
+
+
+def _digest_of_code(value: Any) -> str | None:
+    """A number for the code of a function; None: it has no code of Python's."""
+    if isinstance(value, partial):
+        inner = _digest_of_code(value.func)
+        bound = (value.args, sorted(value.keywords.items()))
+        return inner and _digest(iter([inner.encode(), repr(in_words(bound)).encode()]))
+    if isinstance(value, CoreFunction):
+        codes = [_digest_of_code(one) for one in value.functions]
+        return _digest(iter([repr(codes).encode()])) if any(codes) else None
+    function = _function(value)
+    if function is None or (function.__module__ or "").startswith("invariode."):
+        return None
+    return _digest(_code(function, set()))
 
 
 def _digest(parts: Iterator[bytes]) -> str:
@@ -92,9 +112,12 @@ def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
         return
     seen.add(id(function))
     yield from _instructions(function.__code__)
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    used = [function.__globals__[name] for name in _names(function.__code__) if name in function.__globals__]
-    for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values(), *cells, *used):
+    own = set(_rebound(function.__code__))  # what it changes itself is its memory, not its code
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=False)
+    kept = [cell.cell_contents for name, cell in cells if name not in own and _is_filled(cell)]
+    names = [name for name in _names(function.__code__) if name not in own]
+    used = [function.__globals__[name] for name in names if name in function.__globals__]
+    for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values(), *kept, *used):
         inner = _function(value)
         if inner is not None and inner.__module__ == function.__module__:
             yield from _code(inner, seen)
@@ -102,6 +125,23 @@ def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             yield repr(value).encode()
         elif isinstance(value, np.ndarray):
             yield from _parts(value)
+
+
+def _is_filled(cell: Any) -> bool:
+    try:
+        return cell.cell_contents is not cell
+    except ValueError:
+        return False
+
+
+def _rebound(code: CodeType) -> Iterator[str]:
+    """Names from outside that a function binds anew."""
+    for one in dis.get_instructions(code):
+        if one.opname in ("STORE_GLOBAL", "STORE_DEREF"):
+            yield one.argval
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _rebound(inner)
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -118,7 +158,14 @@ def _instructions(code: CodeType) -> Iterator[bytes]:
         if isinstance(one, CodeType):
             yield from _instructions(one)
         else:
-            yield repr(one).encode()
+            yield repr(_in_order(one)).encode()
+
+
+def _in_order(constant: Any) -> Any:
+    """A constant of a function, without the order that a set has in this process only."""
+    if isinstance(constant, frozenset):
+        return sorted(map(repr, constant))
+    return tuple(map(_in_order, constant)) if isinstance(constant, tuple) else constant
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -135,7 +182,7 @@ class Identity(NamedTuple):
 def identity_of_run(problem: Description, method: MethodName, options: Mapping[str, Any]) -> Identity:
     """That of a run. Evaluates f at the start."""
     about: dict[str, Any] = {"method": find_method(method)[0].name, "options": {}, "arrays": [], "functions": []}
-    arrays: dict[str, Array] = {"y0": problem.y0, "f0": _slope(problem)}
+    arrays: dict[str, Array] = {"y0": problem.y0, "f0": _slope(problem)}  # first: f may fill an array that it returns
     for name, value in options.items():
         if value is None or name in _OF_THE_SESSION:
             continue
@@ -143,10 +190,8 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
             value = value.item()
         if name == "breakpoints":
             arrays[name] = _times(value)
-            if any(point.action is not None for point in to_breakpoints(name, value)):
-                about["functions"].append(name)
-            else:
-                about["arrays"].append(name)
+            acts = any(point.action is not None for point in to_breakpoints(name, value))
+            about["functions" if acts else "arrays"].append(name)
         elif callable(value):
             about["functions"].append(name)
         elif isinstance(value, (bool, int, float, str)):
@@ -158,6 +203,22 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
             arrays[name] = np.asarray(value)
     about["bdf"] = bool(find_method(method)[1].get("bdf"))  # which a name of SciPy's implies
     about["problem"] = _described(problem)
+    about["code"] = _codes(problem, options.get("breakpoints"))
+    return Identity(about, arrays)
+
+
+def known_identity(about: Any, arrays: dict[str, Array]) -> Identity:
+    """That of a file. Raises whatever the damage causes: what is not there, or of another type."""
+    kinds = {"method": str, "options": dict, "arrays": list, "functions": list, "bdf": bool, "problem": dict}
+    for name, kind in {**kinds, "code": dict}.items():
+        if not isinstance(about[name], kind):
+            raise TypeError(f"{name} of the run is of type {type(about[name]).__name__}")
+    known = table_of(Options).keys() - _OF_THE_SESSION
+    for name in (*about["options"], *about["arrays"], *about["functions"]):
+        if name not in known | {"callback"}:
+            raise ValueError(f"{shown(name)} is no option of a run")
+    for name in ("y0", "f0", *about["arrays"]):
+        arrays[name]
     return Identity(about, arrays)
 
 
@@ -186,8 +247,9 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
     return cast("Options", options)
 
 
-def require_same(stored: Identity, problem: Description) -> None:
-    """Raises a ValueError that names what differs, if it is another problem."""
+def require_same(stored: Identity, problem: Description, given: Mapping[str, Any], trust: str | None) -> None:
+    """Raises a ValueError that names what differs, if it is another problem, or, unless the code is trusted, if
+    functions have another code."""
     now = identity_of_run(problem, stored.about["method"], {})
     here, there = now.about["problem"], stored.about["problem"]
     pairs = [(what, here.get(what), was) for what, was in there.items() if here.get(what) != was]
@@ -201,6 +263,27 @@ def require_same(stored: Identity, problem: Description) -> None:
         raise ValueError(
             f"the file belongs to another problem: {what}: {value} here, {was} in the file. Give the problem of the run"
         )
+    codes = _codes(problem, given.get("breakpoints"))
+    was_code = stored.about["code"]
+    edited = [name for name, code in codes.items() if name in was_code and was_code[name] != code]
+    if edited and trust is None:
+        raise ValueError(
+            f"the code of {', '.join(edited)} is not that of the run. Give the functions of the run; if they compute "
+            'the same (they were only edited, or Python is another one), load(..., trust="code")'
+        )
+
+
+def _codes(problem: Description, breakpoints: Any) -> dict[str, str]:
+    """The code of each of the user's functions, by what messages call it."""
+    functions = {"fun": problem.fun, **vars(problem.matrices)}
+    for i, law in enumerate(problem.invariants):
+        functions |= {f"invariant {i} ({name})": one for name, one in vars(law).items()}
+    for i, event in enumerate(problem.events):
+        functions |= {f"event {i}": event.fun, f"the action of event {i}": event.action}
+    for point in () if breakpoints is None else to_breakpoints("breakpoints", breakpoints):
+        functions[f"the action at t = {point.t!r}"] = point.action
+    found = {name: _digest_of_code(one) for name, one in functions.items() if callable(one)}
+    return {name: code for name, code in found.items() if code is not None}
 
 
 def _described(problem: Description) -> dict[str, Any]:
@@ -240,6 +323,9 @@ def _told(value: Any) -> Any:
         array = np.asarray(value)
     except ValueError:  # ragged
         return type(value).__name__
+    if array.dtype.kind in "fc" and array.dtype not in (np.dtype(float), np.dtype(complex)):
+        # Some have digits that JSON's numbers lack, and bytes that mean nothing.
+        return [repr(one) for one in array.ravel()] if array.ndim else repr(array[()])
     if array.dtype.kind not in "biufc":
         return [_told(one) for one in value] if isinstance(value, (list, tuple)) else type(value).__name__
     if array.size <= _FEW and array.dtype.kind != "c":

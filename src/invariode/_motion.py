@@ -297,7 +297,7 @@ class MotionFunction(CoreFunction):
     """A function of (t, y, *args) with y = (q, v) that a motion has: its slope, one of its laws or their Jacobians."""
 
     def __init__(self, motion: Motion, part: str) -> None:
-        self._motion, self._part = motion, part
+        self._motion, self._part, self.functions = motion, part, motion._called
         self.__name__ = self.__qualname__ = "mechanism" if part == "slope" else part
 
     def __repr__(self) -> str:
@@ -329,7 +329,7 @@ class FunctionOfState(CoreFunction):
     """A user's ``function(t, q, v, *args)`` as one of (t, y, *args) with y = (q, v)."""
 
     def __init__(self, function: Any, n_q: int, n_v: int, name: str) -> None:
-        self._function, self._n_q, self._n_v = function, n_q, n_v
+        self._function, self._n_q, self._n_v, self.functions = function, n_q, n_v, [function]
         self.__name__ = self.__qualname__ = name
 
     def __call__(self, t: Any, y: Array, *args: Any) -> Any:

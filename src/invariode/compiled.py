@@ -20,7 +20,7 @@ import math
 import sys
 import threading
 from _ctypes import CFuncPtr
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from types import BuiltinFunctionType, FunctionType, MappingProxyType
 from typing import Any, Literal, NamedTuple
@@ -56,6 +56,8 @@ class CoreFunction:
     native = False
     #: How its derivatives are formed, by the name of the function.
     derivatives: Mapping[str, str] = MappingProxyType({})
+    #: The user's functions that it calls.
+    functions: Sequence[Any] = ()
 
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
         """What the core takes in its place, for n components and `size` values."""

@@ -6,13 +6,15 @@ import dataclasses
 import json
 import operator
 import os
-from collections.abc import Iterator, Mapping
+import pickle
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
 from ._arguments import Array, choice
 from ._bound_invariants import BoundInvariants
+from ._files import ENSEMBLE, ENSEMBLE_VERSION, about_of, read_arrays, unreadable
 from ._messages import MESSAGES
 from ._types import Numbers
 from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
@@ -28,13 +30,10 @@ if TYPE_CHECKING:  # extras, imported when they are used
 
 __all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories", "final_states"]
 
-#: What every file says of itself.
-_FORMAT = "invariode ensemble"
-
 
 @dataclasses.dataclass
 class Trajectories:
-    """What results of single trajectories need besides the numbers. It has functions, so pickles leave it out."""
+    """What results of single trajectories need besides the numbers. Pickles leave out functions that cannot travel."""
 
     name: str
     events: list[str]
@@ -51,8 +50,15 @@ class Trajectories:
         laws = [f"g{i}" for i in range(invariants)]
         return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), 1e-3, 1e-6)
 
-    def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        return type(None), ()
+    def __getstate__(self) -> dict[str, Any]:
+        """Functions of a module travel; without the others the invariants are as those of a run with jumps: names."""
+        state = dict(self.__dict__)
+        for name, without in (("bound", {}), ("args", {"args": ()}), ("error", {"error": None})):
+            try:
+                pickle.dumps(state[name])
+            except Exception:  # of each kind of object its own
+                state |= without if name == "error" else {"bound": None, **without}
+        return state
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Trajectories:
         return self
@@ -232,7 +238,7 @@ class EnsembleSolution:
     @property
     def exception(self) -> BaseException | None:
         """The exception of the first trajectory that raised one, with its traceback, which is a note where another
-        process solved it. None without one, and in a result from a pickle or a file."""
+        process solved it. None without one, and in a result from a file."""
         return None if self._trajectories is None else self._trajectories.error
 
     def keys(self) -> list[str]:
@@ -406,7 +412,13 @@ class EnsembleSolution:
         arrays = {**fields, **{f"stats.{name}": counts for name, counts in self.stats.items()}}
         for i, event in enumerate(self.events):
             arrays |= {f"events.{i}.{name}": event[name] for name in event}
-        about = {"format": _FORMAT, "messages": self.messages, "events": len(self.events), "final": self._final}
+        about = {
+            "format": ENSEMBLE,
+            "version": ENSEMBLE_VERSION,
+            "messages": self.messages,
+            "events": len(self.events),
+            "final": self._final,
+        }
         write_arrays({**arrays, "about": np.array(json.dumps(about))}, path)
 
     @classmethod
@@ -420,35 +432,34 @@ class EnsembleSolution:
         OSError
             It cannot be read.
         """
-        with open(path, "rb") as file:
-            try:
-                with np.load(file, allow_pickle=False) as archive:
-                    arrays = dict(archive)
-                about = json.loads(str(arrays.pop("about")))
-                if about["format"] != _FORMAT:
-                    raise ValueError(f"it holds {about['format']}")
-                parts: dict[str, dict[str, Any]] = {}
-                for name in [name for name in arrays if "." in name]:
-                    room, _, field = name.rpartition(".")
-                    parts.setdefault(room, {})[field] = arrays.pop(name)
-                counts = {"switches", "products", "linear_iterations"}  # of which 0.1 had none
-                none = {name: np.zeros(len(arrays["status"]), dtype=np.int64) for name in counts}
-                arrays.setdefault("attempt", np.zeros(len(arrays["status"]), dtype=np.int8))  # 0.1 had no `retry`
-                nowhere = np.full(len(arrays["status"]), np.nan)  # nor these
-                parts["stats"] = {"stiff_since": nowhere, "discontinuity": nowhere, **parts["stats"]}
-                return cls(
-                    **arrays,
-                    stats=EnsembleStats(**{**none, **parts["stats"]}),
-                    events=[EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])],
-                    messages={int(i): text for i, text in about["messages"].items()},
-                    _final=about["final"] if "final" in about else _looks_final(arrays),  # 0.1 did not say
-                )
-            except Exception as wrong:  # whatever it is: the file is the only input
-                raise ValueError(
-                    f"the file {os.fspath(path)} was not written by EnsembleSolution.save, or is damaged: {wrong}"
-                ) from None
+        arrays = read_arrays(path)
+        about = about_of(path, arrays, {ENSEMBLE: ENSEMBLE_VERSION}, "was not written by EnsembleSolution.save")
+        try:
+            return _from_arrays(arrays, about)
+        except Exception as wrong:  # whatever it is: the file is the only input
+            raise unreadable(path, f"is damaged: {type(wrong).__name__}: {wrong}") from None
 
 
-def _looks_final(arrays: Mapping[str, Array]) -> bool:
-    """Whether the states of a result are those at its ends."""
-    return arrays["y"].shape[2] == 1 and np.array_equal(arrays["y"][:, :, 0], arrays["y_end"], equal_nan=True)
+def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> EnsembleSolution:
+    parts: dict[str, dict[str, Any]] = {}
+    for name in [name for name in arrays if "." in name]:
+        room, _, field = name.rpartition(".")
+        parts.setdefault(room, {})[field] = arrays.pop(name)
+    del arrays["about"]
+    size, n = arrays["y_end"].shape
+    stats = EnsembleStats(**parts["stats"])
+    events = [EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])]
+    messages = {int(i): str(text) for i, text in about["messages"].items()}
+    final = about["final"] is True
+    m = EnsembleSolution(**arrays, stats=stats, events=events, messages=messages, _final=final)
+    rows = ("t_end", "status", "success", "correction", "attempt")
+    laws = (m.value, m.residual_before, m.residual_after)
+    if (
+        m.y.shape != (size, n, len(m.t))
+        or any(m[name].shape != (size,) for name in rows)
+        or any(one.shape != (size,) for one in stats.values())
+        or any(one.shape != (size, m.value.shape[1]) for one in laws)
+        or any(one.y.shape != (len(one.t), n) or one.trajectory.shape != one.t.shape for one in events)
+    ):
+        raise ValueError("arrays do not match")
+    return m

@@ -7,12 +7,14 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import _core
 from ._arguments import Array
+from ._locks import held
 from ._outcomes import ROWS, Outcomes, counts_by_name
 from ._parts import Part, digest
 from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats, final_states
@@ -22,8 +24,8 @@ if TYPE_CHECKING:  # an extra, imported when it is used
 
 __all__ = ["EnsembleStore", "Layout", "StoreWriter", "parameter_names"]
 
-#: What every store says of itself.
-_FORMAT = "invariode ensemble"
+#: What every store says of itself, and what it says before it is complete.
+_FORMAT, _UNFINISHED = "invariode ensemble", "invariode ensemble, unfinished"
 #: The version in which what an array holds where nothing was written is no missing value.
 _ZARR_FORMAT = 3
 #: The status of a trajectory that is not solved yet.
@@ -90,38 +92,73 @@ class Layout:
 
 
 class StoreWriter:
-    """A store that is being filled. A part is complete when its digest is there, which is written last.
+    """A store that is being filled, by one process at a time. A part is complete when its digest is there, which is
+    written last; the store is there once all of its arrays are.
 
     Raises
     ------
     FileExistsError
         There is a store, and it is not to be resumed.
     ValueError
-        It belongs to another problem, or is not a store of an ensemble.
+        It belongs to another problem, is not a store of an ensemble, or another process is filling it.
     """
 
     def __init__(
         self, path: Any, layout: Layout, length: Callable[[], int], size: int | None, seed: Any, resume: bool
     ) -> None:
         self.path, self._layout = path, layout
-        group = _opened(path, "r+")
-        if group is None:
-            group = self._created(length(), size, seed)
-        else:
-            if not resume:
-                raise FileExistsError(
-                    f"{_shown(path)} exists already: continue it with resume=True, remove it, or give another name"
-                )
-            _require_same(group, layout, size, seed)
-        self._group = group
-        #: Rows in a part.
-        self.length = int(group.attrs["chunk"])
-        self._arrays = {name: group[name] for name, *_ in layout.arrays()}
-        self._digests = group["digest"]
-        self._known = self._digests[:]
+        folder = _folder(path)
+        self._lock = None if folder is None else held(folder, "store")
+        try:
+            group = _opened(path, "r+")
+            if group is None or group.attrs.get("format") == _UNFINISHED:
+                length_of_part = length()
+                if folder is None:
+                    group = self._created(path, length_of_part, size, seed)
+                else:
+                    group = self._created_beside(folder, length_of_part, size, seed)
+            else:
+                if not resume:
+                    raise FileExistsError(
+                        f"{_shown(path)} exists already: continue it with resume=True, remove it, or give another name"
+                    )
+                _require_same(group, layout, size, seed)
+            self._group = group
+            #: Rows in a part.
+            self.length = int(group.attrs["chunk"])
+            self._arrays = {name: group[name] for name, *_ in layout.arrays()}
+            self._digests = group["digest"]
+            rows = {array.shape[0] for array in self._arrays.values()}
+            if len(rows) > 1:  # a process was killed while they grew
+                self._grow(max(rows))
+            self._known = self._digests[:]
+        except BaseException:
+            self.__exit__()
+            raise
 
-    def _created(self, length: int, size: int | None, seed: Any) -> Any:
-        group = _zarr().create_group(self.path, zarr_format=_ZARR_FORMAT)
+    def __enter__(self) -> StoreWriter:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Others may go on with the store."""
+        if self._lock is not None:
+            self._lock.release()
+
+    def _created_beside(self, folder: Path, length: int, size: int | None, seed: Any) -> Any:
+        """A new store on this machine: it gets its name when it is complete. What a killed process has left there is
+        overwritten."""
+        part = folder.with_name(f".{folder.name}.invariode-part")
+        if folder.is_dir() and any(folder.iterdir()):
+            raise ValueError(f"the folder {folder} is there, and is not a store of an ensemble: give another name")
+        self._created(part, length, size, seed)
+        if folder.is_dir():
+            folder.rmdir()
+        part.rename(folder)
+        return _opened(folder, "r+")
+
+    def _created(self, path: Any, length: int, size: int | None, seed: Any) -> Any:
+        attributes = {"format": _UNFINISHED}
+        group = _zarr().create_group(path, zarr_format=_ZARR_FORMAT, overwrite=True, attributes=attributes)
         rows = length if size is None else size
         for name, shape, dtype, fill in self._layout.arrays():
             dimensions = ["trajectory", *_DIMENSIONS[name]]
@@ -261,8 +298,10 @@ class EnsembleStore:
 
     @property
     def missing(self) -> int:
-        """How many trajectories are not solved yet."""
-        return sum(int((status == UNSOLVED).sum()) for _, status in self._of_parts("status"))
+        """How many trajectories are not solved yet. Those of a part that was being written are not."""
+        length, size = int(self.attributes["chunk"]), len(self)
+        digests = self._group["digest"][: -(-size // length)]
+        return sum(min(length, size - part * length) for part in np.flatnonzero(digests == 0).tolist())
 
     @property
     def failed(self) -> Array:
@@ -413,6 +452,15 @@ def _opened(path: Any, mode: str) -> Any:
         return zarr.open_group(path, mode=mode, zarr_format=_ZARR_FORMAT, use_consolidated=False)
     except FileNotFoundError:
         return None
+
+
+def _folder(path: Any) -> Path | None:
+    """Where a store is, if that is a folder of this machine."""
+    if not isinstance(path, (str, os.PathLike)) or "://" in os.fspath(path):
+        return None
+    folder = Path(os.path.realpath(path))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _shown(path: Any) -> str:

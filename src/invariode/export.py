@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import io
 import json
@@ -16,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array
+from ._arguments import Array, shown, warn
+from ._files import path_of
 from .result import Result, default_labels
 
 if TYPE_CHECKING:  # an extra, imported when it is used
@@ -26,6 +28,7 @@ if TYPE_CHECKING:  # an extra, imported when it is used
 __all__ = [
     "FORMAT",
     "PLAIN",
+    "TEMPORARY",
     "VERSION",
     "Exports",
     "ensemble_to_dataframe",
@@ -33,10 +36,16 @@ __all__ = [
     "save",
     "to_dataframe",
 ]
-__all__ += ["to_xarray", "write_arrays"]
+__all__ += ["take_mode", "to_xarray", "write_arrays"]
 
 #: What every file says about itself, and the version of its contents: raised whenever they change.
-FORMAT, VERSION = "invariode solution", 3
+FORMAT, VERSION = "invariode solution", 4
+
+#: How deep lists and dicts may be nested in fields that the user adds.
+_DEEPEST = 50
+
+#: How the names of files end that are being written.
+TEMPORARY = ".invariode-part"
 
 #: The fields of a Solution that JSON takes as they are.
 PLAIN = ("nfev", "njev", "nlu", "status", "message", "success")
@@ -86,7 +95,8 @@ class Exports(Result):
 
         What the run remembers is in it too: ``load(path, problem).extend(tf)`` goes on to the last bit. The residuals
         of the invariants and their distances are evaluated for it, at all outputs, and f at the start, by which
-        `invariode.load` tells whether a problem is the same.
+        `invariode.load` tells whether a problem is the same. Fields that you have added are kept if they are numbers,
+        text, None, lists or dicts of these, or arrays of numbers; a warning names the others.
 
         Parameters
         ----------
@@ -246,6 +256,7 @@ def save(solution: Result, path: str | os.PathLike[str]) -> None:
 def write_arrays(arrays: dict[str, Any], path: str | os.PathLike[str], durable: bool = False) -> None:
     """Writes an archive of arrays, which takes the place of one that is there when it is complete; `durable`: when it
     is on the disk."""
+    path = path_of(path)
     try:
         there = os.stat(path)
     except FileNotFoundError:
@@ -275,19 +286,16 @@ def _write_through(folder: Path) -> None:
 
 def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any], durable: bool) -> None:
     """Writes the file beside the target, and puts it in its place once it is complete."""
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{TEMPORARY}")
     try:
         nameless = _nameless(target.parent)
         with nameless or open(temporary, "xb") as file:
+            if there is not None:
+                take_mode(file.fileno(), there)
             np.savez(file, **arrays)
             file.flush()
             if durable:
                 os.fsync(file.fileno())
-            if there is not None and hasattr(os, "fchmod"):
-                if there.st_uid != os.fstat(file.fileno()).st_uid:
-                    with suppress(PermissionError):
-                        os.fchown(file.fileno(), there.st_uid, there.st_gid)
-                os.fchmod(file.fileno(), stat.S_IMODE(there.st_mode))
             if nameless:  # src_dir_fd: without it Python's os.link does not follow symbolic links
                 os.link(f"/proc/self/fd/{file.fileno()}", temporary, src_dir_fd=file.fileno(), follow_symlinks=True)
         os.replace(temporary, target)
@@ -304,6 +312,16 @@ def _nameless(folder: Path) -> Any:
         return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_RDWR, 0o666), "w+b")
     except OSError:  # not on this file system
         return None
+
+
+def take_mode(file: int, other: os.stat_result) -> None:
+    """Gives a file the mode of another one, and its owner if we may."""
+    if not hasattr(os, "fchmod"):
+        return
+    if other.st_uid != os.fstat(file).st_uid:
+        with suppress(PermissionError):
+            os.fchown(file, other.st_uid, other.st_gid)
+    os.fchmod(file, stat.S_IMODE(other.st_mode))
 
 
 def _to_arrays(solution: Result) -> dict[str, Any]:
@@ -334,6 +352,8 @@ def _to_arrays(solution: Result) -> dict[str, Any]:
         arrays |= {f"origin.{name}": one for name, one in of_origin.items()}
     parts = {} if dense is None else dense._dense.parts()
     arrays |= {f"dense.{name}": part for name, part in parts.items() if isinstance(part, np.ndarray)}
+    added, of_added = _added(solution)
+    arrays |= of_added
     about = {
         "format": FORMAT,
         "version": VERSION,
@@ -352,6 +372,40 @@ def _to_arrays(solution: Result) -> dict[str, Any]:
         "dense": {name: part for name, part in parts.items() if not isinstance(part, np.ndarray)},
         "imposed": dense is not None and dense._imposed is not None,
         "origin": origin,
+        "added": added,
     }
     arrays["about"] = np.array(json.dumps(about))
     return arrays
+
+
+def _added(solution: Result) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The fields that the user has added: by name, values in JSON's types or the names of arrays."""
+    own = {field.name for field in dataclasses.fields(Result)}
+    added: dict[str, Any] = {}
+    arrays: dict[str, Array] = {}
+    left_out: list[str] = []
+    for name, value in solution.items():
+        if name in own:
+            continue
+        if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biufc":
+            array = f"added.{len(arrays)}"
+            arrays[array] = np.asarray(value)
+            added[name] = {"array": array}
+        elif _is_plain(name) and _is_plain(value):
+            added[name] = {"value": value}
+        else:
+            left_out.append(shown(name))
+    if left_out:
+        warn(f"save keeps numbers, text, lists, dicts and arrays, and leaves out the fields {', '.join(left_out)}")
+    return added, arrays
+
+
+def _is_plain(value: Any, depth: int = 0) -> bool:
+    """Whether JSON gives the same value back."""
+    if value is None or type(value) in (bool, int, float, str):
+        return True
+    if depth == _DEEPEST:
+        return False
+    if type(value) is dict:
+        return all(type(name) is str and _is_plain(one, depth + 1) for name, one in value.items())
+    return type(value) is list and all(_is_plain(one, depth + 1) for one in value)

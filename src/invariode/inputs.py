@@ -34,7 +34,8 @@ class Input:
 
     Notes
     -----
-    ``u(t)`` for a number t is a number, or has shape (m,); for an array of t these follow along the first axis.
+    ``u(t)`` for a number t is a number, or has shape (m,); for an array of t these follow along the first axis. An
+    input keeps copies of `times` and `values`, which cannot be changed.
 
     Examples
     --------
@@ -49,8 +50,8 @@ class Input:
         self, times: ArrayLike, values: ArrayLike, kind: InputKind = "previous", breakpoints: bool = True
     ) -> None:
         self.kind = choice("kind", kind, get_args(InputKind))
-        self.times = real_numbers("times", times)
-        self.values = real_numbers("values", values)
+        self.times = real_numbers("times", times).copy()
+        self.values = real_numbers("values", values).copy()
         least = 1 if kind == "previous" else 2
         if self.times.ndim != 1 or len(self.times) < least or not np.isfinite(self.times).all():
             raise ValueError(f"times of an input must be at least {least} finite numbers, got {shown(times)}")
@@ -64,7 +65,13 @@ class Input:
         if not np.isfinite(self.values).all():
             raise ValueError("values of an input must be finite")
         self.breakpoints = flag("breakpoints", breakpoints)
+        self.times.flags.writeable = self.values.flags.writeable = False
         self._core = _polynomial(self.times, self.values, self.kind)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(self, "_core"):
+            raise AttributeError(f"an Input cannot be changed: make another one, with {name}={shown(value)}")
+        super().__setattr__(name, value)
 
     @property
     def size(self) -> int:

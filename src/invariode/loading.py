@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
-from typing import Any, NamedTuple, NoReturn, Unpack
+from typing import Any, Literal, NamedTuple, NoReturn, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, extra_arguments, reals, shown, tolerances, warn
+from ._arguments import Array, choice, extra_arguments, reals, shown, tolerances, warn
 from ._bound_invariants import BoundInvariants, Jump, bind
 from ._core import MEMORY_VERSION, Dense
-from ._files import PathLike, about_of, read_arrays, unreadable
-from ._identity import Identity, options_of, require_same
+from ._files import ENSEMBLE, ENSEMBLE_VERSION, PathLike, about_of, read_arrays, unreadable
+from ._identity import Identity, known_identity, options_of, require_same
 from ._options import ExtensionOptions, Options
-from .checkpoint import CHECKPOINT, CHECKPOINT_VERSION, Stored, dense_of, read_checkpoint
+from .checkpoint import CHECKPOINT, CHECKPOINT_VERSION, Stored, read_checkpoint
 from .description import Description
 from .export import FORMAT, PLAIN, VERSION
 from .invariants import InvariantsLike, to_invariants
@@ -28,6 +30,8 @@ from .solution import Solution
 
 __all__ = ["load"]
 
+_Kind = TypeVar("_Kind")
+
 
 def load(
     path: str | os.PathLike[str],
@@ -35,6 +39,7 @@ def load(
     *,
     invariants: InvariantsLike | None = None,
     args: Iterable[Any] | None = (),
+    trust: Literal["code"] | None = None,
     **options: Unpack[Options],
 ) -> Solution:
     """The Solution that ``Solution.save`` wrote to a file, or that a run has come to in its `checkpoint`.
@@ -52,13 +57,17 @@ def load(
     Parameters
     ----------
     path : str or path-like
-        The file. A checkpoint has another beside it, with the output.
+        The file. A checkpoint has another beside it, with the output. While a run writes it, this is the run so far.
     problem : Problem, optional
         The problem of the run. A checkpoint needs it.
     invariants : callable, Invariants, or list of these, optional
         Without a problem: the run's invariants, in their order. They are held at the values in the file.
     args : tuple, optional
         Their extra arguments.
+    trust : {'code'}, optional
+        Without it a problem whose functions have other code than those of the run is refused. With ``trust="code"``
+        the functions may have been edited, or come from another version of Python: that they compute the same is then
+        yours to know.
     **options
         With a problem: options of the run that are functions, `callback`, or `breakpoints` with actions. Others are in
         the file; one that is given must agree with it.
@@ -71,8 +80,10 @@ def load(
     ------
     ValueError
         The file was not written by invariode, is damaged, or comes from a newer version; it belongs to another problem,
-        by its sizes, events, arguments, y0 or the value of `fun` at the start, or to a run with other options, which
-        the error names; or the invariants differ from the run's in their names or values.
+        by its sizes, events, arguments, y0, the value of `fun` at the start or the code of its functions, or to a run
+        with other options, which the error names; or the invariants differ from the run's in their names or values.
+    TypeError
+        `path` is neither a str nor path-like.
     OSError
         It cannot be read.
 
@@ -93,9 +104,10 @@ def load(
         listed, extra = to_invariants(invariants), extra_arguments(args)
         if extra and not listed:
             raise ValueError("args are the extra arguments of invariants, and no invariants are given")
-        if options:
+        if options or trust is not None:
             raise ValueError(
-                f"{next(iter(options))} is an option of the run, which goes on with its problem: give problem too"
+                f"{next(iter(options), 'trust')} is an option of the run, which goes on with its problem: give problem "
+                "too"
             )
     else:
         if not isinstance(problem, Description):
@@ -103,18 +115,21 @@ def load(
         if invariants is not None or args:
             raise ValueError("invariants and args are those of the problem: leave them out")
         listed, extra = problem.invariants, problem.args
+    if trust is not None:
+        choice("trust", trust, ["code"])
     arrays = read_arrays(path)
-    about = about_of(path, arrays, {FORMAT: VERSION, CHECKPOINT: CHECKPOINT_VERSION})
+    about = about_of(path, arrays, {FORMAT: VERSION, CHECKPOINT: CHECKPOINT_VERSION, ENSEMBLE: ENSEMBLE_VERSION})
+    if about["format"] == ENSEMBLE:
+        raise unreadable(path, "holds an ensemble: read it with invariode.EnsembleSolution.load(path)")
     if about["format"] == CHECKPOINT:
         if problem is None:
             raise unreadable(path, "is a checkpoint, which needs its problem: load(path, problem)")
-        return _of_checkpoint(path, read_checkpoint(path, arrays, about), problem, options)
-    try:
+        return _of_checkpoint(path, read_checkpoint(path, arrays, about), _Here(problem, options, trust))
+    with _damage_of(path):
         solution, dense = _from_arrays(arrays, about)
-    except Exception as wrong:  # whatever it is: the file is the only input
-        raise unreadable(path, f"is damaged: {type(wrong).__name__}: {wrong}") from None
     if problem is not None:
-        solution = solution.changed(_origin=_origin_of_file(path, arrays, about, problem, options, solution.t_end))
+        origin = _origin_of_file(path, arrays, about, _Here(problem, options, trust), solution)
+        solution = solution.changed(_origin=origin)
     elif about.get("origin"):
         solution = solution.changed(_origin=_OriginInFile(about["origin"], _part(arrays, "origin.")))
     if listed:
@@ -132,8 +147,26 @@ def load(
     return solution.changed(sol=kind(dense, solution.y.dtype, solution._invariants, imposed))
 
 
+class _Here(NamedTuple):
+    """What was given to go on with."""
+
+    problem: Description
+    options: Options
+    trust: str | None
+
+
+@contextmanager
+def _damage_of(path: PathLike) -> Iterator[None]:
+    """Whatever goes wrong inside is the file's fault: it is the only input."""
+    try:
+        yield
+    except Exception as wrong:
+        what = f"it has no {wrong}" if isinstance(wrong, KeyError) else f"{type(wrong).__name__}: {wrong}"
+        raise unreadable(path, f"is damaged: {what}") from None
+
+
 def _origin_of_file(
-    path: PathLike, arrays: dict[str, Any], about: dict[str, Any], problem: Description, given: Options, t_end: float
+    path: PathLike, arrays: dict[str, Any], about: dict[str, Any], here: _Here, solution: Solution
 ) -> RunOrigin:
     """What it takes to go on, with the functions of the problem."""
     stored = about.get("origin")
@@ -143,10 +176,28 @@ def _origin_of_file(
             "does not hold the memory of its run: a former version of invariode, or a solution without functions, "
             "wrote it. Leave out the problem",
         )
-    who = Identity(stored["identity"], _part(arrays, "origin.identity."))
-    source = _source(path, who, stored, problem, given)
-    memory = arrays["origin.memory"].tobytes()
-    return RunOrigin(source, t_end, arrays["origin.y"], stored["next_h"], memory, stored["imposed"])
+    with _damage_of(path):
+        who = known_identity(stored["identity"], _part(arrays, "origin.identity."))
+        memory = _memory(arrays["origin.memory"], arrays["origin.y"], solution.y, stored)
+        imposed = _of_type(stored["imposed"], bool)
+    source = _source(path, who, stored, here)
+    return RunOrigin(source, solution.t_end, arrays["origin.y"], stored["next_h"], memory, imposed)
+
+
+def _memory(memory: Array, y_end: Array, y: Array, about: dict[str, Any]) -> bytes:
+    """The memory of a run, whose end and next step are seen to be possible."""
+    if y_end.shape != y.shape[:1] or y_end.dtype != y.dtype or memory.dtype != np.uint8:
+        raise ValueError("the end of the run does not match")
+    if about["next_h"] is not None and not _of_type(about["next_h"], float) >= 0:
+        raise ValueError(f"the next step is {about['next_h']}")
+    _of_type(about["memory_version"], int)
+    return memory.tobytes()
+
+
+def _of_type(value: Any, kind: type[_Kind]) -> _Kind:
+    if type(value) is not kind:
+        raise TypeError(f"{shown(value)} should be of type {kind.__name__}")
+    return value
 
 
 def _part(arrays: dict[str, Any], prefix: str) -> dict[str, Array]:
@@ -178,7 +229,7 @@ class _OriginInFile(NamedTuple):
         return self._replace(about={**self.about, "imposed": True})
 
 
-def _source(path: PathLike, who: Identity, about: dict[str, Any], problem: Description, given: Options) -> Solved:
+def _source(path: PathLike, who: Identity, about: dict[str, Any], here: _Here) -> Solved:
     if about["memory_version"] != MEMORY_VERSION:
         raise unreadable(
             path,
@@ -186,42 +237,102 @@ def _source(path: PathLike, who: Identity, about: dict[str, Any], problem: Descr
             f"which goes on from version {MEMORY_VERSION}: use the invariode that wrote it",
         )
     try:
-        require_same(who, problem)
-        return Solved(problem, who.about["method"], options_of(who, given))
+        require_same(who, here.problem, here.options, here.trust)
+        return Solved(here.problem, who.about["method"], options_of(who, here.options))
     except ValueError as differs:
         raise unreadable(path, f"cannot go on here: {differs}") from None
 
 
-def _of_checkpoint(path: PathLike, stored: Stored, problem: Description, given: Options) -> Solution:
+def _of_checkpoint(path: PathLike, stored: Stored, here: _Here) -> Solution:
     about, arrays = stored.about, stored.arrays
-    source = _source(path, stored.identity, about, problem, given)
+    with _damage_of(path):
+        memory = _memory(arrays["memory"], arrays["y_end"], arrays["y"], about)
+        known_identity(*stored.identity)
+    source = _source(path, stored.identity, about, here)
     source.options["checkpoint"] = os.fspath(path)
     plan = make_plan(source.problem, source.method, source.options)
-    jumps = map(Jump, arrays["jumps.row"].tolist(), arrays["jumps.t"].tolist(), arrays["jumps.value"])
-    bound = dataclasses.replace(
-        plan.bound, value=arrays["value"], jumps=tuple(jumps), forward=plan.settings.forward, evaluations=0
-    )
-    dense = dense_of(arrays)
-    events = range(len(problem.events))
-    t_end, y_end = about["t_end"], arrays["y_end"]
-    origin = RunOrigin(source, t_end, y_end, about["next_h"], arrays["memory"].tobytes(), checkpoint=stored.checkpoint)
-    return Solution(
-        t=arrays["t"],
-        y=arrays["y"],
-        sol=None if dense is None else DenseSolution(dense, arrays["y"].dtype, bound),
-        t_events=[arrays[f"t_events.{e}"] for e in events] if events else None,
-        y_events=[arrays[f"y_events.{e}"] for e in events] if events else None,
-        **{name: about[name] for name in PLAIN},
-        stats=_stats(about["stats"]),
-        steps=_steps(arrays["steps"], about["methods"]) if "steps" in arrays else None,
-        t_end=t_end,
-        _invariants=bound,
-        _drift=BeforeProjection(arrays["drift.residual"], arrays["drift.distance"], float(arrays["drift.correction"])),
-        _rtol=plan.rtol,
-        _atol=plan.atol,
-        _names=plan.called,
-        _origin=origin,
-    )
+    with _damage_of(path):
+        n, m, events = len(here.problem.y0), len(plan.bound), len(here.problem.events)
+        _require_shapes(arrays, n, m, arrays["value"])
+        bound = dataclasses.replace(
+            plan.bound, value=arrays["value"], jumps=_jumps(arrays), forward=plan.settings.forward, evaluations=0
+        )
+        described = json.loads(str(arrays["dense.about"])) if "dense.about" in arrays else {}
+        dense = _dense(arrays, described, reals(arrays["y"]), m)
+        origin = RunOrigin(
+            source, about["t_end"], arrays["y_end"], about["next_h"], memory, checkpoint=stored.checkpoint
+        )
+        return Solution(
+            t=arrays["t"],
+            y=arrays["y"],
+            sol=None if dense is None else DenseSolution(dense, arrays["y"].dtype, bound),
+            **_outcome(arrays, about, events or None, n),
+            t_end=about["t_end"],
+            _invariants=bound,
+            _drift=_drift(arrays, m),
+            _rtol=plan.rtol,
+            _atol=plan.atol,
+            _names=plan.called,
+            _origin=origin,
+        )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What both kinds of files hold, each part seen to match the others
+
+
+def _require_shapes(arrays: dict[str, Any], n: int, m: int, value: Array) -> None:
+    """Raises a ValueError unless the outputs are n components at each t, and the m invariants have values."""
+    t, y, rows = arrays["t"], arrays["y"], arrays["jumps.row"]
+    if t.ndim != 1 or t.dtype != float or y.shape != (n, len(t)) or y.dtype not in (np.dtype(float), np.dtype(complex)):
+        raise ValueError("arrays do not match")
+    if value.shape != (m,) or arrays["jumps.value"].shape != (len(rows), m) or arrays["jumps.t"].shape != rows.shape:
+        raise ValueError("invariants do not match")
+    if rows.dtype.kind != "i" or not ((rows >= 0) & (rows <= len(t))).all():
+        raise ValueError("jumps do not match")
+
+
+def _jumps(arrays: dict[str, Any]) -> tuple[Jump, ...]:
+    return tuple(map(Jump, arrays["jumps.row"].tolist(), arrays["jumps.t"].tolist(), arrays["jumps.value"]))
+
+
+def _drift(arrays: dict[str, Any], m: int) -> BeforeProjection:
+    residual, distance = arrays["drift.residual"], arrays["drift.distance"]
+    if residual.ndim != 1 or residual.shape != distance.shape or len(residual) < m:
+        raise ValueError("drifts do not match")
+    return BeforeProjection(residual, distance, float(arrays["drift.correction"]))
+
+
+def _dense(arrays: dict[str, Any], about: dict[str, Any], n: int, m: int) -> Dense | None:
+    """The continuous solution of n reals and m invariants, if there is one."""
+    if not about:
+        return None
+    parts: dict[str, Any] = {name: one for name, one in _part(arrays, "dense.").items() if name != "about"}
+    if about["m"] != m:
+        raise ValueError("invariants do not match")
+    if parts["y"].shape[1:] != (n,):
+        raise ValueError("components do not match")
+    try:
+        return Dense.from_parts(**parts, **about)
+    except TypeError:  # its text would be the signature of the binding
+        raise ValueError("the parts of the continuous solution do not match") from None
+
+
+def _outcome(arrays: dict[str, Any], about: dict[str, Any], events: int | None, n: int) -> dict[str, Any]:
+    """The fields of a solution that are neither outputs nor functions."""
+    numbered = range(events or 0)
+    t_events, y_events = ([arrays[f"{what}.{e}"] for e in numbered] for what in ("t_events", "y_events"))
+    for t, y in zip(t_events, y_events, strict=True):
+        if t.ndim != 1 or y.shape != (len(t), n):
+            raise ValueError("events do not match")
+    kinds = {"message": str, "success": bool}
+    return {
+        "t_events": None if events is None else t_events,
+        "y_events": None if events is None else y_events,
+        **{name: _of_type(about[name], kinds.get(name, int)) for name in PLAIN},
+        "stats": _stats(about["stats"]),
+        "steps": _steps(arrays["steps"], about.get("methods", [""])) if "steps" in arrays else None,
+    }
 
 
 @dataclasses.dataclass
@@ -273,12 +384,9 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
     t, y, value = arrays["t"], arrays["y"], arrays["invariants.value"]
     at_outputs = arrays["invariants.residual"], arrays["invariants.distance"]
     names = [str(name) for name in about["invariants"]]
-    size = (len(names), len(t))
-    if t.ndim != 1 or y.ndim != 2 or y.shape[1] != len(t) or any(one.shape != size for one in at_outputs):
+    if y.ndim != 2 or any(one.shape != (len(names), len(t)) for one in at_outputs):
         raise ValueError("arrays do not match")
-    if value.shape != (len(names),) or arrays["jumps.value"].shape != (len(arrays["jumps.t"]), len(names)):
-        raise ValueError("invariants do not match")
-    jumps = map(Jump, arrays["jumps.row"].tolist(), arrays["jumps.t"].tolist(), arrays["jumps.value"])
+    _require_shapes(arrays, len(y), len(names), value)
     g = _StoredInvariants(
         [],
         value,
@@ -286,36 +394,26 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         (),
         np.zeros(0),
         None,
-        jumps=tuple(jumps),
-        forward=about["forward"],
+        jumps=_jumps(arrays),
+        forward=_of_type(about["forward"], float),
         at_outputs=at_outputs,
         outputs=y,
     )
-    dense = None
-    if about["dense"]:
-        parts = {name.removeprefix("dense."): part for name, part in arrays.items() if name.startswith("dense.")}
-        if about["dense"]["m"] != len(names):
-            raise ValueError("invariants do not match")
-        if parts["y"].shape[1:] != (reals(y),):
-            raise ValueError("components do not match")
-        dense = Dense.from_parts(**parts, **about["dense"])
-    events = about["events"]
+    dense = _dense(arrays, about["dense"], reals(y), len(names))
     solution = Solution(
         t=t,
         y=y,
         sol=None,
-        t_events=None if events is None else [arrays[f"t_events.{i}"] for i in range(events)],
-        y_events=None if events is None else [arrays[f"y_events.{i}"] for i in range(events)],
-        **{name: about[name] for name in PLAIN},
-        t_end=about["t_end"] if about["version"] > 1 else _last_time(arrays, dense),
-        stats=_stats(about["stats"]),
-        steps=_steps(arrays["steps"], about.get("methods", [""])) if "steps" in arrays else None,
+        **_outcome(arrays, about, about["events"], len(y)),
+        t_end=_of_type(about["t_end"], float) if about["version"] > 1 else _last_time(arrays, dense),
         _invariants=g,
         _rtol=arrays["rtol"].tolist(),
         _atol=arrays["atol"].tolist(),
-        _drift=BeforeProjection(arrays["drift.residual"], arrays["drift.distance"], float(arrays["drift.correction"])),
+        _drift=_drift(arrays, len(names)),
         _names=Names(about["name"], about["title"], about["labels"], len(y), about["event_names"]),
     )
+    for name, held in about.get("added", {}).items():
+        solution[name] = arrays[held["array"]] if "array" in held else held["value"]
     return solution, dense
 
 

@@ -66,6 +66,9 @@ class PreparedSolver:
         free = not problem.inputs and not any(plan.senses)  # what is dissipated depends on the direction of time
         self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 
+    def __reduce__(self) -> tuple[type[PreparedSolver], tuple[Any, ...]]:
+        return PreparedSolver, (self.problem, self.method, self._options)
+
     def __repr__(self) -> str:
         return f"PreparedSolver({self.problem!r}, {self.method!r})"
 

@@ -217,7 +217,7 @@ def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) ->
         if "checkpoint_every" in source.options:
             warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
-    who = identity_of_run(source.problem, source.method, source.options)
+    who = partial(identity_of_run, source.problem, source.method, source.options)
     return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
 
 
@@ -231,7 +231,10 @@ def _carried_out(
     """The solution of a plan, or of what is left of it."""
     core = solver(plan)
     keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
-    run = _integrated(core, plan, source.problem.name, resumed, keep)
+    with ExitStack() as around:
+        if checkpoint is not None:
+            around.callback(checkpoint.release)
+        run = _integrated(core, plan, source.problem.name, resumed, keep)
     sol = presented(run, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _work(core, source.problem.fun)
     return sol
@@ -433,10 +436,6 @@ def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: fl
             now = now[1:]  # it is there already
     else:
         now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
-        if now.size == 0:
-            raise ValueError(
-                f"the run has output at t_eval, which has no times left up to t_end = {tf}: give new ones as t_eval"
-            )
     return now, np.concatenate([now, beyond])
 
 

@@ -133,8 +133,8 @@ class Solution(Plots, Exports):
             The new end, in the direction of integration beyond the point where the run ended, whether the end of its
             interval, an event, the callback or a limit ended it. May be infinite.
         t_eval : array_like, optional
-            Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached. Those
-            beyond `t_end` are left for a further extension.
+            Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
+            output if there are none. Those beyond `t_end` are left for a further extension.
         max_step : float, optional
             Default: the run's, or a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
