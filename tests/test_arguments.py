@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import scipy
 
 import invariode as iv
 from problems import cost_of_pair
@@ -153,7 +158,7 @@ def test_refine_that_has_no_effect_is_warned_of(method):
 def test_warnings_point_at_the_caller():
     with pytest.warns(UserWarning) as warned:
         iv.solve_ivp(decay, (0, 1), [1, 2], rtol=1e-20)
-        iv.solve_ivp(decay, (0, 1), [1, 2], jac=3)
+        iv.solve_ivp(decay, (0, 1), [1, 2], jac=np.eye(2))
         iv.solve_ivp(decay, (0, 1), [1, 2], refine=3, t_eval=[0.5])
         iv.ode45(decay, (0, 1), [1, 2], rtol=1e-20)
         iv.Problem(decay, (0, 1), [1, 2]).solve(rtol=1e-20)
@@ -290,3 +295,186 @@ def test_times_of_dense_output_are_numbers():
     for wrong, error in (([1, [2, 3]], ValueError), ("1", TypeError), (None, TypeError), (1j, TypeError)):
         with pytest.raises(error, match=r"^t must"):
             sol(wrong)
+
+
+class TestProblemsDoNotChange:
+    def test_an_argument_is_changed_by_replace_only(self):
+        problem = iv.Problem(decay, (0, 1), [1, 2])
+        for name in ("jac", "y0", "t_span", "args", "fun"):
+            with pytest.raises(AttributeError, match=rf"does not change, and {name} cannot be set: .*replace\({name}="):
+                setattr(problem, name, None)
+        with pytest.raises(AttributeError, match="it has only its arguments"):
+            problem.colour = "red"
+        with pytest.raises(AttributeError, match="cannot be deleted"):
+            del problem.y0
+        with pytest.raises(ValueError, match="read-only"):
+            problem.y0[0] = 3.0
+        assert problem.replace(y0=[3, 4]).solve().y[:, 0].tolist() == [3, 4]
+        assert pickle.loads(pickle.dumps(problem)).y0.tolist() == copy.deepcopy(problem).y0.tolist() == [1, 2]
+
+    def test_a_fourth_argument_by_position_is_refused_by_the_name_that_users_know(self):
+        with pytest.raises(TypeError, match=r"^Problem takes fun, t_span and y0 by position .* got \(1,\) as a fourth"):
+            iv.Problem(decay, (0, 1), [1, 2], (1,))
+
+
+MATRICES = {
+    "jac word": (
+        dict(jac="garbage"),
+        "jac must be a function, a matrix, 'complex-step' or 'differences', got 'garbage'",
+    ),
+    "jac shape": (dict(jac=np.eye(3)), r"jac has shape \(3, 3\), expected shape \(2, 2\)"),
+    "lband negative": (dict(lband=-7), "lband must be a bandwidth, an integer from 0 to 1, got -7"),
+    "uband huge": (dict(uband=10**5000), "uband must be a bandwidth, .* got an integer of 16610 bits"),
+    "pattern number": (dict(jac_sparsity=3), r"jac_sparsity has shape \(1, 1\), expected shape \(2, 2\)"),
+    "pattern word": (dict(jac_sparsity="dens"), "jac_sparsity must be a matrix, 'detect' or 'dense', got 'dens'"),
+    "pattern and bands": (dict(jac_sparsity=np.eye(2), lband=1), "give either jac_sparsity or lband and uband"),
+    "mass shape": (dict(mass=np.eye(3)), r"mass has shape \(3, 3\), expected shape \(2, 2\)"),
+}
+
+
+@pytest.mark.filterwarnings("ignore:option")
+@pytest.mark.parametrize("name", MATRICES)
+def test_wrong_matrices_are_refused_whatever_the_method_uses(name):
+    """A method without Jacobians, one with, and none at all."""
+    wrong, message = MATRICES[name]
+    for method in ("ode45", "ode15s"):
+        with pytest.raises(ValueError, match=message):
+            iv.solve_ivp(decay, (0, 2), [1, 2], method, **wrong)
+    with pytest.raises(ValueError, match=message):
+        iv.Problem(decay, (0, 2), [1, 2], **wrong)
+
+
+class TestBlame:
+    """The note about args is given for a call that failed, not for whatever failed in a function."""
+
+    @staticmethod
+    def notes(error):
+        return " ".join(getattr(error.value, "__notes__", ()))
+
+    def test_errors_inside_of_a_function_are_its_own(self):
+        def failing(t, y, a):
+            return len(a)
+
+        with pytest.raises(TypeError, match="has no len") as raised:
+            iv.solve_ivp(failing, (0, 1), [1.0], args=(1,), events=lambda t, y: 1.0)
+        assert self.notes(raised) == ""
+
+    def test_a_function_without_args_is_named(self):
+        def level(t, y):
+            return y[0]
+
+        with pytest.raises(TypeError, match="positional arguments") as raised:
+            iv.solve_ivp(lambda t, y, a: [a], (0, 1), [1.0], args=(1,), events=level)
+        assert "event level does not take them" in self.notes(raised)
+
+    def test_inputs_are_arguments_too(self):
+        def level(t, y):
+            return y[0]
+
+        problem = iv.Problem(
+            lambda t, y, u, a: [a * u], (0, 1), [1.0], args=(1,), events=level, inputs=iv.Input([0], [1.0])
+        )
+        with pytest.raises(TypeError) as raised:
+            problem.solve()
+        assert "and event level does not take them" in self.notes(raised)
+        assert "fun" not in self.notes(raised).partition("events, and")[2]
+
+    def test_a_compiled_f_of_another_length_is_told_so(self):
+        pytest.importorskip("numba")
+        for n, fun in ((1, lambda t, y: np.ones(1)), (3, lambda t, y: [1.0, 2.0, 3.0])):
+            with pytest.raises(ValueError, match=rf"returned {n} values at t = 0\.0, expected 2, one for each"):
+                iv.solve_ivp(iv.compile(fun), (0, 1), [1, 2])
+
+    def test_mechanisms_have_a_name_of_their_own(self):
+        ball = iv.MechanicalSystem([1.0], lambda t, q, v: [-9.81])
+        assert ball.problem((0, 1), [1.0], [0.0]).name == "mechanism"
+
+
+class TestShapesOfScipy:
+    """SciPy's for what did not occur."""
+
+    def test_events(self):
+        def never(t, y):
+            return y[0] + 10
+
+        for events in (None, [], [never]):
+            theirs = scipy.integrate.solve_ivp(decay, (0, 1), [1, 2], events=events)
+            ours = iv.solve_ivp(decay, (0, 1), [1, 2], events=events)
+            again = iv.Problem(decay, (0, 1), [1, 2], events=events).replace(y0=[1, 2]).solve()
+            for name in ("t_events", "y_events"):
+                for sol in (ours, again):
+                    if theirs[name] is None:
+                        assert sol[name] is None
+                    else:
+                        assert [one.shape for one in sol[name]] == [one.shape for one in theirs[name]]
+
+    def test_what_did_not_occur_joins_what_does(self):
+        sol = iv.solve_ivp(lambda t, y: [1.0, 0.0], (0, 1), [0, 0], events=lambda t, y: y[0] - 1.5, invariants=second)
+        assert sol.y_events[0].shape == (0,)
+        assert sol.impose().y_events[0].shape == (0,)
+        assert sol.to_xarray()["y_events_event"].shape == (0, 2)
+        assert sol.extend(2).y_events[0].shape == (1, 2)
+
+    def test_no_components(self):
+        sol = iv.solve_ivp(lambda t, y: [], (0, 1), [])
+        assert sol.plot().lines[:] == []
+        assert len(sol.to_dataframe()) == 2
+        sol.plot_steps()
+        plt.close("all")
+
+
+def second(t, y):
+    return y[1]
+
+
+DEEP: list = []
+for _ in range(1000):
+    DEEP = [DEEP]
+HUGE = 10**5000
+
+#: Calls that raised errors of NumPy, of Python or of the binding.
+RAW = {
+    "masked y0": (lambda: iv.Problem(decay, (0, 1), np.ma.masked_equal([1.0, 2.0], 2)), "y0 has masked entries"),
+    "masked t_eval": (lambda: iv.ode45(decay, (0, 1), [1], t_eval=np.ma.masked_equal([0, 1], 1)), "t_eval has masked"),
+    "masked mass": (lambda: iv.ode15s(decay, (0, 1), [1], mass=np.ma.masked_equal([[1]], 1)), "mass has masked"),
+    "masked bounds": (lambda: iv.ode45(decay, (0, 1), [1], bounds=(np.ma.masked_equal([0], 0), 1)), "has masked"),
+    "breakpoints bytes": (
+        lambda: iv.ode45(decay, (0, 1), [1], breakpoints=memoryview(b"ab")),
+        "must be a list of times",
+    ),
+    "direction array": (lambda: iv.Invariants(second, direction=np.ones(2)), "direction must be one of"),
+    "moves number": (lambda: iv.Invariants(second, moves=3), "moves must be a list of indices"),
+    "moves huge": (lambda: iv.Invariants(second, moves=[HUGE, HUGE]), "moves must list different components"),
+    "level huge": (lambda: iv.Invariants(second, level=-HUGE), "level of an invariant must be"),
+    "invariants deep": (lambda: iv.ode45(decay, (0, 1), [1], invariants=DEEP), "invariants must be a function"),
+    "samples array": (lambda: iv.Event(second, samples=np.ones(2)), "samples of an event must be"),
+    "event direction": (
+        lambda: iv.ode45(decay, (0, 1), [1], events=iv.Event(second, direction=[1])),
+        "direction of second",
+    ),
+    "indices ragged": (lambda: iv.UnitVector([[0], [1, 2]]), "indices of UnitVector must be"),
+    "indices number": (lambda: iv.RotationMatrix(HUGE), "indices of RotationMatrix must be"),
+    "name number": (lambda: iv.UnitVector([0, 1], name=3), "name must be one str"),
+    "name deep": (lambda: iv.UnitVector([0, 1], name=DEEP), "name must be one str"),
+    "nonnegative huge": (lambda: iv.ode45(decay, (0, 1), [1], nonnegative=HUGE), "there is no component an integer of"),
+    "lanes huge": (lambda: iv.solve_ensemble(decay, (0, 1), [[1]], lanes=HUGE), 'lanes must be "auto" or 1'),
+    "args rows": (lambda: iv.solve_ensemble(decay, (0, 1), [[1]], args=[HUGE]), "args of an ensemble must be"),
+    "span": (lambda: iv.find_invariants(decay, (0, float("inf")), [1]), "t_span must be finite"),
+    **{
+        f"odeint {name}": (lambda name=name: iv.odeint(decay, [1.0], [0, 1], tfirst=True, **{name: np.ones(2)}), name)
+        for name in ("full_output", "ml", "mu", "ixpr", "mxstep", "mxhnil", "mxordn", "mxords", "hmin")
+    },
+    "odeint tfirst": (
+        lambda: iv.odeint(decay, [1.0], [0, 1], tfirst=np.ones(2)),
+        "tfirst must be an integer or a flag",
+    ),
+    "odeint printmessg": (lambda: iv.odeint(decay, [1], [0, 1], tfirst=1, printmessg="no"), "printmessg must be"),
+    "odeint y0": (lambda: iv.odeint(decay, [1, [2, 3]], [0, 1], tfirst=1), "y0 must be a number or an array"),
+}
+
+
+@pytest.mark.parametrize("name", RAW)
+def test_errors_are_in_our_own_words(name):
+    call, message = RAW[name]
+    with pytest.raises((TypeError, ValueError), match=message):
+        call()

@@ -144,3 +144,15 @@ def test_misuse():
         iv.find_invariants(fun, (0, 1), [1, 0], labels=["x"])
     with pytest.raises(TypeError, match="fun must be a function"):
         iv.find_invariants(3, (0, 1), [1, 0])
+
+
+def test_what_f_does_at_y0_is_told():
+    """Elsewhere it may fail: points outside of its domain are left out."""
+    with pytest.raises(ValueError, match=r"fun\(t, y\) returned shape \(1,\), expected shape \(2,\)"):
+        iv.find_invariants(lambda t, y: [1.0], (0, 1), [1.0, 0.0])
+
+    def mine(t, y):
+        raise ValueError("of my own")
+
+    with pytest.raises(ValueError, match="of my own"):
+        iv.find_invariants(mine, (0, 1), [1.0, 0.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from html.parser import HTMLParser
 
@@ -10,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
+from invariode.notebook import latex_of_polynomial
 
 
 class Parsed(HTMLParser):
@@ -84,6 +86,7 @@ def test_one_that_failed():
     assert f"✗ {sol.message}" in Parsed(sol._repr_html_()).text
 
 
+@pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
 def test_an_ensemble_counts_how_trajectories_ended():
     m = iv.solve_ensemble(lambda t, y: y**2, (0, 2), [[0.1], [1.0]], workers=1)
     shown = Parsed(m._repr_html_())
@@ -105,3 +108,14 @@ def test_found_invariants_are_formulas():
 
     made = iv.PolynomialInvariant({(1, 2): Fraction(-1, 2), (0, 1): 0.25, (0, 0): Fraction(3)}, ["x", "speed"])
     assert made._repr_latex_() == r"$-\tfrac{1}{2}\,x\,\mathrm{speed}^{2}+0.25\,\mathrm{speed}+3$"
+
+
+def test_labels_in_formulas_are_shown_as_they_are():
+    """No label is read as LaTeX, or as HTML around it."""
+    formula = latex_of_polynomial({(1, 0): 1, (0, 1): 1}, ["x_1", r"\a{$%"])
+    assert formula == r"$\mathrm{x\_}_{1}+\mathrm{\backslash a\{\$\%}$"
+    for label in ("%", "a b", "^2", "<b>", "50%", "#", "q'", "12"):
+        inside = latex_of_polynomial({(1,): 1}, [label])[1:-1]
+        bare = re.sub(r"\\[^a-z]", "", inside)  # without what is escaped
+        assert not set(bare) & set("$%#&<>~^ ") - {" "}, inside
+        assert bare.count("{") == bare.count("}")

@@ -176,8 +176,8 @@ def flag(name: str, value: object) -> bool:
 
 def items(value: object) -> list[Any] | None:
     """The items of a list, a tuple, an array and the like; None for what has no items."""
-    if not isinstance(value, Iterable) or hasattr(
-        value, "tocsr"
+    if (
+        isinstance(value, (bytes, bytearray, memoryview)) or not isinstance(value, Iterable) or hasattr(value, "tocsr")
     ):  # a sparse matrix, whose items are sparse matrices again
         return None
     try:
@@ -208,6 +208,8 @@ def _too_large(name: str, value: object) -> ValueError:
 
 def as_array(name: str, value: object) -> Array:
     """What was given as an array of any type and shape."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+        raise ValueError(f"{name} has masked entries, which have no values: give numbers for all of them")
     try:
         return np.asarray(value)
     except ValueError:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ._arguments import Array, items, shown
+from ._arguments import Array, items, real_numbers, shown
 
 __all__ = ["Limits", "limits"]
 
@@ -68,15 +68,15 @@ def _component(one: Any, n: int, labels: Sequence[str] | None) -> int:
     if isinstance(one, str):
         if labels is None:
             raise ValueError(
-                f"nonnegative: {one!r} is a label, but the problem has none: give Problem(labels=), or indices"
+                f"nonnegative: {shown(one)} is a label, but the problem has none: give Problem(labels=), or indices"
             )
         if one not in labels:
-            raise ValueError(f"nonnegative: no component is called {one!r}; choose from {', '.join(labels)}")
+            raise ValueError(f"nonnegative: no component is called {shown(one)}; choose from {', '.join(labels)}")
         return list(labels).index(one)
     if isinstance(one, bool) or not isinstance(one, (int, np.integer)):
         raise TypeError(f"nonnegative must be True, indices or labels, got {shown(one)}")
     if not -n <= one < n:
-        raise ValueError(f"nonnegative: there is no component {one} of {n}")
+        raise ValueError(f"nonnegative: there is no component {shown(one)} of {n}")
     return int(one) % n
 
 
@@ -95,10 +95,7 @@ def _pair(bounds: Any, n: int) -> tuple[Array, Array]:
 def _side(name: str, given: Any, absent: float, n: int) -> Array:
     if given is None:
         return np.full(n, absent)
-    try:
-        values = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} bounds must be numbers, got {shown(given)}") from None
+    values = real_numbers(f"{name} bounds", given)
     if values.shape not in ((), (1,), (n,)):
         raise ValueError(f"{name} bounds must be a number or of shape ({n},), got shape {values.shape}")
     if np.isnan(values).any():

@@ -6,11 +6,13 @@ import inspect
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from ._arguments import PACKAGE, call_name, shown
-from .compiled import is_native
+import numpy as np
+
+from ._arguments import PACKAGE, call_name, reals, shown
+from .compiled import CompiledFunction, is_native, native_parameters
 from .description import Description
 
-__all__ = ["explain"]
+__all__ = ["explain", "require_values"]
 
 
 def explain(error: TypeError | ValueError, problem: Description) -> None:
@@ -25,6 +27,28 @@ def explain(error: TypeError | ValueError, problem: Description) -> None:
             )
     elif "returned shape" in str(error) and ", 1)" in str(error):
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
+
+
+def require_values(problem: Description) -> None:
+    """That a compiled f returns as many values as there are components: if not, its values are NaN in the run.
+
+    Raises
+    ------
+    ValueError
+        It returns another number at the start.
+    """
+    fun, n = problem.fun, reals(problem.y0)
+    if not isinstance(fun, CompiledFunction) or fun.inplace:
+        return
+    t0 = problem.t_span[0]
+    p = [*(np.ravel(one(t0)) for one in problem.inputs), native_parameters(problem.args, [fun])]
+    parameters = np.concatenate(p)
+    try:
+        returned = np.size(fun.jitted(t0, problem.y0.view(float), *([parameters] if len(parameters) else [])))
+    except Exception:  # whatever the user's code raises: there NaN is right
+        return
+    if returned != n:
+        raise ValueError(f"{fun!r} returned {returned} values at t = {t0}, expected {n}, one for each component")
 
 
 def _is_of_the_call(error: TypeError) -> bool:

@@ -13,7 +13,19 @@ from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origi
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, choice, count, flag, function, path, positive, positive_integer, unknown_option, warn
+from ._arguments import (
+    Array,
+    choice,
+    count,
+    flag,
+    function,
+    path,
+    positive,
+    positive_integer,
+    shown,
+    unknown_option,
+    warn,
+)
 from ._types import (
     BreakpointsLike,
     EventsLike,
@@ -62,11 +74,11 @@ def as_given(name: str, value: Any) -> Any:
 def to_members(name: str, value: Any) -> tuple[str, str]:
     """The names of an explicit and an implicit method."""
     if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
-        raise TypeError(f"{name} must be the names of an explicit and an implicit method, got {value!r}")
+        raise TypeError(f"{name} must be the names of an explicit and an implicit method, got {shown(value)}")
     explicit_one, implicit_one = (find_method(one)[0] for one in value)
     if "jac" in explicit_one.options or "jac" not in implicit_one.options or "prefer" in implicit_one.options:
         raise ValueError(
-            f"{name} must be an explicit method and then an implicit one, as in ('ode45', 'ode15s'); got {value!r}"
+            f"{name} must be an explicit method and then an implicit one, as in ('ode45', 'ode15s'); got {shown(value)}"
         )
     return explicit_one.name, implicit_one.name
 

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, writers
 from matplotlib.ticker import MaxNLocator
 
-from ._arguments import Array, positive
+from ._arguments import Array, positive, shown
 from ._style import COLOURS
 from .pictures.curves import curve
 from .result import Result
@@ -115,7 +115,7 @@ def _states(sol: Result) -> Callable[[Array], Array]:
         return lambda times: sol.y[:, np.searchsorted(middles, forward * times)]
     there = np.isfinite(whole.t) & np.isfinite(whole.y).all(axis=0)
     t, y = forward * whole.t[there], whole.y[:, there]
-    return lambda times: np.array([np.interp(forward * times, t, row) for row in y])
+    return lambda times: np.array([np.interp(forward * times, t, row) for row in y]).reshape(len(y), len(times))
 
 
 def _positions(states: Callable[[Array], Array], points: Callable[[float, Array], Any] | Array, times: Array) -> Array:
@@ -158,7 +158,7 @@ def polylines(name: str, groups: Iterable[Any], count: int) -> list[list[int]]:
             except TypeError:
                 inside = False
             if not inside:
-                raise ValueError(f"{name} must name points by indices from 0 to {count - 1}, got {one!r}")
+                raise ValueError(f"{name} must name points by indices from 0 to {count - 1}, got {shown(one)}")
     return listed
 
 

@@ -28,7 +28,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from . import _core
-from ._arguments import Array, call_name, choice, warn
+from ._arguments import Array, call_name, choice, shown, warn
 
 __all__ = [
     "Compiled",
@@ -389,7 +389,7 @@ def compile(
     True
     """
     if not callable(fun):
-        raise TypeError(f"compile takes a function f(t, y), got {fun!r}")
+        raise TypeError(f"compile takes a function f(t, y), got {shown(fun)}")
     numba = _numba()
     choice("elementary", elementary, ("own", "libm"))
     if isinstance(fun, CompiledFunction):
@@ -584,4 +584,4 @@ def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
     try:
         return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
     except (TypeError, ValueError):
-        raise TypeError(f"args of native functions must be real numbers, got {args!r}") from None
+        raise TypeError(f"args of native functions must be real numbers, got {shown(args)}") from None

@@ -38,6 +38,7 @@ class Description:
     inputs: list[Input]
     name: str
     limits: Limits | None
+    records_events: bool
     _title: str | None
     _labels: list[str] | None
     _bounds_as_given: dict[str, Any]
@@ -86,6 +87,7 @@ class Description:
             inputs=to_inputs(inputs, span),
             name=call_name(called, "problem") if name is None else name,
             limits=limits(nonnegative, bounds, start, named),
+            records_events=events is not None,
             _title=name,
             _labels=named,
             _bounds_as_given={"nonnegative": nonnegative, "bounds": bounds},
@@ -147,7 +149,7 @@ class Description:
             "y0": self.y0,
             "args": self.args,
             "invariants": self.invariants,
-            "events": self.events,
+            "events": self.events if self.records_events else None,
             **vars(self.matrices),
             **self._bounds_as_given,
             "inputs": self.inputs,

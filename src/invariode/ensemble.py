@@ -256,7 +256,7 @@ def _side_by_side(lanes: Any) -> bool:
     if lanes == "auto":
         return True
     if lanes != 1 or isinstance(lanes, bool):
-        raise ValueError(f'lanes must be "auto" or 1, got {lanes!r}')
+        raise ValueError(f'lanes must be "auto" or 1, got {shown(lanes)}')
     return False
 
 
@@ -305,7 +305,7 @@ def _row_of_arguments(row: Any) -> tuple[Any, ...]:
         return tuple(row.tolist())
     if isinstance(row, Sequence) and not isinstance(row, str):
         return tuple(row)
-    raise _no_rows(f"{row!r} as a row")
+    raise _no_rows(f"{shown(row)} as a row")
 
 
 def _no_rows(got: str) -> ValueError:

@@ -95,9 +95,11 @@ class Event:
 
 
 def _samples(samples: object) -> int | Literal["adaptive"] | None:
-    if samples is None or samples == "adaptive":
-        return samples
+    if samples is None:
+        return None
     if isinstance(samples, str):
+        if samples == "adaptive":
+            return "adaptive"
         raise ValueError(f"samples of an event must be a positive integer or 'adaptive', got {shown(samples)}")
     return positive_integer("samples of an event", samples)
 

@@ -128,7 +128,7 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         variables["residual"] = (("invariant", "t"), solution.residual, {"long_name": "g - value"})
     for name, t, y in zip(_event_names(solution), solution.t_events or (), solution.y_events or (), strict=True):
         coordinates[f"t_events_{name}"] = (f"event_{name}", t)
-        variables[f"y_events_{name}"] = ((f"event_{name}", "component"), y)
+        variables[f"y_events_{name}"] = ((f"event_{name}", "component"), y.reshape(len(t), len(solution.y)))
     if solution.steps is not None:
         coordinates["t_step"] = solution.steps.t
         variables["h"] = ("t_step", solution.steps.h, {"long_name": "size of the step"})

@@ -154,7 +154,7 @@ def impose(
     dense = None
     if y is None:
         if not (hasattr(t, "t") and hasattr(t, "y")):
-            raise TypeError(f"impose takes points (t, y) or a result with fields t and y, got t = {t!r} without y")
+            raise TypeError(f"impose takes points (t, y) or a result with fields t and y, got t = {shown(t)} without y")
         dense, t, y = getattr(t, "sol", None), t.t, t.y
     points, times = _points(t, y)
     extra = extra_arguments(args)

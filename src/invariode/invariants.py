@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -178,12 +179,12 @@ def _level(level: object) -> int:
     except TypeError:
         result = -1
     if result < 0:
-        raise ValueError(f"level of an invariant must be an integer from 0 on, got {level!r}")
+        raise ValueError(f"level of an invariant must be an integer from 0 on, got {shown(level)}")
     return result
 
 
 def _direction(direction: object) -> Literal["gradient", "stages"]:
-    if direction == "relaxation":
+    if isinstance(direction, str) and direction == "relaxation":
         raise ValueError(
             'direction of an invariant cannot be "relaxation", which changes the length of a step, so that it misses '
             'times of output, events and the end of the interval, and which keeps only one invariant: use "stages", '
@@ -204,12 +205,13 @@ def _metric(metric: object) -> Any:
 
 
 def _components(moves: object) -> list[int]:
+    listed = items(moves)
     try:
-        indices = [operator.index(index) for index in moves]  # type: ignore[attr-defined]  # likewise
+        indices = [operator.index(index) for index in listed]  # type: ignore[union-attr]  # likewise
     except TypeError:
-        raise TypeError(f"moves must be a list of indices of components of y, got {moves!r}") from None
+        raise TypeError(f"moves must be a list of indices of components of y, got {shown(moves)}") from None
     if not indices or min(indices) < 0 or len(set(indices)) < len(indices):
-        raise ValueError(f"moves must list different components of y, from 0 on, got {moves!r}")
+        raise ValueError(f"moves must list different components of y, from 0 on, got {shown(moves)}")
     return indices
 
 
@@ -223,7 +225,8 @@ def to_invariants(invariants: object) -> list[Invariants]:
         return [Invariants(cast("Callable[..., Any]", invariants))]
     listed = None if isinstance(invariants, (str, bytes)) else items(invariants)
     if listed is not None:
-        return [one for item in listed for one in to_invariants(item)]
+        with suppress(RecursionError):
+            return [one for item in listed for one in to_invariants(item)]
     raise TypeError(
         f"invariants must be a function g(t, y), an Invariants, or a list of these, got {shown(invariants)}"
     )

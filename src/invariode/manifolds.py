@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
-from ._arguments import Array
+from ._arguments import Array, as_array, items, shown
 from .invariants import Invariants
 
 __all__ = ["RotationMatrix", "UnitQuaternion", "UnitVector"]
@@ -211,7 +211,7 @@ class RotationMatrix(_Quadratic):
         iterations: int | None = None,
         when: Literal["always", "needed"] = "always",
     ) -> None:
-        given = np.asarray(indices)
+        given = as_array("indices of RotationMatrix", indices)
         if given.ndim in (2, 3) and given.shape[-2:] == (3, 3):
             given = given.reshape(*given.shape[:-2], 9)
         columns = _bodies("RotationMatrix", given, 9).reshape(-1, 3, 3).swapaxes(1, 2)
@@ -225,11 +225,11 @@ class RotationMatrix(_Quadratic):
 
 def _bodies(what: str, indices: ArrayLike, size: int | None) -> Array:
     """The indices as an array (k, d), a row for each body."""
-    given = np.asarray(indices)
+    given = as_array(f"indices of {what}", indices)
     d = "d" if size is None else size
     wanted = f"integers of shape ({d},) or (k, {d})" + (", (3, 3) or (k, 3, 3)" if size == 9 else "")
     if given.dtype.kind not in "iu" and given.size:
-        raise TypeError(f"indices of {what} must be {wanted}, got {indices!r}: give range(a, b) or a list")
+        raise TypeError(f"indices of {what} must be {wanted}, got {shown(indices)}: give range(a, b) or a list")
     if given.ndim not in (1, 2) or given.size == 0 or (size is not None and given.shape[-1] != size):
         raise ValueError(f"indices of {what} must be {wanted}, got shape {given.shape}")
     if given.min() < 0:
@@ -245,7 +245,7 @@ def _named(name: str | Sequence[str] | None, symbol: str, count: int) -> list[st
     if name is None or isinstance(name, str):
         title = symbol if name is None else name
         return [title] if count == 1 else [f"{title}{k + 1}" for k in range(count)]
-    names = list(name)
-    if len(names) != count or not all(isinstance(one, str) for one in names):
-        raise ValueError(f"name must be one str, or {count} str, one for each body, got {name!r}")
+    names = items(name)
+    if names is None or len(names) != count or not all(isinstance(one, str) for one in names):
+        raise ValueError(f"name must be one str, or {count} str, one for each body, got {shown(name)}")
     return names

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
 from . import _core
+from ._arguments import shown
 
 __all__ = ["METHODS", "Method", "find_method"]
 
@@ -86,7 +87,7 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     name implies."""
     name = getattr(method, "_method", method.__name__) if isinstance(method, type) else method
     if not isinstance(name, str):
-        raise TypeError(f"method must be the name of a method, one of {_names()}; got {method!r}")
+        raise TypeError(f"method must be the name of a method, one of {_names()}; got {shown(method)}")
     for candidate in METHODS.values():
         if name == candidate.name:
             return candidate, {}

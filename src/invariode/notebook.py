@@ -101,12 +101,27 @@ def _number(size: Any) -> str:
     return str(size) if isinstance(size, Fraction) else f"{size:.12g}"
 
 
+#: What stands for characters that mean something in formulas, or in HTML around them.
+_SHOWN = {
+    **{one: rf"\{one}" for one in "{}$&#%_ "},
+    "\\": r"\backslash ",
+    "^": r"\wedge ",
+    "~": r"\sim ",
+    "<": r"\lt ",
+    ">": r"\gt ",
+    "'": r"\prime ",
+}
+
+
 def _symbol(label: str) -> str:
-    """A name in mathematical notation: y0 with an index, a word upright."""
+    """A name in mathematical notation: y0 with an index, a word upright; characters that LaTeX reads as its own are
+    shown."""
     label = label.replace("[", "").replace("]", "")
     stem = label.rstrip("0123456789")
-    index = label[len(stem) :]
-    letter = stem if len(stem) == 1 else rf"\mathrm{{{stem}}}".replace("_", r"\_")
+    index, written = label[len(stem) :], "".join(_SHOWN.get(one, one) for one in stem)
+    letter = f"{{{written}}}" if len(stem) == 1 and stem in _SHOWN else written
+    if len(stem) != 1:
+        letter = rf"\mathrm{{{written or label}}}"
     return f"{letter}_{{{index}}}" if index and stem else letter
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -11,7 +12,18 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._arguments import Array, call_name, flag, function, kept, number, positive_integer, real_numbers, warn
+from ._arguments import (
+    Array,
+    as_array,
+    call_name,
+    flag,
+    function,
+    number,
+    positive_integer,
+    real_numbers,
+    shown,
+    warn,
+)
 from ._options import Options
 from ._types import Function, MethodName, Numbers
 from .compiled import is_native
@@ -134,34 +146,53 @@ def odeint(
     >>> y.shape
     (101, 2)
     """
-    _warn_idle({"hmin": hmin, "ixpr": ixpr, "mxhnil": mxhnil})
-    asked, first = _times(t), flag("tfirst", bool(tfirst))
-    banded = ml is not None or mu is not None
-    counter = _Counter(asked.times, positive_integer("mxstep", mxstep) if mxstep else 0, bool(full_output))
+    _warn_idle({"hmin": number("hmin", hmin), "ixpr": _switch("ixpr", ixpr), "mxhnil": number("mxhnil", mxhnil)})
+    asked, first = _times(t), _switch("tfirst", tfirst)
+    full = _switch("full_output", full_output)
+    most = positive_integer("mxstep", mxstep) if _integer("mxstep", mxstep) else 0
+    bands = (_count("ml", ml), _count("mu", mu)) if ml is not None or mu is not None else (None, None)
+    counter = _Counter(asked.times, most, full)
     problem = Problem(
-        _in_order(func, "func", first, counter.calls if full_output else None),
+        _in_order(func, "func", first, counter.calls if full else None),
         (float(asked.times[0]), float(asked.times[-1])),
-        np.atleast_1d(kept(y0)),
+        np.atleast_1d(as_array("y0", y0)),
         args=args,
         invariants=invariants,
-        jac=None if Dfun is None else _jacobian(Dfun, first, bool(col_deriv), counter),
-        lband=max(ml or 0, 0) if banded else None,
-        uband=max(mu or 0, 0) if banded else None,
+        jac=None if Dfun is None else _jacobian(Dfun, first, _switch("col_deriv", col_deriv), counter),
+        lband=bands[0],
+        uband=bands[1],
         name=call_name(func, "func"),
     )
-    chosen = method or "auto"
+    chosen = "auto" if method is None else method
     options: Options = {
         "rtol": _TOLERANCE if rtol is None else rtol,
         "atol": _TOLERANCE if atol is None else atol,
         "max_step": number("hmax", hmax) or np.inf,
-        **_highest_order(chosen, {"ode113": mxordn, "ode15s": mxords}),
+        **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}),
     }
     parts = _run(problem, chosen, options, _pieces(asked.times, tcrit), number("h0", h0), counter)
     message = _message(parts[-1], counter)
-    if printmessg:
+    if _switch("printmessg", printmessg):
         print(message)
     y = _rows(parts, asked)
-    return (y, _information(parts, asked, counter, message)) if full_output else y
+    return (y, _information(parts, asked, counter, message)) if full else y
+
+
+def _switch(name: str, value: object) -> bool:
+    """A flag of ODEPACK's, which may be an integer."""
+    return flag(name, value) if isinstance(value, (bool, np.bool_)) else _integer(name, value) != 0
+
+
+def _count(name: str, value: object) -> int:
+    """A number of steps or diagonals; None and negative ones are 0."""
+    return 0 if value is None else max(_integer(name, value), 0)
+
+
+def _integer(name: str, value: object) -> int:
+    try:
+        return operator.index(value)  # type: ignore[arg-type]  # what is none is told apart right here
+    except TypeError:
+        raise TypeError(f"{name} must be an integer or a flag, got {shown(value)}") from None
 
 
 def _warn_idle(given: dict[str, float]) -> None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import _core
-from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, tolerances, warn
+from ._arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
 from ._bound_invariants import BoundInvariants, InvariantSpec, bind
 from ._bounds import Limits
 from ._files import PathLike
@@ -130,6 +130,7 @@ class Plan(NamedTuple):
     demanded: list[bool]  # of the invariants, whether their values were
     senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
+    records_events: bool  # also none at all, where a list of none was given
     called: Names  # the names in tables and pictures
     rtol: Numbers  # as given
     atol: Numbers
@@ -246,6 +247,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         demanded=bound.demanded,
         senses=bound.senses,
         event_names=event_names,
+        records_events=problem.records_events,
         called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
         rtol=kept(rtol),
         atol=kept(atol),
@@ -276,7 +278,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     explicit_one, implicit_one = options["prefer"] or ("", "")
     first, largest = options["first_step"], options["max_step"]
     if first is not None and first > span:
-        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {first!r}")
+        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {shown(first)}")
     return Settings(
         t0=t0,
         tf=tf,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from ._arguments import Array, flag
+from ._arguments import Array, flag, shown
 from .invariants import InvariantsLike
 from .pictures import drift, over_time, phase, steps
 from .pictures.canvas import component, new, require_matplotlib
@@ -303,5 +303,5 @@ def _coordinates(sol: Result, points: Any) -> Array:
     rows = [points] if len(points) and (isinstance(points[0], str) or not np.iterable(points[0])) else list(points)
     sizes = {len(row) for row in rows}
     if sizes not in ({2}, {3}):
-        raise ValueError(f"points must be points(t, y), or rows of two or three components, got {points!r}")
+        raise ValueError(f"points must be points(t, y), or rows of two or three components, got {shown(points)}")
     return np.array([[component(sol._names.components, one) for one in row] for row in rows])

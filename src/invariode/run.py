@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 
 from . import _core
-from ._arguments import Array, kept, number, output_times, warn
+from ._arguments import Array, kept, number, output_times, shown, warn
 from ._at_start import ended_at_start, found_at_start, with_start, without_start
 from ._bound_invariants import Jump, as_columns
-from ._calls import explain
+from ._calls import explain, require_values
 from ._identity import identity_of_run
 from ._interruption import stopped_by_interrupt
 from ._messages import (
@@ -196,13 +196,15 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
 
 
 def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
-    """The solution; if it failed, with the warning that is asked for.
+    """The solution as the user gets it; if it failed, with the warning that is asked for.
 
     Raises
     ------
     SolveError
         It failed, and is to raise.
     """
+    if sol.y_events is not None:  # SciPy's shape
+        sol["y_events"] = [states if len(states) else states.reshape(0) for states in sol.y_events]
     if sol.success or on_failure == "return":
         return sol
     if on_failure == "warn":
@@ -247,6 +249,8 @@ def presented(
     took turns."""
     if exception := plan.exception(run):
         raise exception
+    if run.state == "start_undefined":
+        require_values(source.problem)
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
@@ -317,7 +321,7 @@ def _solution(
         bound = bound.jumped(jumps, forward=plan.settings.forward)
     dense = run.take_dense()
     t, y, t_end, y_end = run.take_points()
-    happened = run.take_events() if plan.event_names else None
+    happened = run.take_events() if plan.records_events else None
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -404,7 +408,9 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     tf = number("t_end", t_end)
     forward = origin.forward or float(np.sign(tf - origin.t))
     if not forward * (tf - origin.t) > 0:
-        raise ValueError(f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {t_end!r}")
+        raise ValueError(
+            f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {shown(t_end)}"
+        )
     problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
     given = cast("Options", {**options_of_run, "first_step": None, **options})
@@ -450,7 +456,11 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     t_events = y_events = None
     if old.t_events is not None and new.t_events is not None and old.y_events is not None and new.y_events is not None:
         t_events = [np.concatenate(parts) for parts in zip(old.t_events, new.t_events, strict=True)]
-        y_events = [np.concatenate(parts) for parts in zip(old.y_events, new.y_events, strict=True)]
+        n = len(old.y)
+        y_events = [
+            np.concatenate([part.reshape(-1, n) for part in parts])
+            for parts in zip(old.y_events, new.y_events, strict=True)
+        ]
     steps = None
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)

@@ -52,7 +52,7 @@ class Solution(Plots, Exports):
     t_events : list of ndarray, or None
         The times of each event, (k,). None without events.
     y_events : list of ndarray, or None
-        The states at each event, (k, n).
+        The states at each event, (k, n); of one that did not occur, as in SciPy, (0,).
     nfev : int
         Evaluations of f.
     njev : int
@@ -111,7 +111,10 @@ class Solution(Plots, Exports):
 
         events = self.y_events
         if events is not None and self.t_events is not None:
-            events = [project(t, y.T, g.pieces_at(t, "left")).T for t, y in zip(self.t_events, events, strict=True)]
+            events = [
+                project(t, y.T, g.pieces_at(t, "left")).T if len(t) else y
+                for t, y in zip(self.t_events, events, strict=True)
+            ]
         dense = self.sol and self.sol.imposed(self._rtol, self._atol)
         y = project(self.t, self.y, g.pieces_of_output(len(self.t)))
         origin = self._origin and self._origin.imposing()

@@ -73,6 +73,12 @@ class Hostile:
         raise RuntimeError("of the user's own")
 
 
+#: A list in a list, and so on, a thousand times.
+DEEP: list[Any] = []
+for _ in range(1000):
+    DEEP = [DEEP]
+
+
 def _matrix(random: Random) -> Any:
     """A matrix of (2, 2), or nearly: dense, or sparse with indices that point anywhere."""
     size = random.choice([(2, 2), (2, 2), (2, 2), (3, 2), (2, 3), (0, 0), (2, 2, 2)])
@@ -95,7 +101,8 @@ def _simple(random: Random) -> Any:
     """Anything that is neither a function nor a matrix."""
     return random.choice([
         None, True, False, 0, 1, -1, 2, 3, 0.5, -0.0, 1e-300, 1e300, np.nan, np.inf, -np.inf, 1j, 2**31, 2**63, 2**64,
-        10**400, 10**5000, "", "x", "ode45", "projected", "1.0", b"1", bytearray(b"1"), [], (), {}, set(), [[]], [None],
+        10**400, 10**5000, [10**5000], DEEP,
+        "", "x", "ode45", "projected", "1.0", b"1", bytearray(b"1"), [], (), {}, set(), [[]], [None],
         [[1], [1, 2]], [1, [2, 3]], ["a", "b"], [1.0, 2.0], [1.0, np.nan], [10**400, 1.0], (1, 2, 3), {1: 2}, range(2),
         (x for x in (1.0, 2.0)), object(), Hostile(), [Hostile()], int, datetime.date(2020, 1, 1),
         fractions.Fraction(1, 3), memoryview(b"abcdefgh"), np.float32(0.5), np.int64(3), np.bool_(True), np.str_("x"),
@@ -125,7 +132,11 @@ def _object(random: Random) -> Any:
     make: Callable[[], Any] = random.choice([
         lambda: iv.Invariants(energy, **_some(random, ("jac", "value", "names", "iterations", "when"))),
         lambda: iv.Invariants(native_energy, **_some(random, ("jac", "value", "names"))),
+        lambda: iv.Invariants(energy, **_some(random, ("level", "moves", "metric", "direction"))),
         lambda: iv.Event(lambda t, y: y[0], **_some(random, ("terminal", "direction", "action", "rehold"))),
+        lambda: iv.Event(lambda t, y: y[0], **_some(random, ("at_start", "samples"))),
+        lambda: iv.UnitVector(**{"indices": [0, 1], **_some(random, ("indices", "name", "when"))}),
+        lambda: random.choice([iv.UnitQuaternion, iv.RotationMatrix])(_anything(random, depth=1)),
         lambda: [iv.Invariants(energy), _simple(random)],
     ])  # fmt: skip
     return make()
@@ -142,7 +153,7 @@ def _some(random: Random, names: tuple[str, ...]) -> dict[str, Any]:
 
 RUN: Mapping[str, Any] = {"fun": oscillator, "t_span": (0, 1), "y0": [1.0, 0.0], "method": "ode45"}
 OPTIONS = tuple(sorted(iv.Problem.solve.__signature__.parameters.keys() - {"self", "method"}))  # type: ignore[attr-defined]
-DESCRIBING = ("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass")
+DESCRIBING = ("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass", "nonnegative", "bounds")
 CALLS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], tuple[str, ...]]] = {
     "solve_ivp": (iv.solve_ivp, RUN, (*OPTIONS, *DESCRIBING, "vectorized")),
     "ode15s": (iv.ode15s, {k: v for k, v in RUN.items() if k != "method"}, (*OPTIONS, *DESCRIBING, "vectorized")),
@@ -167,6 +178,15 @@ CALLS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], tuple[str, ...]]] 
         {"fun": oscillator, "t_span": (0, 1), "y0": [[1.0, 0.1], [0.5, 0.2]]},
         (*(name for name in OPTIONS if name not in ("refine", "dense_output", "progress")), *DESCRIBING),
     ),
+    "odeint": (
+        iv.odeint,
+        {"func": lambda y, t: oscillator(t, y), "y0": [1.0, 0.0], "t": [0.0, 0.5, 1.0]},
+        (
+            *("args", "Dfun", "col_deriv", "full_output", "ml", "mu", "rtol", "atol", "tcrit", "h0", "hmax", "hmin"),
+            *("ixpr", "mxstep", "mxhnil", "mxordn", "mxords", "printmessg", "tfirst", "method", "invariants"),
+        ),
+    ),
+    "Input": (iv.Input, {"times": [0.0, 1.0], "values": [0.0, 1.0]}, ("kind", "breakpoints")),
     "sol": (lambda t: iv.solve_ivp(**RUN, dense_output=True).sol(t), {"t": 0.5}, ()),
     "extend": (
         lambda **given: iv.solve_ivp(**RUN).extend(**given),

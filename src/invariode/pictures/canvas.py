@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._arguments import EPS, Array
+from .._arguments import EPS, Array, shown
 from .._style import COLOURS, DASHES, LOOK
 from ..result import Result
 
@@ -144,7 +144,7 @@ def component(names: Sequence[str], one: Any) -> int:
     except TypeError:
         index = len(names)
     if not -len(names) <= index < len(names):
-        raise ValueError(f"there is no component {one!r}: choose from {listed(names)}, or by index")
+        raise ValueError(f"there is no component {shown(one)}: choose from {listed(names)}, or by index")
     return index % len(names)
 
 

@@ -76,7 +76,7 @@ def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:
     )
     # by steps, and the points of a step in their order
     times = np.append((t[:-1] + x * h).T.ravel(), t[-1:])
-    values = np.concatenate([inside.transpose(0, 2, 1).reshape(len(y), -1), y[:, -1:]], axis=1)
+    values = np.concatenate([inside.transpose(0, 2, 1).reshape(len(y), h.size * len(x)), y[:, -1:]], axis=1)
     values[:, :: len(x)] = y  # to the last bit
     rows = [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(t)]
     for row in rows:  # between the two values of a jump there is nothing

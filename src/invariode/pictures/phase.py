@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._arguments import Array
+from .._arguments import Array, shown
 from ..result import Result
 from .canvas import (
     component,
@@ -81,13 +81,14 @@ def _coordinates(sol: Result, chosen: tuple[Any, Any, Any]) -> tuple[list[int], 
     if np.iscomplexobj(sol.y):
         if j is not None or k is not None:
             raise ValueError(
-                f"the solution is complex: plot_phase({i!r}) draws one component in the complex plane, got j = {j!r}"
+                f"the solution is complex: plot_phase({shown(i)}) draws one component in the complex plane, "
+                f"got j = {shown(j)}"
             )
         return [first], [f"Re {drawable(names[first])}", f"Im {drawable(names[first])}"]
     if j is None:
         if len(names) == 1:
             raise ValueError(f"plot_phase needs two components, but this problem has one, {names[0]}: use plot()")
-        raise ValueError(f"plot_phase needs two components of {listed(names)}, got only {i!r}")
+        raise ValueError(f"plot_phase needs two components of {listed(names)}, got only {shown(i)}")
     rows = [first, component(names, j), *([] if k is None else [component(names, k)])]
     return rows, [drawable(names[row]) for row in rows]
 
