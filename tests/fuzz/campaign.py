@@ -21,6 +21,7 @@ from random import Random
 from tempfile import TemporaryFile
 
 import calls
+import fields
 import files
 import runs
 
@@ -32,6 +33,7 @@ KINDS: dict[str, Callable[[Random], str | None]] = {
     "calls": calls.wrong_call,
     "runs": runs.right_run,
     "files": files.damaged_file,
+    "fields": fields.damaged_field,
 }
 
 #: Seconds after which a case hangs.
