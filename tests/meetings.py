@@ -148,6 +148,8 @@ def requeued_after_a_kill(path: Path, rng: random.Random) -> str:
     old.kill()
     new.begin()
     outcomes = old.outcome(), new.outcome()
+    if not path.exists():
+        return f"{outcomes[0]} before it began" if "No such file" in outcomes[1] else f"wrong: {outcomes}"
     return f"wrong: {off} {outcomes}" if (off := _whole(path, 1.0)) else "goes on"
 
 

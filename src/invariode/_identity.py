@@ -215,9 +215,9 @@ def known_identity(about: Any, arrays: dict[str, Array]) -> Identity:
             raise TypeError(f"{name} of the run is of type {type(about[name]).__name__}")
     known = table_of(Options).keys() - _OF_THE_SESSION
     for name in (*about["options"], *about["arrays"], *about["functions"]):
-        if name not in known | {"callback"}:
+        if not isinstance(name, str) or name not in known:
             raise ValueError(f"{shown(name)} is no option of a run")
-    for name in ("y0", "f0", *about["arrays"]):
+    for name in ("y0", "f0", *about["arrays"], *{"breakpoints"}.intersection(about["functions"])):
         arrays[name]
     return Identity(about, arrays)
 

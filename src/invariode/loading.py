@@ -250,7 +250,10 @@ def _of_checkpoint(path: PathLike, stored: Stored, here: _Here) -> Solution:
         known_identity(*stored.identity)
     source = _source(path, stored.identity, about, here)
     source.options["checkpoint"] = os.fspath(path)
-    plan = make_plan(source.problem, source.method, source.options)
+    try:
+        plan = make_plan(source.problem, source.method, source.options)
+    except (TypeError, ValueError) as wrong:
+        raise unreadable(path, f"cannot go on here: {wrong}") from None
     with _damage_of(path):
         n, m, events = len(here.problem.y0), len(plan.bound), len(here.problem.events)
         _require_shapes(arrays, n, m, arrays["value"])
@@ -286,10 +289,25 @@ def _require_shapes(arrays: dict[str, Any], n: int, m: int, value: Array) -> Non
     t, y, rows = arrays["t"], arrays["y"], arrays["jumps.row"]
     if t.ndim != 1 or t.dtype != float or y.shape != (n, len(t)) or y.dtype not in (np.dtype(float), np.dtype(complex)):
         raise ValueError("arrays do not match")
+    _require_floats(value, arrays["jumps.t"], arrays["jumps.value"])
     if value.shape != (m,) or arrays["jumps.value"].shape != (len(rows), m) or arrays["jumps.t"].shape != rows.shape:
         raise ValueError("invariants do not match")
     if rows.dtype.kind != "i" or not ((rows >= 0) & (rows <= len(t))).all():
         raise ValueError("jumps do not match")
+
+
+def _require_floats(*arrays: Array) -> None:
+    for array in arrays:
+        if array.dtype != float:
+            raise ValueError(f"an array is of type {array.dtype}")
+
+
+def _tolerance(stored: Array, n: int) -> Any:
+    """A number, or one for each of the n components, as it was given."""
+    _require_floats(stored)
+    if stored.shape not in ((), (n,)) or not np.isfinite(stored).all() or (stored < 0).any():
+        raise ValueError(f"a tolerance is {shown(stored.tolist())}")
+    return stored.tolist()
 
 
 def _jumps(arrays: dict[str, Any]) -> tuple[Jump, ...]:
@@ -298,6 +316,7 @@ def _jumps(arrays: dict[str, Any]) -> tuple[Jump, ...]:
 
 def _drift(arrays: dict[str, Any], m: int) -> BeforeProjection:
     residual, distance = arrays["drift.residual"], arrays["drift.distance"]
+    _require_floats(residual, distance)
     if residual.ndim != 1 or residual.shape != distance.shape or len(residual) < m:
         raise ValueError("drifts do not match")
     return BeforeProjection(residual, distance, float(arrays["drift.correction"]))
@@ -323,6 +342,7 @@ def _outcome(arrays: dict[str, Any], about: dict[str, Any], events: int | None, 
     numbered = range(events or 0)
     t_events, y_events = ([arrays[f"{what}.{e}"] for e in numbered] for what in ("t_events", "y_events"))
     for t, y in zip(t_events, y_events, strict=True):
+        _require_floats(t, y.real)
         if t.ndim != 1 or y.shape != (len(t), n):
             raise ValueError("events do not match")
     kinds = {"message": str, "success": bool}
@@ -383,6 +403,7 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
     """The solution without `sol`, and the core of that."""
     t, y, value = arrays["t"], arrays["y"], arrays["invariants.value"]
     at_outputs = arrays["invariants.residual"], arrays["invariants.distance"]
+    _require_floats(*at_outputs)
     names = [str(name) for name in about["invariants"]]
     if y.ndim != 2 or any(one.shape != (len(names), len(t)) for one in at_outputs):
         raise ValueError("arrays do not match")
@@ -407,8 +428,8 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
         **_outcome(arrays, about, about["events"], len(y)),
         t_end=_of_type(about["t_end"], float) if about["version"] > 1 else _last_time(arrays, dense),
         _invariants=g,
-        _rtol=arrays["rtol"].tolist(),
-        _atol=arrays["atol"].tolist(),
+        _rtol=_tolerance(arrays["rtol"], len(y)),
+        _atol=_tolerance(arrays["atol"], len(y)),
         _drift=_drift(arrays, len(names)),
         _names=Names(about["name"], about["title"], about["labels"], len(y), about["event_names"]),
     )
@@ -419,6 +440,7 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> tuple[Solutio
 
 def _steps(rows: Array, methods: list[Any]) -> Steps:
     """Those of a file. In files of 0.1 rows do not say which of several methods made the step."""
+    _require_floats(rows)
     if rows.shape[1:] == (5,):
         rows = np.hstack([rows, np.zeros((len(rows), 1))])
     if rows.shape[1:] != (6,) or not np.isin(rows[:, 5], np.arange(len(methods))).all():

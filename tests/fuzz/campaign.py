@@ -22,6 +22,7 @@ from tempfile import TemporaryFile
 
 import calls
 import exceptions
+import fields
 import files
 import networks
 import patterns
@@ -38,6 +39,7 @@ KINDS: dict[str, Callable[[Random], str | None]] = {
     "exceptions": exceptions.raising_run,
     "networks": networks.held_network,
     "patterns": patterns.stated_pattern,
+    "fields": fields.damaged_field,
 }
 
 #: Seconds after which a case hangs.

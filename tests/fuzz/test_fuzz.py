@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import campaign
 
-CASES = {"calls": 1000, "runs": 60, "files": 200, "exceptions": 300, "networks": 20, "patterns": 60}
+CASES = {"calls": 1000, "runs": 60, "files": 200, "fields": 200, "exceptions": 300, "networks": 20, "patterns": 60}
 SEED = 2026
 
 

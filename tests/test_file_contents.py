@@ -1,0 +1,243 @@
+"""What is read from a file is checked against what reads it, and what is given to go on with against the run."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import struct
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from interrupted import differences
+
+
+def rates(t, y):
+    return [-2 * y[0] + y[1] * y[2], 2 * y[0] - y[1] * y[2] - 5 * y[1] ** 2, 5 * y[1] ** 2]
+
+
+def problem(fun=rates, **changes):
+    return iv.Problem(fun, (0, 3), [1.0, 0.0, 0.0], **changes)
+
+
+def rewritten(path, change):
+    """The file with changed arrays, and what it says of itself changed in place."""
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    about = json.loads(str(arrays["about"]))
+    change(arrays, about)
+    with open(path, "wb") as file:
+        np.savez(file, **arrays | {"about": np.array(json.dumps(about))})
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Sizes
+
+
+def test_a_segment_is_of_the_size_that_its_extension_reads(method, tmp_path):
+    sol = problem().solve(method, dense_output=True)
+    sol.save(tmp_path / "a")
+    own = sol.sol._dense.parts()["extension"]
+
+    def claim(arrays, about):
+        about["dense"]["extension"] = "Adams" if own == "TR-BDF2" else "TR-BDF2"
+
+    rewritten(tmp_path / "a", claim)
+    with pytest.raises(ValueError, match=r"a is damaged: ValueError: segments do not match"):
+        iv.load(tmp_path / "a")
+
+
+@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
+def test_factors_need_a_jacobian(method, tmp_path):
+    """(ode23s takes one in each step.)"""
+    problem().solve(method, max_steps=7).save(tmp_path / "a")
+
+    def empty(arrays, about):
+        memory = arrays["origin.memory"].tobytes()
+        nine = struct.pack("<Q", 9)
+        at = [i for i in range(len(memory) - 80) if memory[i : i + 8] == nine and memory[i - 1] == 1]
+        assert at  # J, after the flag that it is kept
+        arrays["origin.memory"] = np.frombuffer(
+            memory[: at[0]] + struct.pack("<Q", 0) + memory[at[0] + 80 :], dtype=np.uint8
+        )
+
+    rewritten(tmp_path / "a", empty)
+    with pytest.raises(ValueError, match="the memory of the run is damaged"):
+        iv.load(tmp_path / "a", problem()).extend(4, max_steps=None)
+
+
+def test_no_byte_of_a_memory_does_more_than_spoil_the_solution(tmp_path):
+    """Each byte in turn is 2, which is no truth: the memory is refused, or the run goes on."""
+    law = iv.Invariants(lambda t, y: y[0] + y[1] + y[2], when="needed")
+    sol = problem(invariants=law).solve("ode45", max_steps=3)
+    sol.save(tmp_path / "a")
+    refused = 0
+    size = len(sol._origin.memory)
+    for at in range(0, size, 3):
+
+        def change(arrays, about, at=at):
+            arrays["origin.memory"] = np.frombuffer(sol._origin.memory, np.uint8).copy()
+            arrays["origin.memory"][at] = 2
+
+        rewritten(tmp_path / "a", change)
+        try:
+            iv.load(tmp_path / "a", problem(invariants=law)).extend(4, max_steps=2)
+        except ValueError:
+            refused += 1
+    assert refused > size / 100
+
+
+DAMAGE = {
+    "no memory": lambda arrays, about: arrays.pop("memory"),
+    "a length": lambda arrays, about: about.update(length=2**62),
+    "a negative length": lambda arrays, about: about.update(length=-1),
+    "no token": lambda arrays, about: about.pop("token"),
+    "a token elsewhere": lambda arrays, about: about.update(token="../../x/../0000000"),
+    "the end": lambda arrays, about: arrays.update(y_end=np.zeros(7)),
+    "the status": lambda arrays, about: about.update(status="0"),
+    "the statistics": lambda arrays, about: about["stats"].pop("steps"),
+    "values": lambda arrays, about: arrays.update(value=np.zeros(3)),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_what_a_checkpoint_says_is_seen_to_be_possible(what, tmp_path):
+    problem().solve(checkpoint=tmp_path / "run")
+    rewritten(tmp_path / "run", DAMAGE[what])
+    with pytest.raises(ValueError, match=r"the file .*run.* is (damaged|shorter)"):
+        iv.load(tmp_path / "run", problem())
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The code of the functions
+
+
+def twin(t, y):
+    return [-2 * y[0] + y[1] * y[2], 2 * y[0] - y[1] * y[2] - 5 * y[1] ** 3, 5 * y[1] ** 3]
+
+
+CODES = {
+    "fun": (dict(fun=twin), {}, "fun"),
+    "jac": (dict(jac=lambda t, y: np.zeros((3, 3))), {}, "jac"),
+    "event": (dict(events=lambda t, y: y[0] - 0.5), {}, "event 0"),
+    "action": (dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: 2 * y)), {}, "the action of event 0"),
+    "invariant": (dict(invariants=lambda t, y: y[0] + y[1] + y[2] + 0 * t), {}, r"invariant 0 \(fun\)"),
+    "breakpoint": ({}, {"breakpoints": [(1, lambda t, y: 3 * y)]}, r"the action at t = 1\.0"),
+}
+FIRST = {
+    "jac": dict(jac=lambda t, y: np.ones((3, 3))),
+    "event": dict(events=lambda t, y: y[0] - 0.6),
+    "action": dict(events=iv.Event(lambda t, y: y[0], action=lambda t, y: y)),
+    "invariant": dict(invariants=lambda t, y: y[0] + y[1] + y[2]),
+}
+
+
+@pytest.mark.parametrize("what", CODES)
+def test_other_code_is_refused_by_the_function_unless_it_is_trusted(what, tmp_path):
+    """f and g agree at the start, where they are compared."""
+    now, functions, name = CODES[what]
+    before = {one: [(1, lambda t, y: 2 * y)] for one in functions}
+    problem(**FIRST.get(what, {})).solve("ode15s", max_steps=2, **before).save(tmp_path / "a")
+    with pytest.raises(ValueError, match=rf"the code of {name} is not that of the run\..*trust=.code"):
+        iv.load(tmp_path / "a", problem(**now), **functions)
+    iv.load(tmp_path / "a", problem(**now), **functions, trust="code")
+    with pytest.raises(ValueError, match="trust must be one of 'code', got 'all'"):
+        iv.load(tmp_path / "a", problem(**now), **functions, trust="all")
+
+
+CALLS = 0
+
+
+def counting(t, y):
+    global CALLS
+    CALLS += 1
+    return rates(t, y) if t not in {1e9, 2e9} else [0, 0, 0]
+
+
+def filling():
+    out = np.zeros(3)
+
+    def f(t, y):
+        out[:] = rates(t, y)
+        return out
+
+    return f
+
+
+@pytest.mark.parametrize("make", [lambda: counting, filling])
+def test_what_a_function_changes_itself_is_not_its_code(make, tmp_path):
+    sol = problem(make()).solve(max_steps=5)
+    sol.save(tmp_path / "a")
+    again = iv.load(tmp_path / "a", problem(make()))
+    assert not differences(sol.extend(3, max_steps=None), again.extend(3, max_steps=None))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What can be written and read
+
+
+@pytest.mark.parametrize("path", [3, None, True, b"a"])
+def test_a_path_is_text(path, tmp_path):
+    sol = problem().solve()
+    for use in (sol.save, iv.load, iv.EnsembleSolution.load):
+        with pytest.raises(TypeError, match="path must be a str or path-like, got "):
+            use(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
+def test_reading_does_not_wait_for_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="pipe is not a regular file"):
+        iv.load(tmp_path / "pipe")
+
+
+def test_fields_that_the_user_has_added_are_kept(tmp_path):
+    sol = problem().solve()
+    sol.author, sol.notes, sol.mask = "E. Hairer", {"seed": [1, 2.5, None]}, np.array([[True], [False]])
+    sol.check, sol["7"] = (lambda: None), np.float64(7)
+    with pytest.warns(UserWarning, match=r"save keeps numbers, .* leaves out the fields 'check'"):
+        sol.save(tmp_path / "a")
+    again = iv.load(tmp_path / "a", problem())
+    assert (again.author, again.notes, float(again["7"])) == (sol.author, sol.notes, 7.0)
+    np.testing.assert_array_equal(again.mask, sol.mask)
+    assert "check" not in again
+    again.save(tmp_path / "b")
+    assert iv.load(tmp_path / "b").notes == sol.notes
+
+
+def test_arguments_of_other_precisions_are_told_apart(tmp_path):
+    def scaled(t, y, a, b):
+        return [-float(a) * y[0], -float(b[0]) * y[1], 0.0]
+
+    def given(a):
+        return problem(scaled, args=(np.longdouble(a), np.full(2, a, np.longdouble)))
+
+    given(0.5).solve().save(tmp_path / "a")
+    assert iv.load(tmp_path / "a", given(0.5)).extend(4).success
+    with pytest.raises(ValueError, match="args"):
+        iv.load(tmp_path / "a", given(np.longdouble(0.5) + np.finfo(np.longdouble).eps))
+
+
+def test_labels_of_any_text_come_back(tmp_path):
+    labels = ["\ud800", "ü", "c"]
+    problem(labels=labels).solve().save(tmp_path / "a")
+    assert iv.load(tmp_path / "a")._names.components == labels
+
+
+def test_a_wrong_f_is_told_alike_with_a_checkpoint(tmp_path):
+    with pytest.raises(ValueError, match=r"returned shape \(1,\), expected shape \(3,\)"):
+        problem(lambda t, y: [1.0]).solve(checkpoint=tmp_path / "a")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_prepared_solver_and_an_input_travel():
+    level = iv.Input([0.0, 1.0, 2.0], [1.0, 2.0, 3.0], kind="linear")
+    solver = iv.Problem(rates, (0, 3), [1.0, 0.0, 0.0]).prepare("ode45", rtol=1e-6)
+    assert not differences(solver(), pickle.loads(pickle.dumps(solver))())
+    with pytest.raises(ValueError, match="read-only"):
+        level.values[0] = 5
+    with pytest.raises(AttributeError, match="an Input cannot be changed: make another one, with values="):
+        level.values = np.zeros(3)
+    assert pickle.loads(pickle.dumps(level))(0.5) == level(0.5) == 1.5
