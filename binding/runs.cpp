@@ -80,6 +80,7 @@ struct FinishedRun {
   bool complex = false;
   // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
   std::vector<double> start = {}, value = {};
+  bool points_taken = false;
 };
 
 /// Matrices of more entries, 16 MB, are not kept with a solution: its extension starts the method anew.
@@ -87,7 +88,7 @@ constexpr std::size_t most_kept = std::size_t{1} << 21;
 
 FinishedRun present(RunResult result, const Solver& solver, Memory memory = {}) {
   FinishedRun finished{std::move(result), {}, std::move(memory), solver.problem().complex};
-  if (std::optional<DenseOutput>& dense = finished.result.dense)
+  if (std::optional<DenseOutput> dense = std::exchange(finished.result.dense, {}))
     finished.dense.emplace(Dense{std::move(*dense), solver.weights(), solver.problem().complex});
   return finished;
 }
@@ -287,7 +288,7 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
   std::vector<double> value;
   if (const Invariants* g = run.invariants()) {
     std::vector<double> unmoved = start;
-    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) return {};
+    if (run.prepare(self.solver.settings().t0, unmoved.data()) == Consistency::stop) throw nb::python_error();
     value = g->value();
   }
   const nb::object nobody = nb::none();
@@ -304,6 +305,7 @@ class Stepper {
   Stepper(nb::object owner, const ConstVector& y0)
       : owner_(std::move(owner)), solver_(nb::cast<const BoundSolver&>(owner_).solver), run_(solver_) {
     require_state(y0, solver_.problem().n);
+    integration().keep_last_step();
     guarded([&] { integration().start(y0.data()); });
   }
 
@@ -323,7 +325,7 @@ class Stepper {
       throw std::runtime_error("there is no accepted step to interpolate");
     std::optional<DenseOutput> one;
     guarded([&] { one = integration().last_step(); });
-    return {std::move(*one), solver_.weights(), solver_.problem().complex};
+    return {std::move(one.value()), solver_.weights(), solver_.problem().complex};
   }
 
   [[nodiscard]] Vector y() {
@@ -332,7 +334,11 @@ class Stepper {
     return to_array<Vector>(std::vector<double>(y, y + n), n);
   }
   [[nodiscard]] Integration& integration() { return run_.integration(); }
-  [[nodiscard]] FinishedRun result() { return finish(run_, solver_); }
+  /// What the run has done so far: it may go on afterwards.
+  [[nodiscard]] FinishedRun result() {
+    Run::Marks none;
+    return present(run_.result_since(none), solver_);
+  }
   [[nodiscard]] std::int64_t evaluations() const { return run_.evaluations(); }
   [[nodiscard]] nb::handle owner() const { return owner_; }
 
@@ -410,7 +416,7 @@ std::unique_ptr<EnsembleResult> integrate_rows(const std::vector<BoundSolver*>& 
   };
   const auto watch = [&](std::uint32_t done) { return holding_interpreter([&] { return look(done); }); };
   std::optional<LaneForm> form;
-  if (lanes) form = lane_form(*lanes, !solvers.front()->problem().invariants.empty());
+  if (lanes) form = lane_form(*lanes, !solvers.empty() && !solvers.front()->problem().invariants.empty());
   std::unique_ptr<EnsembleResult> result;
   {
     const Unlocked released;
@@ -455,6 +461,7 @@ void define_arrays_of_run(RunClass& run) {
          "take_points",
          [](FinishedRun& self) {
            RunResult& r = self.result;
+           if (std::exchange(self.points_taken, true)) throw handed_over_already();
            const std::size_t count = r.points.t.size();
            const nb::object end = state_array(r.end(), r.n, self.complex);
            const nb::object y = states_array(std::move(r.points.y), r.n, count, self.complex);
@@ -670,7 +677,7 @@ void define_stepper(nb::module_& module) {
           nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
       .def("step", &Stepper::step, "Goes on by one accepted step, if it can: see `state`.")
       .def("interpolant", &Stepper::interpolant, "The continuous solution over the last step.")
-      .def("result", &Stepper::result, "Why the run ended, and its counts.")
+      .def("result", &Stepper::result, "What the run has done so far, and why it ended, if it has.")
       .def_prop_ro("state", [](Stepper& s) { return name_of(s.integration().state()); })
       .def_prop_ro("t", [](Stepper& s) { return s.integration().t(); })
       // The array has its own memory; a copy would be made by Python code, in which the thread may end

@@ -72,11 +72,12 @@ Status DiscontinuityDetector::look(double t0, const double* y0, double t1, const
 }
 
 /// In the attempt, then as far as the longest one of the series led: what a method has from there may outlive it.
-Status DiscontinuityDetector::gave_up(double t0, const double* y0, const double* slope, double t1) {
+Status DiscontinuityDetector::gave_up(double t0, const double* y0, const double* slope, double t1, double target) {
   const double h = t1 - t0;
+  const double longest = std::min(series_.longest(), std::abs(target - t0));
   const std::size_t before = found_.size();
   std::vector<double> y1(weights_.size());
-  for (const double way : {h, std::copysign(series_.longest(), h)}) {
+  for (const double way : {h, std::copysign(longest, h)}) {
     for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = y0[i] + way * slope[i];
     if (found_.size() > before || !all_finite(y1.data(), y1.size())) break;
     if (search(t0, y0, t0 + way, y1.data(), std::abs(h)) == Status::stop) return Status::stop;

@@ -64,8 +64,9 @@ class DiscontinuityDetector {
   Status accepted(double t0, const double* y0, double t1, const double* y1, std::int64_t attempts) {
     return series_.any() ? look(t0, y0, t1, y1, attempts) : Status::ok;
   }
-  /// The attempt from (t0, y0) to t1 failed, and none can be shorter. `slope`: y' at t0.
-  Status gave_up(double t0, const double* y0, const double* slope, double t1);
+  /// The attempt from (t0, y0) to t1 failed, and none can be shorter. `slope`: y' at t0; f is not evaluated past
+  /// `target`.
+  Status gave_up(double t0, const double* y0, const double* slope, double t1, double target);
   /// The method starts again, where the solution or f may have jumped.
   void restart() { series_.forget(); }
 

@@ -11,8 +11,6 @@
 namespace invariode {
 namespace {
 
-constexpr double hmin_ulps = 16;         // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
-constexpr double stretch = 1.1;          // a step that comes this close to tf lands on it
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
 constexpr int start_iterations = 5;      // of the projection of the start within bounds: Newton's is at roundoff then
 constexpr int patience = 3;              // corrections refused in a step before the invariant is looked at
@@ -31,6 +29,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, Cal
       callback_(callback),
       n_(weights.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
+      aim_(forward_, settings_.hmax),
       stiffness_(weights),
       discontinuities_(f, weights),
       events_(std::move(events), n_, step_->max_degree()),
@@ -89,7 +88,7 @@ State Integration::start(const double* y0) {
   interpolant_->start_at(t0, y0);
   reached_ = {t0, interpolant_->start_y()};
   report_.t = t0;
-  aim();
+  begin_piece();
   if (!inspect_start()) return state_;
   const double* y = interpolant_->start_y();
   if (one_sided_ && one_sided_->start(t0, y) == Status::stop) {
@@ -149,7 +148,7 @@ bool Integration::project_start_within_bounds() {
 bool Integration::start_memory(double t, const double* y) {
   left_ = false;
   discontinuities_.restart();
-  switch (step_->start(t, y, {target_, settings_.hmax, hmin_ulps * ulp(t)})) {
+  switch (step_->start(t, y, aim_.span(t))) {
     case Outcome::ok: return true;
     case Outcome::stop: return end(State::interrupted);
     case Outcome::not_finite: break;
@@ -195,7 +194,7 @@ State Integration::advance() {
   if (state_ != State::running) return state_;
   if (!std::exchange(in_step_, false) && !begin_step()) return state_;
   for (;;) {
-    if (!std::isfinite(attempt_.t1)) {
+    if (!std::isfinite(aim_.t1())) {
       if (explain_failure(Cause::not_finite)) end(State::step_failed);
       return state_;
     }
@@ -212,19 +211,13 @@ State Integration::advance() {
   }
 }
 
-/// |h| ≤ hmax but never below hmin, and a step that comes close to the target is stretched or cut to land on it
-/// exactly.
 bool Integration::begin_step() {
   if (bounded_slope_ && !meet_bounds()) return false;
-  const double t = step_->t(), hmin = hmin_ulps * ulp(t);
-  if (step_->hand_over({target_, settings_.hmax, hmin}) == Outcome::stop) return end(State::interrupted);
+  const double t = step_->t();
+  if (step_->hand_over(aim_.span(t)) == Outcome::stop) return end(State::interrupted);
   interpolant_->start_at(t, step_->y());
-  attempt_ = {.hmin = hmin};
-  constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
-  const double size = std::max(hmin, std::min({settings_.hmax, huge, step_->h()}));
-  attempt_.landing = stretch * size >= std::abs(target_ - t);
-  attempt_.h = attempt_.landing ? target_ - t : forward_ * size;
-  attempt_.t1 = attempt_.landing ? target_ : t + attempt_.h;
+  attempt_ = {};
+  aim_.begin(t, step_->h());
   return true;
 }
 
@@ -238,7 +231,7 @@ bool Integration::meet_bounds() {
 }
 
 Integration::Verdict Integration::attempt() {
-  const Step::Attempt proposal = step_->attempt(attempt_.h, attempt_.t1);
+  const Step::Attempt proposal = step_->attempt(aim_.h(), aim_.t1());
   if (proposal.outcome == Outcome::stop) return ended(State::interrupted);
   attempt_.error = proposal.error;
   if (!proposal.converged) return reject(Cause::newton);
@@ -280,7 +273,7 @@ Integration::Verdict Integration::stay_within_bounds(const double*& y1) {
 Integration::Verdict Integration::project(const double* candidate) {
   std::copy(candidate, candidate + n_, y1_.begin());
   if (!directions_.empty()) tell_directions();
-  const double *from = interpolant_->start_y(), t1 = attempt_.t1;
+  const double *from = interpolant_->start_y(), t1 = aim_.t1();
   projected_ = one_sided_    ? one_sided_->project(t1, from, y1_.data())
                : active_set_ ? active_set_->project(t1, from, y1_.data())
                              : projector_->project(t1, from, y1_.data());
@@ -319,21 +312,19 @@ Integration::Verdict Integration::oversized(const double* candidate) {
   attempt_.refused[1] = attempt_.correction;
   const bool falls = attempt_.correction < before / expected_decrease;
   if (++attempt_.refusals >= patience && settings_.check && !falls && !at_breakpoint() &&
-      !refuse(guard_->confirm(attempt_.t1, candidate, attempt_.h)))
+      !refuse(guard_->confirm(aim_.t1(), candidate, aim_.h())))
     return Verdict::ended;
   return reject(Cause::projection);
 }
 
 Integration::Verdict Integration::reject(Cause cause) {
   ++counts_.failed;
-  discontinuities_.failed(cause, attempt_.t1, attempt_.h);
-  if (!step_->reject(cause, attempt_.hmin)) {
+  discontinuities_.failed(cause, aim_.t1(), aim_.h());
+  if (!step_->reject(cause, aim_.hmin())) {
     if (cause == Cause::error && reconcile()) return Verdict::rejected;
     return ended(state_ == State::running && explain_failure(cause) ? State::step_failed : state_);
   }
-  attempt_.landing = attempt_.landing && step_->h() >= std::abs(attempt_.h);
-  if (!attempt_.landing) attempt_.h = forward_ * step_->h();
-  attempt_.t1 = attempt_.landing ? target_ : interpolant_->start_t() + attempt_.h;
+  aim_.retry(interpolant_->start_t(), step_->h());
   return Verdict::rejected;
 }
 
@@ -357,15 +348,16 @@ bool Integration::reconcile() {
 /// False: a user function has stopped the run, and that is why it ends.
 bool Integration::explain_failure(Cause cause) {
   report_.t = interpolant_->start_t();
-  report_.h = attempt_.h;
+  report_.h = aim_.h();
   report_.cause = cause;
   report_.linear = step_->linear_work();
   if (cause == Cause::not_finite || cause == Cause::newton) report_.component = step_->undefined_component();
   if (cause == Cause::projection && projected_.outcome == Outcome::not_finite && projector_->undefined() >= 0)
-    report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = attempt_.t1};
+    report_.finding = {.kind = Finding::Kind::undefined, .invariant = projector_->undefined(), .t = aim_.t1()};
   if (cause == Cause::bounds) report_.component = outside_.component;
   if ((cause != Cause::error && cause != Cause::newton) || undefined_function(report_.linear.unsolved)) return true;
-  if (discontinuities_.gave_up(report_.t, interpolant_->start_y(), step_->slope(), attempt_.t1) == Status::stop)
+  if (discontinuities_.gave_up(report_.t, interpolant_->start_y(), step_->slope(), aim_.t1(), aim_.target()) ==
+      Status::stop)
     return end(State::interrupted);
   if (cause != Cause::error) return true;
   for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
@@ -413,7 +405,7 @@ bool Integration::judge_invariants() {
   if (!guard_ || !settings_.check || projected_.skipped) return true;
   if (one_sided_ && one_sided_->engaged() && !judge_start_of_step()) return false;
   if (at_breakpoint()) return true;
-  const double h = attempt_.h, t1 = attempt_.t1;
+  const double h = aim_.h(), t1 = aim_.t1();
   const std::int64_t step = counts_.steps + 1;
   return refuse(guard_->rate(projector_->linearization(), t1, step_->slope(), h, step)) &&
          (at_bounds() || refuse(guard_->corrected(attempt_.correction, t1, step_->y(), h, step)));
@@ -423,13 +415,13 @@ bool Integration::judge_invariants() {
 bool Integration::judge_start_of_step() {
   const double t = interpolant_->start_t();
   if (next_break_ > 0 && breaks_.points[next_break_ - 1].t == t) return true;  // no room for differences there
-  return refuse(guard_->violated(t, interpolant_->start_y(), attempt_.h, counts_.steps + 1));
+  return refuse(guard_->violated(t, interpolant_->start_y(), aim_.h(), counts_.steps + 1));
 }
 
 /// Finds the events of the step and keeps them with their states. The last one may cut the step: that is then the point
 /// reached.
 bool Integration::find_events() {
-  const double t0 = interpolant_->start_t(), t1 = attempt_.t1;
+  const double t0 = interpolant_->start_t(), t1 = aim_.t1();
   const double* y1 = step_->y();
   if (!events_.empty()) {
     if (!watch_events(events_.search(t0, t1, y1, step_->degree(), *interpolant_))) return false;
@@ -477,7 +469,7 @@ bool Integration::emit(bool jumps_here) {
     return true;
   }
   if (settings_.output_at_times) return emit_times(jumps_here);
-  const double t0 = interpolant_->start_t(), t1 = attempt_.t1;
+  const double t0 = interpolant_->start_t(), t1 = aim_.t1();
   for (int j = 1; j < settings_.refine && t != t0; ++j) {
     const double at = t0 + (t1 - t0) * (static_cast<double>(j) / settings_.refine);
     if (forward_ * at >= forward_ * t) break;
@@ -516,10 +508,19 @@ bool Integration::conclude() {
   if (callback_ && callback_(t, y, &stop) == Status::stop) return end(State::interrupted);
   if (events_.terminal()) return end(State::terminal_event);
   if (stop != 0) return emit_before_end() && end(State::stopped_by_callback);
+  if (keeps_last_ && !keep_step_left()) return false;
   if (events_.acts() && !jump()) return false;
-  if (!attempt_.landing) return true;
+  if (!aim_.lands()) return true;
   if (breaks_here() && !pass_breakpoint()) return false;
   return t != settings_.tf || end(State::reached_end);
+}
+
+/// The last step, which nobody can look into once the method has started again at its end.
+bool Integration::keep_step_left() {
+  left_step_.reset();
+  if (!jumps_here()) return true;
+  left_step_ = last_step();
+  return left_step_.has_value();
 }
 
 /// What is known of the step that has ended does not hold at (reached t, y), where the solution goes on.
@@ -589,7 +590,7 @@ void Integration::pass_breakpoints(std::size_t count) {
 }
 
 /// A piece begins at the point reached.
-void Integration::aim() {
+void Integration::begin_piece() {
   piece_start_ = reached_.t;
   piece_from_break_ = breaks_here() || (next_break_ > 0 && breaks_.points[next_break_ - 1].t == reached_.t);
   enter_piece();
@@ -600,14 +601,14 @@ void Integration::enter_piece() {
   std::size_t next = next_break_;
   while (next < breaks_.points.size() && breaks_.points[next].t == reached_.t) ++next;
   const bool breaks = next < breaks_.points.size();
-  target_ = breaks ? breaks_.points[next].t : settings_.tf;
-  if (breaks_.piece) breaks_.piece->enter(piece_start_, piece_from_break_, target_, breaks);
+  aim_.at(breaks ? breaks_.points[next].t : settings_.tf);
+  if (breaks_.piece) breaks_.piece->enter(piece_start_, piece_from_break_, aim_.target(), breaks);
 }
 
 /// Starts again at the point reached, in the next piece, from what the actions return.
 bool Integration::pass_breakpoint() {
   leave_step(reached_.y);
-  aim();
+  begin_piece();
   bool acts = false, moved = false;
   for (; breaks_here(); pass_breakpoints(1)) {
     Breakpoint& point = breaks_.points[next_break_];
@@ -637,6 +638,7 @@ bool Integration::make_consistent(bool& moved) {
 }
 
 std::optional<DenseOutput> Integration::last_step() {
+  if (left_step_) return left_step_->from(0);
   const Segment segment = interpolant_->segment();
   if (!segment.data) {
     end(State::interrupted);

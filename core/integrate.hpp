@@ -9,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include "aim.hpp"
 #include "discontinuity.hpp"
 #include "linear/mass.hpp"
 #include "manifold/active_set.hpp"
@@ -89,6 +90,9 @@ class Integration {
   /// The point reached, which a terminal event moves back into the last step.
   [[nodiscard]] double t() const { return reached_.t; }
   [[nodiscard]] const double* y() const { return reached_.y; }
+  /// From now on `last_step` also knows a step at whose end the solution jumps or f does: it is then put together
+  /// before the method starts again, which may take evaluations of f.
+  void keep_last_step() { keeps_last_ = true; }
   /// The continuous solution over the step just accepted, on its own. Nothing: a user function has stopped the run.
   std::optional<DenseOutput> last_step();
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
@@ -113,11 +117,8 @@ class Integration {
     double t;
     const double* y;
   };
-  /// An attempt in work.
+  /// What is known of the attempts of a step, so far.
   struct Attempted {
-    double h = 0, t1 = 0;  // h is signed
-    double hmin = 0;
-    bool landing = false;  // t1 is the target
     double error = 0;
     double correction = 0;       // max_i |y*_i − y₁_i| / w_i
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
@@ -135,7 +136,6 @@ class Integration {
   bool refuse(const Finding& finding);
   bool nothing_to_integrate();
   [[nodiscard]] bool between_steps() const;
-  void archive_attempt(Archive& archive);
   bool start_again();
   bool inspect_start();
   bool start_within_bounds();
@@ -171,16 +171,17 @@ class Integration {
   bool emit_before_end();
   bool emit_inside(double t);
   bool conclude();
+  bool keep_step_left();
   void leave_step(const double* y);
   bool jump();
   bool take_actions(bool& rehold);
   bool take(Callback& action);
   /// Does the step end at a breakpoint?
-  [[nodiscard]] bool at_breakpoint() const { return attempt_.landing && break_t_ == attempt_.t1; }
+  [[nodiscard]] bool at_breakpoint() const { return aim_.lands() && break_t_ == aim_.t1(); }
   /// Is the point reached a breakpoint that has not been passed?
   [[nodiscard]] bool breaks_here() const { return break_t_ == reached_.t; }
   void pass_breakpoints(std::size_t count);
-  void aim();
+  void begin_piece();
   void enter_piece();
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
@@ -204,6 +205,7 @@ class Integration {
   Callback callback_;
   std::size_t n_;
   double forward_;
+  Aim aim_;                                    // of the attempt in work
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
   std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
@@ -230,14 +232,15 @@ class Integration {
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;
-  double break_t_;                 // of the next one; NaN after the last
-  double target_ = 0;              // the next breakpoint, or tf
-  double piece_start_ = 0;         // of the present piece
-  bool piece_from_break_ = false;  // which is a breakpoint
-  bool left_ = false;              // the method's memory is not that of the point reached
-  bool in_step_ = false;           // a limit was reached between two attempts
-  bool anew_ = false;              // the memory that was read is not enough: the method starts again
-  std::int64_t steps_before_ = 0;  // of the run that goes on here
+  double break_t_;                        // of the next one; NaN after the last
+  double piece_start_ = 0;                // of the present piece
+  bool piece_from_break_ = false;         // which is a breakpoint
+  bool keeps_last_ = false;               // see `keep_last_step`
+  std::optional<DenseOutput> left_step_;  // the last step, if the method has started again at its end
+  bool left_ = false;                     // the method's memory is not that of the point reached
+  bool in_step_ = false;                  // a limit was reached between two attempts
+  bool anew_ = false;                     // the memory that was read is not enough: the method starts again
+  std::int64_t steps_before_ = 0;         // of the run that goes on here
   const std::atomic<bool>* request_ = nullptr;
   std::int64_t next_look_ = 0;  // at the limits: after so many steps
   std::chrono::steady_clock::time_point started_;

@@ -18,7 +18,7 @@ bool Integration::between_steps() const {
 
 void Integration::state(Archive& archive) {
   std::vector<double> y(n_);
-  double target = target_;
+  double target = aim_.target();
   if (!archive.reading()) {
     std::copy(reached_.y, reached_.y + n_, y.begin());
     anew_ = !between_steps();
@@ -26,14 +26,17 @@ void Integration::state(Archive& archive) {
   archive(reached_.t, y, anew_, target, piece_start_, piece_from_break_, next_break_);
   archive(counts_.steps, counts_.failed, counts_.projections, counts_.skipped, counts_.clipped);
   archive(clipped, drift.residual, drift.distance, drift.correction);
-  archive_attempt(archive);
+  archive(in_step_);  // interrupted between two attempts of a step: what comes next
+  aim_.state(archive);
+  archive.require(!in_step_ || aim_.defined());
+  archive(attempt_.refused[0], attempt_.refused[1], attempt_.refusals);
   if (archive.reading()) {
     archive.require(std::isfinite(reached_.t) && next_break_ <= breaks_.points.size());
     pass_breakpoints(0);
     interpolant_->start_at(reached_.t, y.data());
     reached_.y = interpolant_->start_y();
     enter_piece();
-    in_step_ = in_step_ && target == target_;
+    in_step_ = in_step_ && target == aim_.target();
   }
   step_->state(archive);
   archive.require(anew_ || n_ == 0 || step_->h() > 0);
@@ -48,13 +51,6 @@ void Integration::state(Archive& archive) {
   interpolant_->state(archive);
   if (!archive.whole()) anew_ = true;
   if (archive.stopped()) end(State::interrupted);
-}
-
-/// The attempt that comes next, where the run was interrupted between two of a step.
-void Integration::archive_attempt(Archive& archive) {
-  auto& [h, t1, hmin, landing, error, correction, refused, refusals] = attempt_;
-  archive(in_step_, h, t1, hmin, landing, refused[0], refused[1], refusals);
-  archive.require(!in_step_ || (std::isfinite(h) && h * forward_ > 0 && std::isfinite(t1) && hmin >= 0));
 }
 
 State Integration::resume(bool anew) {

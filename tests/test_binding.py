@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invariode import METHODS, _core
+from invariode import METHODS, Event, _core, compile, solve_ivp
+from invariode.description import Description
+from invariode.plan import make_plan
+from invariode.plan import solver as planned_solver
 
 n, m = 2, 1
 NOTHING = np.zeros(0)
@@ -83,6 +86,7 @@ MISFITS: dict[str, Callable[[], object]] = {
     "f of examine": lambda: _core.examine(0, np.ones(n), problem(fun=None), tolerances()),
     "start without a mass": lambda: _core.consistent_start(0, np.ones(n), problem(), tolerances()),
     "no solvers": lambda: _core.integrate_all([], y, np.zeros((3, 0)), None),
+    "no solvers for lanes": lambda: _core.integrate_all([], y, np.zeros((3, 0)), None, (_core.LANES[0][0], [])),
     "functions of Python on threads": lambda: _core.integrate_all([solver()], y, np.zeros((3, 0)), None),
     "Jacobian of another size": lambda: solver(method="ode15s", linear=linear(n=n + 1)),
     "constant Jacobian": lambda: solver(method="ode15s", linear=linear(kind="constant", jacobian=np.ones((n, n + 1)))),
@@ -197,3 +201,66 @@ def test_the_registry_has_a_row_for_each_method() -> None:
         )  # fmt: skip
     with pytest.raises(AttributeError):
         rows["ode45"].order = 6  # type: ignore[misc]
+
+
+def stepped(method: str, y0: Any = y0, **options: Any) -> _core.Stepper:
+    """y'' = -y from 0 to 2 in the hands of the core."""
+    describing = {key: options.pop(key) for key in ("events",) if key in options}
+    plan = make_plan(Description(f, (0, 2), y0, **describing), method, {"keep": "end", **options})
+    return _core.Stepper(planned_solver(plan), y0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -> None:
+    """It changes nothing, not even with GMRES, whose memory is given back when a run has ended."""
+    options = {"linear_solver": "gmres"} if "linear_solver" in METHODS[method].options else {}
+    asked, alone = stepped(method, **options), stepped(method, **options)
+    while alone.state == "running":
+        alone.step()
+        asked.result()
+        asked.step()
+        result = asked.result()
+        assert result.state == asked.state == alone.state
+        assert (asked.t, asked.h, asked.nfev) == (alone.t, alone.h, alone.nfev)
+        np.testing.assert_array_equal(asked.y, alone.y)
+    assert result.take_points()[2] == asked.t == 2
+
+
+@pytest.mark.parametrize("jump", ["breakpoint", "breakpoint with an action", "event with an action"])
+@pytest.mark.parametrize("method", METHODS)
+def test_the_last_step_is_the_one_before_a_jump(method: str, jump: str) -> None:
+    """Its interpolant is that of the whole solution, up to the state before the action."""
+    options: dict[str, Any] = {
+        "breakpoint": {"breakpoints": [0.5]},
+        "breakpoint with an action": {"breakpoints": [(0.5, lambda t, y: y + 1)]},
+        "event with an action": {"events": Event(lambda t, y: y[1], action=lambda t, y: y + 1)},
+    }[jump]
+    whole = solve_ivp(f, (0, 2), y0, method, dense_output=True, **options)
+    stepper = stepped(method, **options)
+    old, jumps = 0.0, 0
+    while stepper.state == "running":
+        before = stepper.y
+        stepper.step()
+        inside = np.linspace(old, stepper.t, 5)
+        dense = stepper.interpolant()
+        np.testing.assert_array_equal(dense.evaluate(inside[1:-1], None).T, whole.sol(inside[1:-1]))
+        np.testing.assert_array_equal(dense.evaluate(inside[:1], None)[0], before)
+        ends = dense.evaluate(inside[-1:], None)[0]
+        jumps += not np.array_equal(ends, stepper.y)
+        assert abs(ends - dense.evaluate(inside[-1:] - 1e-9 * (inside[-1] - old), None)[0]).max() < 1e-8
+        old = stepper.t
+    assert bool(jumps) == (jump != "breakpoint")
+
+
+def test_what_was_handed_over_is_not_there_twice() -> None:
+    run = solver({"dense": True}).integrate(y0)
+    run.take_points()
+    with pytest.raises(RuntimeError, match="handed over already"):
+        run.take_points()
+    assert run.take_dense() is not None
+    assert run.take_dense() is None
+    native = planned_solver(make_plan(Description(compile(lambda t, y: (y[1], -y[0])), (0, 2), y0), "ode45", {}))
+    rows = _core.integrate_all([native], np.ones((3, n)), np.ones((3, 0)), None)
+    rows.take_end()
+    with pytest.raises(RuntimeError, match="handed over already"):
+        rows.take_end()

@@ -399,3 +399,44 @@ def test_size_of_corrections_stays_in_the_range_known_for_right_invariants(metho
     for rtol in (1e-2, 1e-3, 1e-4, 1e-6):
         sol = problem.solve(method, rtol=rtol)
         assert sol.correction.max() < 100
+
+
+def pulsed(k):
+    """A pendulum with a short torque late in [0, 60], and its start: random case k, whose energy changes by more than
+    20 rtol for every rtol up to 1e-3."""
+    r = np.random.default_rng(k)
+    while True:
+        when, wide, much = r.uniform(30, 55), r.uniform(0.3, 1), r.choice([-1, 1]) * 10 ** r.uniform(-1, 0.3)
+        y0 = [r.uniform(0.3, 2.5), r.uniform(-0.5, 0.5)]
+
+        def fun(t, y, when=when, wide=wide, much=much):
+            return [y[1], -np.sin(y[0]) + much * np.exp(-(((t - when) / wide) ** 2) / 2)]
+
+        true = iv.solve_ivp(fun, (0, 60), y0, "dop853", rtol=1e-9, atol=1e-12, max_step=0.2)
+        if abs(swing(0, true.y[:, -1]) - swing(0, y0)) > 20e-3:
+            return fun, y0, wide
+
+
+def swing(t, y):
+    return y[1] ** 2 / 2 - np.cos(y[0])
+
+
+@pytest.fixture(scope="module")
+def pulses():
+    return [pulsed(k) for k in range(8)]
+
+
+def test_a_law_that_is_broken_for_a_while_is_refused_however_late(method, pulses):
+    """Steps resolve the pulse; suspicions that were unfounded before do not hide it."""
+    for fun, y0, wide in pulses:
+        sol = iv.solve_ivp(fun, (0, 60), y0, method, max_step=wide / 2, invariants=swing, keep="end")
+        assert sol.status == -2
+
+
+def test_looks_at_unfounded_suspicions_are_few(method):
+    """One in 64 steps, and a few more where suspicions vary in size."""
+    sol = iv.solve_ivp(
+        lambda t, y: [y[1], -np.sin(y[0])], (0, 300), [2.0, 0.1], method, atol=1e-6, invariants=swing, keep="end"
+    )
+    assert sol.success
+    assert sol.stats.nfev_check <= 16 + sol.stats.steps / 16

@@ -29,7 +29,8 @@ constexpr double sufficient_gain = 1e-2;
 // of tight tolerances are much shorter than what g needs.
 constexpr double longest_flow = 32;
 constexpr int fewest_extrapolations = 6, extrapolations = 11;
-constexpr int shorter_flows = 8;  // where g is not defined so far away h is a tenth, so many times
+constexpr int shorter_flows = 8;             // where g is not defined so far away h is a tenth, so many times
+constexpr std::int64_t longest_trust = 256;  // steps from one look along the flow to the next, at most
 const double cbrt_eps = std::cbrt(eps);
 
 double weighted_norm(const double* v, const double* w, std::size_t n) {
@@ -195,6 +196,15 @@ Outcome Guard::detect_time_dependence(double t, const double* y, double h) {
   return outcome;
 }
 
+bool Guard::Pause::asks(std::int64_t steps, double size) const {
+  return steps >= until || size > much_larger * acquitted;
+}
+
+void Guard::Pause::begin(std::int64_t steps, double size) {
+  until = steps + std::clamp<std::int64_t>(steps, 1, longest_pause);
+  acquitted = size;
+}
+
 Finding Guard::start_rate(double t, const double* y, const double* f, double h) {
   if (detect_time_dependence(t, y, h) == Outcome::stop) return stopped();
   return rate(projector_.linearization(), t, f, h, 0);
@@ -202,26 +212,23 @@ Finding Guard::start_rate(double t, const double* y, const double* f, double h) 
 
 Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
   if (const Finding seen = look_along_flow(at, t, f, h, steps); seen.kind != Finding::Kind::none) return seen;
-  if (steps < std::min(quiet_until_, patient_until_)) return {};
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
   const double* y = at.y.data();
   const bool look = steps >= next_look_;
-  if (look) next_look_ = steps + std::max<std::int64_t>(steps / 2, 1);
+  if (look) next_look_ = steps + std::clamp<std::int64_t>(steps / 2, 1, longest_pause);
   if ((time_dependent_ || look) && invariants_.time_derivative(t, h, y, at.jacobian.data(), gt_.data()) == Status::stop)
     return stopped();
   time_dependent_ = time_dependent_ || changes_with_time();
   const Finding suspicion = suspect(at, t, f, h);
-  if (suspicion.kind == Finding::Kind::none) return {};
-  std::int64_t& until = suspicion.distance > large_angle ? quiet_until_ : patient_until_;
-  if (steps < until) return {};
+  if (suspicion.kind == Finding::Kind::none || !of_rates_.asks(steps, suspicion.drift)) return {};
   bool acquitted = false;
   Finding confirmed = acquitted_here(at, t, h, acquitted);
   if (!acquitted && confirmed.kind == Finding::Kind::none) {
     std::copy(y, y + n, point_.begin());
     confirmed = confirm(t, point_.data(), h);
   }
-  if (confirmed.kind == Finding::Kind::none) until = std::max<std::int64_t>(2 * steps, 1);
+  if (confirmed.kind == Finding::Kind::none) of_rates_.begin(steps, suspicion.drift);
   return confirmed;
 }
 
@@ -235,14 +242,14 @@ Finding Guard::acquitted_here(const Linearization& at, double t, double h, bool&
 }
 
 Finding Guard::corrected(double correction, double t, const double* y, double h, std::int64_t steps) {
-  if (!(correction > suspicious_correction * weights_.rtol()) || steps < unworried_until_) return {};
-  unworried_until_ = 2 * steps;
+  if (!(correction > suspicious_correction * weights_.rtol()) || !of_corrections_.asks(steps, correction)) return {};
+  of_corrections_.begin(steps, correction);
   return confirm(t, y, h);
 }
 
 Finding Guard::violated(double t, const double* y, double h, std::int64_t steps) {
-  if (steps < trustful_until_) return {};
-  trustful_until_ = 2 * steps;
+  if (!of_violations_.asks(steps, 0)) return {};
+  of_violations_.begin(steps, 0);
   return confirm(t, y, h);
 }
 
@@ -486,11 +493,11 @@ Finding Guard::suspect_along_flow(const Linearization& at, double t, double h) {
   return worst;
 }
 
-/// In steps 1, 4, 16, …, where derivatives are blind: g along the flow where the linearization is, and what is then
-/// suspected, on the manifold.
+/// In steps 1, 4, 16, 64, 256, 512, 768, …, where derivatives are blind: g along the flow where the linearization is,
+/// and what is then suspected, on the manifold.
 Finding Guard::look_along_flow(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
   if (steps < next_flow_) return {};
-  next_flow_ = 4 * steps;
+  next_flow_ = steps + std::min(3 * steps, longest_trust);
   bool any = false;
   for (std::size_t i = 0; i < invariants_.m(); ++i) any = any || blind(at, i, t, f, h);
   if (!any) return {};
@@ -518,21 +525,25 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
   const double speed = weighted_norm(f, at.weights.data(), n);
   const double *y = at.y.data(), *J = at.jacobian.data();
   Finding worst;
+  double largest_drift = 0;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
     if (invariants_.certain(i)) continue;
     const double rate = gt_[i] + at.gradient(i).dot(f);
     if (!invariants_.contradicts(i, std::copysign(1.0, h) * rate)) continue;
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);
     const bool drifts = this->drifts(at, i, rate, h);
-    const bool suspicious = angle > limit(i) && drifts && angle > worst.distance;
+    const bool suspicious = angle > limit(i) && drifts;
     if (!suspicious) continue;
-    if (std::abs(rate) > invariants_.roundoff_of_rate(i, y, J, f) + noise_in_time(at, i, t, h))
+    if (!(std::abs(rate) > invariants_.roundoff_of_rate(i, y, J, f) + noise_in_time(at, i, t, h))) continue;
+    largest_drift = std::max(largest_drift, std::abs(h * rate) / (weights_.rtol() * at.row_norm[i]));
+    if (angle > worst.distance)
       worst = {.kind = Finding::Kind::not_conserved,
                .invariant = static_cast<int>(i),
                .t = t,
                .size = rate,
                .distance = angle};
   }
+  worst.drift = largest_drift;
   return worst;
 }
 

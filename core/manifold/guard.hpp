@@ -21,6 +21,7 @@ struct Finding {
   double t = 0;
   double size = 0;      ///< off_value: residual; wrong_jacobian: the entry given; not_conserved: d/dt of the invariant
   double distance = 0;  ///< off_value: in units of rtol; wrong_jacobian: the difference quotient; not_conserved: ρ
+  double drift = 0;     ///< not_conserved: in a step, in units of rtol; of several invariants the largest
 };
 
 /// The tests, in the order in which the loop asks for them: `start_value`, `start_jacobian`, `start_rate`; then after
@@ -70,11 +71,20 @@ class Guard {
   [[nodiscard]] bool projected_start() const { return projected_start_; }
   void state(Archive& archive) {
     projector_.state(archive);
-    archive(gt_, time_dependent_, projected_start_, quiet_until_, patient_until_, unworried_until_, next_flow_);
-    archive(next_look_, trustful_until_);
+    archive(gt_, time_dependent_, projected_start_, next_flow_, next_look_);
+    for (Pause* one : {&of_rates_, &of_corrections_, &of_violations_}) archive(one->until, one->acquitted);
   }
 
  private:
+  /// Steps without looks at one kind of suspicion after it was acquitted.
+  struct Pause {
+    std::int64_t until = 0;  // this step
+    double acquitted = 0;    // the size of that suspicion
+    /// Is one of this size to be looked at in step number `steps`?
+    [[nodiscard]] bool asks(std::int64_t steps, double size) const;
+    void begin(std::int64_t steps, double size);
+  };
+
   Outcome detect_time_dependence(double t, const double* y, double h);
   [[nodiscard]] bool changes_with_time() const;
   Finding suspect(const Linearization& at, double t, const double* f, double h);
@@ -111,12 +121,9 @@ class Guard {
   std::vector<double> point_, original_, nearby_, moved_, f_value_, gt_, plus_, minus_, differences_, halved_;
   bool time_dependent_ = false;
   bool projected_start_ = false;
-  std::int64_t quiet_until_ = 0;      // step before which `rate` does not look at large angles again
-  std::int64_t patient_until_ = 0;    // and at small ones
-  std::int64_t unworried_until_ = 0;  // and `corrected`
-  std::int64_t trustful_until_ = 0;   // and `violated`
-  std::int64_t next_flow_ = 1;        // step in which derivatives that are blind are made up for
-  std::int64_t next_look_ = 1;        // step in which g_t is formed although it has been 0
+  Pause of_rates_, of_corrections_, of_violations_;
+  std::int64_t next_flow_ = 1;  // step in which derivatives that are blind are made up for
+  std::int64_t next_look_ = 1;  // step in which g_t is formed although it has been 0
 };
 
 }  // namespace invariode

@@ -27,11 +27,15 @@ inline constexpr double roundoff_of_g = 10;  // of ε: what an evaluation of g m
 
 // From the campaigns of tests/fuzz (docs/algorithms.md, 'Guard').
 inline constexpr double suspicious_angle =
-    1e-11;                                   // ρ: 40 times what right invariants had, with derivatives that are exact
-inline constexpr double large_angle = 1e-6;  // ρ that is looked at whether or not small ones were acquitted lately
+    1e-11;  // ρ: 40 times what right invariants had, with derivatives that are exact
 inline constexpr double suspicious_drift = 0.01;  // D, in units of rtol
 inline constexpr double harmful_drift = 0.1;      // over the whole interval at this rate: errors of orbits grow with t
 inline constexpr double suspicious_correction = 10;  // in units of rtol
+// Steps from an acquittal to the next look, at most: a look costs one f or two, an acquitted suspicion may come in
+// every step. In between, only suspicions that are so many times larger are looked at. (Measured with pulses that break
+// an energy for a while; docs/algorithms.md, 'Guard'.)
+inline constexpr std::int64_t longest_pause = 64;
+inline constexpr double much_larger = 3;
 // The directional test of a user's Jacobian: central differences are good to ε^{2/3} of the terms, curvature adds as
 // much.
 inline constexpr double jacobian_tolerance = 1e-4;

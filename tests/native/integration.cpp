@@ -1,8 +1,10 @@
 // The loop: where it lands, what it puts out, how it ends.
 
 #include <algorithm>
+#include <random>
 #include <vector>
 
+#include "aim.hpp"
 #include "check.hpp"
 #include "problems.hpp"
 
@@ -60,6 +62,37 @@ TEST(no_step_is_longer_than_hmax_but_the_last_which_may_stretch) {
       CHECK(h.back() <= 1.1 * hmax);
       h.pop_back();
       CHECK(*std::max_element(h.begin(), h.end()) <= hmax * (1 + 1e-12));  // as t₁ − t
+    }
+}
+
+TEST(an_attempt_keeps_hmin_hmax_and_the_target_whatever_a_method_proposes) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<double> part(0, 1);
+  for (const double forward : {1.0, -1.0})
+    for (int run = 0; run < 200; ++run) {
+      const double target = forward * 10 * part(random), hmax = std::pow(10, -4 * part(random));
+      Aim aim(forward, hmax);
+      aim.at(target);
+      double t = -forward * 10 * part(random);
+      for (int attempt = 0; attempt < 50 && t != target; ++attempt) {
+        const double hmin = hmin_ulps * ulp(t), distance = std::abs(target - t);
+        const bool first = attempt % 3 == 0;
+        const double proposed = std::pow(10, 20 * part(random) - 18);
+        if (first)
+          aim.begin(t, proposed);
+        else
+          aim.retry(t, proposed);
+        const double h = std::abs(aim.h());
+        CHECK(aim.hmin() == hmin);
+        CHECK(aim.lands() == (aim.t1() == target));
+        CHECK(forward * (aim.t1() - t) > 0 && forward * (target - aim.t1()) >= 0);
+        if (aim.lands())
+          CHECK(h <= std::max(distance, hmin) && h <= stretch * std::max(hmin, hmax));
+        else
+          CHECK(h == std::max(hmin, std::min(hmax, proposed)));
+        if (!first && aim.lands()) CHECK(std::max(hmin, proposed) >= distance - ulp(target));  // not stretched
+        if (attempt % 3 == 2) t = aim.t1();
+      }
     }
 }
 

@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <utility>
 
+#include "aim.hpp"
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
 #include "run/lanes/held.hpp"
@@ -23,8 +24,6 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-inline constexpr double hmin_ulps = 16;  // as in integrate.cpp
-inline constexpr double stretch = 1.1;
 // Of `StiffnessDetector`: |h λ| near the limit, what a limited step changes, with room for roundoff; how many there are
 // before anything is said.
 inline constexpr double at_least = 0.499, at_most = 0.101, limited_looks = 10;

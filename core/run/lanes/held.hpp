@@ -35,7 +35,7 @@ class Held {
     checks,
     next_look,
     quiet,
-    patient,
+    acquitted,
     end,
     known,
     rows
@@ -150,12 +150,12 @@ class Held {
     note_drift(due);
     if (!invariant().tested) return no_lane<W>();
     M odd = P(suspicious_correction * job_.rtol) < moved_;
-    const M open = due & (smaller(now_[quiet], now_[patient]) <= steps), looks = open & (now_[next_look] <= steps);
+    const M looks = due & (now_[next_look] <= steps);
     if (bits(looks) != 0) odd = odd | changes_with_time(bits(looks), t, h, steps, p);
-    P angle;
-    const M suspicion = open & suspicious(h, f, angle), large = P(large_angle) < angle;
-    const M asked = suspicion & (choose(large, now_[quiet], now_[patient]) <= steps);
-    if (bits(asked) != 0) odd = odd | convicted(asked, large, t, h, steps, p);
+    P drift;
+    const M suspicion = due & suspicious(h, f, drift);
+    const M asked = suspicion & ((now_[quiet] <= steps) | (much_larger * now_[acquitted] < drift));
+    if (bits(asked) != 0) odd = odd | convicted(asked, drift, t, h, steps, p);
     return odd & due;
   }
 
@@ -292,7 +292,7 @@ class Held {
   }
 
   /// `Guard::suspect`, of an invariant that does not change with t.
-  [[nodiscard]] M suspicious(const P& h, const P* f, P& angle) const {
+  [[nodiscard]] M suspicious(const P& h, const P* f, P& drift) const {
     P rate(0), square(0);
     for (std::size_t i = 0; i < job_.n; ++i) {
       rate += jacobian_[i] * f[i];
@@ -301,18 +301,19 @@ class Held {
     const P tolerated = job_.rtol * norm_;
     const M drifts = (suspicious_drift * tolerated < absolute(h * rate)) |
                      (harmful_drift * tolerated < absolute(invariant().interval * rate));
-    angle = absolute(rate) / (norm_ * square_root(square));
+    const P angle = absolute(rate) / (norm_ * square_root(square));
+    drift = absolute(h * rate) / tolerated;
     return drifts & (P(suspicious_angle) < angle);
   }
 
   /// `Guard::acquitted_here`: with f where the linearization is. Those that are not acquitted would have to be
   /// confirmed.
-  M convicted(const M& asked, const M& large, const P& t, const P& h, const P& steps, const P* p) {
+  M convicted(const M& asked, const P& drift, const P& t, const P& h, const P& steps, const P* p) {
     evaluate(job_.f, t, point_, slope_, p);
-    P angle;
-    const M odd = not_finite(slope_, job_.n) | suspicious(h, slope_, angle);
-    now_[quiet] = choose(asked & large, 2 * steps, now_[quiet]);
-    now_[patient] = choose(asked & ~large, 2 * steps, now_[patient]);
+    P drift_here;
+    const M odd = not_finite(slope_, job_.n) | suspicious(h, slope_, drift_here);
+    now_[quiet] = choose(asked, steps + smaller(steps, P(longest_pause)), now_[quiet]);
+    now_[acquitted] = choose(asked, drift, now_[acquitted]);
     now_[checks] += choose(asked, P(1), P(0));
     return asked & odd;
   }
@@ -324,7 +325,8 @@ class Held {
       if (!has(looking, l)) continue;
       increment.lanes()[l] = invariant().time_increment(t.lanes()[l], h.lanes()[l]);
       const auto step = static_cast<std::int64_t>(steps.lanes()[l]);
-      now_[next_look].lanes()[l] = static_cast<double>(step + (step > 1 ? step / 2 : 1));
+      const std::int64_t half = step > 1 ? step / 2 : 1;
+      now_[next_look].lanes()[l] = static_cast<double>(step + (half < longest_pause ? half : longest_pause));
       now_[evaluations].lanes()[l] += 2;
     }
     P later, earlier;
@@ -337,9 +339,9 @@ class Held {
   /// `Guard::start_jacobian` and `Guard::start_rate`, whose linearization at the start has just been taken.
   M start_tests(const P& t, const P* y, const P* f, const P& h, const P* p) {
     take_sizes(y);
-    P expected(0), sum(0), plus, minus, later, angle;
+    P expected(0), sum(0), plus, minus, later, drift;
     const P noise = roundoff(ready_[value]) / P(invariant().increment);
-    M odd = suspicious(h, f, angle);
+    M odd = suspicious(h, f, drift);
     const auto displace = [&](double side) {
       for (std::size_t i = 0; i < job_.n; ++i)
         point_[i] = y[i] + side * (invariant().direction[i] * (invariant().increment * sizes_[i]));
