@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <type_traits>
@@ -22,7 +23,7 @@ using Memory = Buffer<std::byte>;
 class Archive {
  public:
   /// Raised whenever the fields of any class change, or their order.
-  static constexpr std::uint32_t version = 3;
+  static constexpr std::uint32_t version = 4;
 
   /// To write. Where it would take more than `most_values` matrix entries, matrices are left out: whoever reads it
   /// starts the method anew.
@@ -56,7 +57,8 @@ class Archive {
     return std::move(written_);
   }
 
-  /// Fields one after the other: numbers, enumerations, and vectors of these that keep their size.
+  /// Fields one after the other: numbers, enumerations, what has a `state` of its own, optional ones, and vectors of
+  /// numbers that keep their size.
   template <class... Fields>
   void operator()(Fields&... fields) {
     (field(fields), ...);
@@ -94,8 +96,21 @@ class Archive {
 
   template <class T>
   void field(T& value) {
-    static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
-    bytes(&value, sizeof(T));
+    if constexpr (requires(Archive& archive) { value.state(archive); }) {
+      value.state(*this);
+    } else {
+      static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
+      bytes(&value, sizeof(T));
+    }
+  }
+  template <class T>
+  void field(std::optional<T>& value) {
+    std::uint8_t there = value ? 1 : 0;
+    T inside = value.value_or(T{});
+    field(there);
+    field(inside);
+    require(there <= 1);
+    if (reading_) value = there == 1 ? std::optional(inside) : std::nullopt;
   }
   template <class T>
   void field(std::vector<T>& v) {

@@ -178,7 +178,10 @@ class Integration {
   /// Does the step end at a breakpoint?
   [[nodiscard]] bool at_breakpoint() const { return attempt_.landing && break_t_ == attempt_.t1; }
   /// Is the point reached a breakpoint that has not been passed?
-  [[nodiscard]] bool breaks_here() const { return break_t_ == reached_.t; }
+  [[nodiscard]] bool breaks_here() const { return here(break_t_, reached_.t); }
+  /// Is a breakpoint at t, or so close to it that no step fits between?
+  [[nodiscard]] static bool here(double breakpoint, double t);
+  [[nodiscard]] std::size_t next_piece() const;
   void pass_breakpoints(std::size_t count);
   void aim();
   void enter_piece();
@@ -232,7 +235,7 @@ class Integration {
   std::size_t next_break_ = 0;
   double break_t_;                 // of the next one; NaN after the last
   double target_ = 0;              // the next breakpoint, or tf
-  double piece_start_ = 0;         // of the present piece
+  double piece_start_ = 0;         // of the present piece: the last breakpoint at its start, or where the run began
   bool piece_from_break_ = false;  // which is a breakpoint
   bool left_ = false;              // the method's memory is not that of the point reached
   bool in_step_ = false;           // a limit was reached between two attempts
