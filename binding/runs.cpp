@@ -9,6 +9,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstddef>
@@ -539,6 +540,16 @@ void define_report_of_run(RunClass& run) {
   property(run, "finding_distance", [](const RunResult& r) { return r.report.finding.distance; });
 }
 
+/// kind, t, row, column, lower, upper, change, predicted.
+using MisfitFields =
+    std::tuple<const char*, double, std::size_t, std::size_t, std::size_t, std::size_t, double, double>;
+std::optional<MisfitFields> fields_of(const std::optional<Misfit>& misfit) {
+  constexpr std::array<const char*, 3> kinds = {"pattern", "bands", "matrix"};
+  if (!misfit) return {};
+  const auto& [kind, t, row, column, lower, upper, change, predicted] = *misfit;
+  return MisfitFields(kinds[static_cast<std::size_t>(kind)], t, row, column, lower, upper, change, predicted);
+}
+
 void define_summary_of_run(RunClass& run) {
   run.def_prop_ro(
       "counts", [](const FinishedRun& self) { return std::tuple_cat(self.result.counted()); },
@@ -551,6 +562,7 @@ void define_summary_of_run(RunClass& run) {
   });
   property(run, "left_complex_steps", [](const RunResult& r) { return r.linear.left_complex_steps; });
   property(run, "enlargements", [](const RunResult& r) { return r.linear.enlargements; });
+  property(run, "misfit", [](const RunResult& r) { return fields_of(r.linear.misfit); });
   property(run, "pattern", [](const RunResult& r) { return std::make_pair(r.linear.entries, r.linear.groups); });
   property(run, "dropped", [](const RunResult& r) { return r.dropped; });
   property(run, "dropped_at", [](const RunResult& r) { return r.dropped_at; });

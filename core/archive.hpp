@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <type_traits>
@@ -62,8 +63,8 @@ class Archive {
     return std::move(written_);
   }
 
-  /// Fields one after the other: numbers, truths, counts, enumerations, and vectors of numbers that keep their size.
-  /// Whole numbers are counts; `values` takes others.
+  /// Fields one after the other: numbers, truths, counts, enumerations, what has a `state` of its own, optional ones,
+  /// and vectors of numbers that keep their size. Whole numbers are counts; `values` takes others.
   template <class... Fields>
   void operator()(Fields&... fields) {
     (field(fields), ...);
@@ -105,15 +106,27 @@ class Archive {
 
   template <class T>
   void field(T& value) {
-    static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
-    bytes(&value, sizeof(T));
-    if constexpr (std::is_integral_v<T>) require(value >= 0 && value <= most<T>);
+    if constexpr (requires(Archive& archive) { value.state(archive); }) {
+      value.state(*this);
+    } else {
+      static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
+      bytes(&value, sizeof(T));
+      if constexpr (std::is_integral_v<T>) require(value >= 0 && value <= most<T>);
+    }
   }
   void field(bool& value) {
     std::uint8_t byte = value ? 1 : 0;
     bytes(&byte, sizeof(byte));
     require(byte <= 1);
     value = byte == 1;
+  }
+  template <class T>
+  void field(std::optional<T>& value) {
+    bool there = value.has_value();
+    T inside = value.value_or(T{});
+    field(there);
+    field(inside);
+    if (reading_) value = there ? std::optional(inside) : std::nullopt;
   }
   template <class T>
   void field(std::vector<T>& v) {

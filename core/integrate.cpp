@@ -414,7 +414,7 @@ bool Integration::judge_invariants() {
 /// What rises over a step rises at one of its ends, unless its rate changes sign twice within.
 bool Integration::judge_start_of_step() {
   const double t = interpolant_->start_t();
-  if (next_break_ > 0 && breaks_.points[next_break_ - 1].t == t) return true;  // no room for differences there
+  if (next_break_ > 0 && here(breaks_.points[next_break_ - 1].t, t)) return true;  // no room for differences there
   return refuse(guard_->violated(t, interpolant_->start_y(), aim_.h(), counts_.steps + 1));
 }
 
@@ -589,17 +589,27 @@ void Integration::pass_breakpoints(std::size_t count) {
   break_t_ = none ? std::numeric_limits<double>::quiet_NaN() : breaks_.points[next_break_].t;
 }
 
-/// A piece begins at the point reached.
+/// Breakpoints that no step fits between are one, at the first of their times.
+bool Integration::here(double breakpoint, double t) { return std::abs(breakpoint - t) < hmin_ulps * ulp(t); }
+
+/// The first breakpoint after the point reached.
+std::size_t Integration::next_piece() const {
+  std::size_t next = next_break_;
+  while (next < breaks_.points.size() && here(breaks_.points[next].t, reached_.t)) ++next;
+  return next;
+}
+
+/// A piece begins at the point reached; functions see it from beyond the last breakpoint there.
 void Integration::begin_piece() {
-  piece_start_ = reached_.t;
-  piece_from_break_ = breaks_here() || (next_break_ > 0 && breaks_.points[next_break_ - 1].t == reached_.t);
+  const std::size_t next = next_piece();
+  piece_from_break_ = next > 0 && here(breaks_.points[next - 1].t, reached_.t);
+  piece_start_ = piece_from_break_ ? breaks_.points[next - 1].t : reached_.t;
   enter_piece();
 }
 
 /// Steps go to the next breakpoint from now on, and functions see the piece up to there.
 void Integration::enter_piece() {
-  std::size_t next = next_break_;
-  while (next < breaks_.points.size() && breaks_.points[next].t == reached_.t) ++next;
+  const std::size_t next = next_piece();
   const bool breaks = next < breaks_.points.size();
   aim_.at(breaks ? breaks_.points[next].t : settings_.tf);
   if (breaks_.piece) breaks_.piece->enter(piece_start_, piece_from_break_, aim_.target(), breaks);

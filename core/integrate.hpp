@@ -179,7 +179,10 @@ class Integration {
   /// Does the step end at a breakpoint?
   [[nodiscard]] bool at_breakpoint() const { return aim_.lands() && break_t_ == aim_.t1(); }
   /// Is the point reached a breakpoint that has not been passed?
-  [[nodiscard]] bool breaks_here() const { return break_t_ == reached_.t; }
+  [[nodiscard]] bool breaks_here() const { return here(break_t_, reached_.t); }
+  /// Is a breakpoint at t, or so close to it that no step fits between?
+  [[nodiscard]] static bool here(double breakpoint, double t);
+  [[nodiscard]] std::size_t next_piece() const;
   void pass_breakpoints(std::size_t count);
   void begin_piece();
   void enter_piece();
@@ -232,10 +235,10 @@ class Integration {
   std::size_t next_time_ = 0;
   Breaks breaks_;
   std::size_t next_break_ = 0;
-  double break_t_;                        // of the next one; NaN after the last
-  double piece_start_ = 0;                // of the present piece
-  bool piece_from_break_ = false;         // which is a breakpoint
-  bool keeps_last_ = false;               // see `keep_last_step`
+  double break_t_;                 // of the next one; NaN after the last
+  double piece_start_ = 0;         // of the present piece: the last breakpoint at its start, or where the run began
+  bool piece_from_break_ = false;  // which is a breakpoint
+  bool keeps_last_ = false;        // see `keep_last_step`
   std::optional<DenseOutput> left_step_;  // the last step, if the method has started again at its end
   bool left_ = false;                     // the method's memory is not that of the point reached
   bool in_step_ = false;                  // a limit was reached between two attempts

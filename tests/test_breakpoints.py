@@ -399,3 +399,44 @@ def test_classes_for_scipy_say_what_they_cannot():
 
     with pytest.raises(TypeError, match="breakpoints is an option of solve_ivp, not of ODE45"):
         invariode.scipy.ODE45(lambda t, y: -y, 0, [1.0], 1, breakpoints=[0.5])
+
+
+@pytest.mark.parametrize("t0", [0.0, 1.0, -3.0])
+def test_breakpoints_between_which_no_step_fits_are_one(method, t0):
+    """Two near the start, three near t0 + 1: each action is taken, each jump seen, and no step is shorter than the
+    smallest. f is called on neither side with a time between them."""
+    near, later = 4 * abs(np.spacing(t0)), t0 + 1
+    ulp = abs(np.spacing(later))
+    points = [t0 + near / 2, t0 + near, later, later + 3 * ulp, later + 6 * ulp]
+    taken, called = [], []
+
+    def action(t, y):
+        taken.append(t)
+        return y + 1
+
+    def f(t, y):
+        called.append(t)
+        return [float(np.searchsorted(points, t))]
+
+    sol = iv.solve_ivp(f, (t0, t0 + 2), [0.0], method, breakpoints=[(t, action) for t in points])
+    assert sol.success
+    assert len(taken) == 5
+    assert np.count_nonzero(np.diff(sol.t) == 0) == 2  # both sides of the two jumps
+    assert np.diff(np.unique(sol.t)).min() >= 16 * abs(np.spacing(t0))
+    assert not any(points[0] <= t <= points[1] or points[2] <= t <= points[4] for t in called)
+    np.testing.assert_allclose(sol.y[0, -1], 5 + 2 + 5, rtol=1e-9)
+
+
+def test_a_breakpoint_at_the_smallest_double_is_passed(method):
+    """The step to it would be so short that h times a coefficient is 0."""
+    tiny = 5e-324
+    for about in ({"breakpoints": [tiny]}, {"inputs": iv.Input([0.0, tiny, 1.0], [0.0, 0.0, 0.0])}):
+        with_input = "inputs" in about
+        problem = iv.Problem(
+            (lambda t, y, u: [y[1], -y[0] + u]) if with_input else (lambda t, y: [y[1], -y[0]]),
+            (0, 1),
+            [1.0, 0.0],
+            **({"inputs": about["inputs"]} if with_input else {}),
+        )
+        sol = problem.solve(method, breakpoints=about.get("breakpoints"))
+        np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-2)

@@ -24,22 +24,31 @@ const double wide_factor = large;   // its truncation error is far below the rou
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr double most_entries = 0x1p27;      // of a pattern that has grown: a gigabyte and a half
 
-/// Compressed columns, each with ascending rows.
-bool well_formed_pattern(const Matrix& sparse) {
-  const auto& [structure, values, starts, rows] = sparse;
-  const auto n = static_cast<int>(structure.n);
-  if (starts.size() != structure.n + 1 || starts.front() != 0 || !std::ranges::is_sorted(starts) ||
+/// Compressed columns of an n × n matrix, each with ascending rows.
+bool well_formed(std::size_t n, const std::vector<int>& starts, const std::vector<int>& rows) {
+  if (starts.size() != n + 1 || starts.front() != 0 || !std::ranges::is_sorted(starts) ||
       !std::in_range<int>(rows.size()) || starts.back() != static_cast<int>(rows.size()))
     return false;
-  for (std::size_t j = 0; j < structure.n; ++j) {
+  for (std::size_t j = 0; j < n; ++j) {
     int above = -1;
     for (int p = starts[j]; p < starts[j + 1]; ++p) {
       const int row = rows[static_cast<std::size_t>(p)];
-      if (row <= above || row >= n) return false;
+      if (row <= above || row >= static_cast<int>(n)) return false;
       above = row;
     }
   }
   return true;
+}
+
+Pattern pattern_of(const Matrix& banded) {
+  const auto& [kind, n, lower, upper] = banded.structure;
+  Pattern pattern{.starts = {0}, .rows = {}};
+  for (std::size_t j = 0; j < n; ++j) {
+    for (std::size_t i = j > upper ? j - upper : 0; i <= std::min(n - 1, j + lower); ++i)
+      pattern.rows.push_back(static_cast<int>(i));
+    pattern.starts.push_back(static_cast<int>(pattern.rows.size()));
+  }
+  return pattern;
 }
 
 }  // namespace
@@ -65,17 +74,20 @@ Jacobian::Jacobian(const Source& source, Matrix matrix, const Weights& weights)
   group_columns();
 }
 
-/// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th.
+/// Columns of one group have no row in common. Dense: one column a group. Banded: every (lower + upper + 1)-th, unless
+/// there are entries outside.
 void Jacobian::group_columns() {
   const auto& [kind, n, lower, upper] = matrix_.structure;
   groups_.clear();
-  if (kind != Structure::Kind::sparse) {
+  const bool sparse = kind == Structure::Kind::sparse;
+  if (!sparse && beyond_.starts.empty()) {
     const std::size_t count = kind == Structure::Kind::dense ? n : std::min(n, lower + upper + 1);
     groups_.resize(count);
     for (std::size_t j = 0; j < n; ++j) groups_[j % count].push_back(j);
     return;
   }
-  groups_ = invariode::group_columns(n, n, matrix_.starts.data(), matrix_.rows.data());
+  groups_ = invariode::group_columns(n, n, (sparse ? matrix_.starts : beyond_.starts).data(),
+                                     (sparse ? matrix_.rows : beyond_.rows).data());
 }
 
 Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* slope) {
@@ -107,7 +119,8 @@ bool Jacobian::examination_due() const {
   return doubtful_now_ || examined_ || std::has_single_bit(static_cast<std::uint64_t>(count_ + 1));
 }
 
-/// Where f is not finite at complex y, or does not agree, differences are formed from now on.
+/// Where f is not finite at complex y, or does not agree, differences are formed from now on, unless entries are
+/// missing in a given structure.
 Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, const double* slope) {
   const bool due = examination_due();
   ++count_;
@@ -118,18 +131,20 @@ Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, 
   if (!due) return Status::ok;
   switch (examine(f, t, y, slope)) {
     case JacobianCheck::Verdict::stop: return Status::stop;
-    case JacobianCheck::Verdict::wrong: return leave_complex_steps(f, t, y, slope);
-    case JacobianCheck::Verdict::right: break;
+    case JacobianCheck::Verdict::wrong: break;
+    case JacobianCheck::Verdict::right: return Status::ok;
   }
-  return Status::ok;
+  bool larger = false;
+  const bool structured = matrix_.structure.kind != Structure::Kind::dense && !source_.found_pattern;
+  if (structured && enlarge_pattern(f, t, y, slope, reach_, larger) == Status::stop) return Status::stop;
+  return larger ? step_complex(t, y, finite) : leave_complex_steps(f, t, y, slope);
 }
 
 Status Jacobian::step_complex(double t, const double* y, bool& finite) {
   const std::size_t n = matrix_.n();
   for (std::size_t j = 0; j < n; ++j) complex_point_[2 * j] = y[j], complex_point_[2 * j + 1] = 0;
   for (const std::vector<std::size_t>& group : groups_) {
-    for (const std::size_t j : group)
-      complex_point_[2 * j + 1] = complex_increment * defined_scale(weights_.at(j, y[j]), y);
+    for (const std::size_t j : group) complex_point_[2 * j + 1] = complex_increment * scale(j, y);
     if (source_.complex_f(t, complex_point_.data(), complex_value_.data()) == Status::stop) return Status::stop;
     finite = finite && all_finite(complex_value_.data(), complex_value_.size());
     for (const std::size_t j : group) {
@@ -156,8 +171,7 @@ Status Jacobian::leave_complex_steps(Callback& f, double t, const double* y, con
 /// Complex steps tell no increments: √ε of the weights. Differences: their own, which have been seen to change f.
 JacobianCheck::Verdict Jacobian::examine(Callback& f, double t, const double* y, const double* slope) {
   for (std::size_t j = 0; j < matrix_.n(); ++j)
-    reach_[j] = kind_ == Kind::complex_steps ? first_factor * defined_scale(weights_.at(j, y[j]), y)
-                                             : std::abs(columns_[j].increment);
+    reach_[j] = kind_ == Kind::complex_steps ? first_factor * scale(j, y) : std::abs(columns_[j].increment);
   return check_.examine(f, t, y, slope, matrix_, reach_.data(), static_cast<std::size_t>(count_));
 }
 
@@ -170,29 +184,76 @@ Status Jacobian::difference_in_found_pattern(Callback& f, double t, const double
     case JacobianCheck::Verdict::right: return Status::ok;
     case JacobianCheck::Verdict::wrong: break;
   }
-  if (enlarge_pattern(f, t, y, slope, examined_) == Status::stop) return Status::stop;
+  std::vector<double> displacement(matrix_.n());
+  for (std::size_t j = 0; j < matrix_.n(); ++j) displacement[j] = columns_[j].increment;
+  if (enlarge_pattern(f, t, y, slope, displacement, examined_) == Status::stop) return Status::stop;
   return examined_ ? difference(f, t, y, slope) : Status::ok;
 }
 
-Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const double* slope, bool& larger) {
+Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const double* slope,
+                                 const std::vector<double>& displacement, bool& larger) {
   const std::size_t n = matrix_.n();
   bool stopped = false;
-  for (std::size_t j = 0; j < n; ++j) point_[j] = columns_[j].increment;
-  const std::vector<double> displacement = point_;
   const std::optional<Pattern> here =
       find_pattern(f, t, {y, y + n}, {slope, slope + n}, displacement,
                    {.most_calls = std::numeric_limits<std::int64_t>::max(), .sparse_only = false}, stopped);
   larger = false;
   if (stopped) return Status::stop;
-  const Pattern all = united({.starts = matrix_.starts, .rows = matrix_.rows}, *here);
-  larger = all.rows.size() > matrix_.rows.size() && static_cast<double>(all.rows.size()) <= most_entries;
+  const bool banded = matrix_.structure.kind == Structure::Kind::banded;
+  if (banded && beyond_.starts.empty()) beyond_ = pattern_of(matrix_);
+  const Pattern known = banded ? beyond_ : Pattern{.starts = matrix_.starts, .rows = matrix_.rows};
+  const Pattern all = united(known, *here);
+  larger = all.rows.size() > known.rows.size() && static_cast<double>(all.rows.size()) <= most_entries;
   if (!larger) return Status::ok;
   ++enlargements_;
-  matrix_.starts = all.starts;
-  matrix_.rows = all.rows;
-  matrix_.values.assign(all.rows.size(), 0);
+  note_misfit(t, *here);
+  if (banded) {
+    beyond_ = all;
+  } else {
+    matrix_.starts = all.starts;
+    matrix_.rows = all.rows;
+    matrix_.values.assign(all.rows.size(), 0);
+  }
   group_columns();
   return Status::ok;
+}
+
+/// Whether an entry is stored.
+bool Jacobian::holds(std::size_t i, std::size_t j) const {
+  const auto& [kind, n, lower, upper] = matrix_.structure;
+  if (kind == Structure::Kind::dense) return true;
+  if (kind == Structure::Kind::banded) return i <= j + lower && j <= i + upper;
+  const auto first = matrix_.rows.begin() + matrix_.starts[j], last = matrix_.rows.begin() + matrix_.starts[j + 1];
+  return std::binary_search(first, last, static_cast<int>(i));
+}
+
+/// What the given structure lacks of what was seen.
+void Jacobian::note_misfit(double t, const Pattern& seen) {
+  if (source_.found_pattern) return;
+  const auto& [kind, n, lower, upper] = matrix_.structure;
+  Misfit found{.kind = kind == Structure::Kind::banded ? Misfit::Kind::bands : Misfit::Kind::pattern, .t = t};
+  found.lower = lower, found.upper = upper;
+  bool located = false;
+  for (std::size_t j = 0; j < n; ++j)
+    for (int p = seen.starts[j]; p < seen.starts[j + 1]; ++p) {
+      const auto i = static_cast<std::size_t>(seen.rows[static_cast<std::size_t>(p)]);
+      if (i > j) found.lower = std::max(found.lower, i - j);
+      if (j > i) found.upper = std::max(found.upper, j - i);
+      if (located || holds(i, j)) continue;
+      located = true;
+      found.row = i, found.column = j;
+    }
+  if (!misfit_) misfit_ = found;
+}
+
+Status Jacobian::complete(Callback& f, double t, const double* y, const double* slope,
+                          const std::vector<double>& displacement) {
+  bool larger = false;
+  if (matrix_.structure.kind != Structure::Kind::dense &&
+      enlarge_pattern(f, t, y, slope, displacement, larger) == Status::stop)
+    return Status::stop;
+  if (!larger) widen_increments();
+  return evaluate(f, t, y, slope);
 }
 
 Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
@@ -233,26 +294,32 @@ void Jacobian::measure_noise(const double* y, const double* slope) {
   noise_ = max_norm(n, [this](std::size_t i) { return moved_[i] / point_[i]; });
 }
 
-/// A constant one is part of the problem. A function may have replaced the pattern.
+/// A constant one is part of the problem. A function may have replaced the pattern, and a given one may have grown.
 void Jacobian::matrix_state(Archive& archive) {
   if (kind_ == Kind::constant) return;
   const bool sparse = matrix_.structure.kind == Structure::Kind::sparse;
-  if (sparse && (kind_ == Kind::function || source_.found_pattern)) {
+  if (sparse) {
     archive.resizable(matrix_.starts);
     archive.resizable(matrix_.rows);
   }
+  archive.resizable(beyond_.starts);
+  archive.resizable(beyond_.rows);
   const bool kept = archive.matrix(matrix_.values);
   if (!archive.reading()) return;
-  archive.require(!sparse || well_formed_pattern(matrix_));
-  archive.require(!kept || matrix_.values.empty() || provided());
-  if (sparse && source_.found_pattern) group_columns();
+  const std::size_t n = matrix_.n();
+  archive.require(!sparse || well_formed(n, matrix_.starts, matrix_.rows));
+  archive.require(beyond_.starts.empty() || well_formed(n, beyond_.starts, beyond_.rows));
+  if (!kept) matrix_.values.clear();  // it will be evaluated before it is needed
+  archive.require(matrix_.values.empty() || provided());
+  if (computed()) group_columns();
 }
 
 void Jacobian::state(Archive& archive) {
-  archive(count_, noise_, factor_, kind_, left_complex_steps_, enlargements_, doubtful_now_, examined_);
+  archive(count_, noise_, factor_, kind_, left_complex_steps_, enlargements_, doubtful_now_, examined_, misfit_);
   source_.complex_f.state(archive);
   archive.require(kind_ == source_.kind || (source_.kind == Kind::complex_steps && kind_ == Kind::differences));
   archive.require(!examined_ || source_.found_pattern);
+  archive.require(!misfit_ || (misfit_->row < matrix_.n() && misfit_->column < matrix_.n()));
 }
 
 void Jacobian::widen_increments() {

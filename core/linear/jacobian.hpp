@@ -5,11 +5,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include "callback.hpp"
 #include "linear/jacobian_check.hpp"
 #include "linear/matrix.hpp"
+#include "linear/misfit.hpp"
+#include "linear/pattern.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -43,6 +46,10 @@ class Jacobian {
   /// The matrix may come out not finite.
   Status evaluate(Callback& f, double t, const double* y, const double* slope);
   [[nodiscard]] bool needs_slope() const;
+  /// The matrix is not the derivative of f. Where f changes, by these displacements, with components of y that the
+  /// structure excludes, a pattern grows, and bands, which cannot, are computed from groups of columns that f does not
+  /// mix. Otherwise increments are too small. The matrix is evaluated again.
+  Status complete(Callback& f, double t, const double* y, const double* slope, const std::vector<double>& displacement);
   /// Newton's iteration has failed with it: the next evaluation is examined.
   void doubt() { doubtful_now_ = true; }
 
@@ -51,6 +58,12 @@ class Jacobian {
   void provide() { matrix_.provide(); }
   [[nodiscard]] bool provided() const { return matrix_.values.size() == matrix_.size(); }
   [[nodiscard]] Kind kind() const { return kind_; }
+  /// Computed from values of f, not given.
+  [[nodiscard]] bool computed() const { return kind_ == Kind::differences || kind_ == Kind::complex_steps; }
+  /// The entry that the given structure was first seen to miss.
+  [[nodiscard]] const std::optional<Misfit>& misfit() const { return misfit_; }
+  /// By which increments of component j are scaled: its weight, if that is not too small.
+  [[nodiscard]] double scale(std::size_t j, const double* y) const { return defined_scale(weights_.at(j, y[j]), y); }
   /// Of columns, for differences and complex steps: so many evaluations of f it takes.
   [[nodiscard]] std::size_t groups() const { return groups_.size(); }
   /// Evaluations so far, each of which may be several of f.
@@ -82,7 +95,10 @@ class Jacobian {
   Status examined_complex_steps(Callback& f, double t, const double* y, const double* slope);
   Status leave_complex_steps(Callback& f, double t, const double* y, const double* slope);
   Status difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope);
-  Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope, bool& larger);
+  Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope,
+                         const std::vector<double>& displacement, bool& larger);
+  void note_misfit(double t, const Pattern& seen);
+  [[nodiscard]] bool holds(std::size_t i, std::size_t j) const;
   JacobianCheck::Verdict examine(Callback& f, double t, const double* y, const double* slope);
   [[nodiscard]] bool examination_due() const;
   Status difference(Callback& f, double t, const double* y, const double* slope);
@@ -104,7 +120,9 @@ class Jacobian {
   bool doubtful_now_ = false;
   bool examined_ = false;                         // a pattern that was found, as long as examining it leads anywhere
   std::vector<std::vector<std::size_t>> groups_;  // of columns
-  std::vector<double> factor_;                    // of the columns
+  Pattern beyond_;  // of banded ones: entries in and outside the bands; empty: none outside
+  std::optional<Misfit> misfit_;
+  std::vector<double> factor_;  // of the columns
   std::vector<Column> columns_;
   std::vector<std::size_t> drowned_;  // columns of a group whose change was roundoff
   std::vector<double> point_, moved_;

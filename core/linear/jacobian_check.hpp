@@ -17,19 +17,40 @@ class JacobianCheck {
       : direction_(n), point_(n), change_(n), back_(n), product_(n), size_(n), terms_(n), entries_(n) {}
 
   enum class [[nodiscard]] Verdict { right, wrong, stop };
+  /// How J describes f in a neighbourhood: well enough for Newton's iteration; not at all, although f is nearly linear
+  /// there (`wrong`); or J is much too large, and f far from linear (`bent`), as it is beside a jump.
+  enum class [[nodiscard]] Fit { good, wrong, bent, stop };
 
   /// J at (t, y), where f is `slope`; `reach`: by how much each component may move. `turn` chooses the direction.
   /// Where f is not finite beside y nothing speaks against J.
   Verdict examine(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
                   std::size_t turn);
+  /// The same in the direction in which f leads, of a neighbourhood as wide as `reach`, and with the patience of
+  /// Newton's iteration: only what would mislead it counts.
+  Fit fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
+          std::size_t turn);
+  /// Of the latest `fit`: v; the row in which J v is not the change of f, and both.
+  [[nodiscard]] const std::vector<double>& direction() const { return direction_; }
+  [[nodiscard]] std::size_t row() const { return row_; }
+  [[nodiscard]] double change() const { return change_[row_]; }
+  [[nodiscard]] double predicted() const { return product_[row_]; }
+  /// max_i Σ_j |J_ij| w_j / w_i
+  double size(const Matrix& J, const double* w);
 
  private:
+  template <class Sign>
+  void aim(const double* y, const Matrix& J, const double* reach, std::size_t turn, Sign sign);
   Status move(Callback& f, double t, const double* y, const double* slope, double side, double* change);
   [[nodiscard]] bool agrees(const double* slope) const;
+  [[nodiscard]] bool misleads(std::size_t i, double change, double part, const double* slope) const;
+  [[nodiscard]] bool misleads(const double* slope) const;
+  [[nodiscard]] Fit judge(const double* slope);
+  [[nodiscard]] double noise(std::size_t i, const double* slope) const;
 
   std::vector<double> direction_, point_, change_, back_;
   std::vector<double> product_, size_, terms_;  // of each row: Σ J_ij v_j, Σ |J_ij v_j|, Σ |J_ij y_j|,
   std::vector<double> entries_;                 // and how many they are
+  std::size_t row_ = 0;
 };
 
 }  // namespace invariode

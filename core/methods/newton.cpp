@@ -1,6 +1,7 @@
 #include "methods/newton.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <utility>
 
@@ -11,11 +12,19 @@ namespace {
 
 // The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
 constexpr double slowest_rate = 0.9;
-constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
+constexpr double rate_memory = 0.9;  // what remains of the last rate in the present one
+// A component that changes by so many times its size has left the region in which J holds, and f may not be defined
+// there: converging iterations have updates of 0.5 at most (stiff set, rtol ≤ 1e-4).
+constexpr double largest_update = 1;
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
+
+// How far from y, in units of the weights, J is tested: rtol, or where that is large this, since f may end there.
+constexpr double widest_reach = 1e-3;
+constexpr double on_one_side = 0.25;      // of that, from a point half of it at least away from where f jumps
+constexpr double suspicious_growth = 10;  // of the size of J
 
 // Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
 constexpr double tolerated_change = 0.3;  // of c, with a preconditioner for the old one
@@ -31,7 +40,7 @@ void Convergence::begin(double rtol, double roundoff) {
 
 Convergence::Verdict Convergence::judge(double size) {
   ++iteration_;
-  if (!std::isfinite(size)) return Verdict::diverged;
+  if (!(size <= largest_update)) return Verdict::diverged;
   if (size <= roundoff_) return Verdict::converged;
   if (iteration_ == 1) {
     if (rate_known_ && size * rate_ / (1 - rate_) <= rules_.first_goal * rtol_) return Verdict::converged;
@@ -60,15 +69,20 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       weights_(weights),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
-      scratch_(linear.krylov ? 0 : weights.size()) {
-  if (linear.krylov) free_.emplace(f, weights, linear, complex);
+      scratch_(linear.krylov ? 0 : weights.size()),
+      reach_(scratch_.size()) {
+  if (linear.krylov)
+    free_.emplace(f, weights, linear, complex);
+  else
+    check_.emplace(weights.size());
 }
 
 void AgingJacobian::forget() {
   if (free_) free_->forget_failures();
-  factored_ = 0;
+  factored_.reset();
   renew_ = false;
   noisy_ = false;
+  first_ = true;
 }
 
 Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
@@ -82,12 +96,82 @@ Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
 }
 
 Status AgingJacobian::take_jacobian(double t, const double* y, const double* slope) {
-  factored_ = 0;
-  first_c_ = 0;
+  factored_.reset();
+  first_c_.reset();
   renew_ = false;
   current_ = true;
   age_ = 0;
-  return jacobian_.evaluate(f_, t, y, slope);
+  if (jacobian_.evaluate(f_, t, y, slope) == Status::stop) return Status::stop;
+  return slope != nullptr && fit_due(y) ? make_fit(t, y, slope) : Status::ok;
+}
+
+/// The first J of a start, the evaluations 1, 2, 4, 8, …, and one that has grown much beyond those that fitted; of
+/// those that are given, which no look can improve, the first. A J that is not larger than the right one cannot make
+/// Newton's iteration look converged.
+bool AgingJacobian::fit_due(const double* y) {
+  if (!check_) return false;
+  const bool first = std::exchange(first_, false);
+  if (!jacobian_.computed()) return !fitting_;
+  if (first || !fitting_ || std::has_single_bit(static_cast<std::uint64_t>(jacobian_.count()))) return true;
+  weights_.fill(y, reach_.data());
+  return check_->size(jacobian(), reach_.data()) > suspicious_growth * *fitting_;
+}
+
+/// J is to describe f as far as steps are accurate: otherwise Newton's iteration may seem to converge at once, to what
+/// does not solve the equations. This takes evaluations of f that are counted apart.
+Status AgingJacobian::make_fit(double t, const double* y, const double* slope) {
+  Callback f = f_;
+  Status status = Status::ok;
+  switch (fit(f, t, y, slope, 1)) {
+    case JacobianCheck::Fit::stop: status = Status::stop; break;
+    case JacobianCheck::Fit::good: break;
+    case JacobianCheck::Fit::wrong: status = mend(f, t, y, slope); break;
+    case JacobianCheck::Fit::bent: status = take_beside(f, t, y); break;
+  }
+  work_.checks += f.calls() - f_.calls();
+  weights_.fill(y, reach_.data());
+  fitting_ = std::max(fitting_.value_or(0), check_->size(jacobian(), reach_.data()));
+  return status;
+}
+
+/// As far as that part of the tolerance.
+JacobianCheck::Fit AgingJacobian::fit(Callback& f, double t, const double* y, const double* slope, double part) {
+  const double reach = part * std::min(weights_.rtol(), widest_reach);
+  for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = reach * jacobian_.scale(j, y);
+  const auto turn = static_cast<std::size_t>(jacobian_.count());
+  return check_->fit(f, t, y, slope, jacobian(), reach_.data(), turn);
+}
+
+/// f jumps, or bends sharply, within the tolerance: J is taken on the side to which f leads.
+Status AgingJacobian::take_beside(Callback& f, double t, const double* y) {
+  const std::size_t n = weights_.size();
+  if (jacobian_.kind() == Jacobian::Kind::constant) return Status::ok;
+  std::vector<double> point(y, y + n), slope(n);
+  for (std::size_t j = 0; j < n; ++j) point[j] += check_->direction()[j];
+  if (f(t, point.data(), slope.data()) == Status::stop) return Status::stop;
+  if (!all_finite(slope.data(), n)) return Status::ok;
+  if (jacobian_.evaluate(f, t, point.data(), slope.data()) == Status::stop) return Status::stop;
+  switch (fit(f, t, point.data(), slope.data(), on_one_side)) {
+    case JacobianCheck::Fit::stop: return Status::stop;
+    case JacobianCheck::Fit::wrong: return mend(f, t, point.data(), slope.data());
+    case JacobianCheck::Fit::good:
+    case JacobianCheck::Fit::bent: break;
+  }
+  return Status::ok;
+}
+
+/// f is smooth, and J is not its derivative: entries are missing, increments are too small for the noise of f, or the
+/// user's function is wrong.
+Status AgingJacobian::mend(Callback& f, double t, const double* y, const double* slope) {
+  if (jacobian_.computed()) return jacobian_.complete(f, t, y, slope, check_->direction());
+  const bool too_small = std::abs(check_->predicted()) < 0.5 * std::abs(check_->change());  // which costs steps only
+  if (!misfit_ && !too_small)
+    misfit_ = Misfit{.kind = Misfit::Kind::matrix,
+                     .t = t,
+                     .row = check_->row(),
+                     .change = check_->change(),
+                     .predicted = check_->predicted()};
+  return Status::ok;
 }
 
 Status AgingJacobian::multiply(double t, const double* y, const double* slope, const double* v, double* out) {
@@ -108,7 +192,8 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   if (!renew_) return Status::ok;
   if (slope == nullptr) {
     slope = scratch_.data();
-    if (jacobian_.needs_slope() && evaluate(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
+    if (!jacobian_.needs_slope()) return take_jacobian(t, y, nullptr);
+    if (evaluate(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
   }
   return take_jacobian(t, y, slope);
 }
@@ -129,7 +214,7 @@ bool AgingJacobian::renew() {
 void AgingJacobian::renew_if_noise(double c) {
   if (current_) return;
   c = std::abs(c);
-  if (noisy_ ? c < noise_growth * first_c_ : c * jacobian_.noise() <= tolerated_noise) return;
+  if (noisy_ ? first_c_ && c < noise_growth * *first_c_ : c * jacobian_.noise() <= tolerated_noise) return;
   noisy_ = true;
   jacobian_.widen_increments();
   renew();
@@ -150,9 +235,9 @@ bool AgingJacobian::defined_mass() {
 
 /// Forgets the factors at hand if they are not those for c.
 bool AgingJacobian::needs_factors(double c, double tolerated) {
-  if (std::abs(c - factored_) <= tolerated * std::abs(factored_)) return false;
-  if (first_c_ == 0) first_c_ = std::abs(c);
-  factored_ = 0;
+  if (factored_ && std::abs(c - *factored_) <= tolerated * std::abs(*factored_)) return false;
+  if (!first_c_) first_c_ = std::abs(c);
+  factored_.reset();
   work_.undefined_jacobian = !all_finite(jacobian().values.data(), jacobian().values.size());
   return true;
 }
@@ -197,12 +282,14 @@ void AgingJacobian::fields(Archive& archive) {
   jacobian_.state(archive);
   jacobian_.matrix_state(archive);
   if (free_) free_->state(archive);
+  archive(work_.checks, fitting_, misfit_, first_);
   archive(work_.factorizations, work_.solves, factored_, factored_at_, first_c_, noisy_, current_, renew_, age_);
 }
 
 LinearWork AgingJacobian::work() const {
   LinearWork work = work_;
   work.jacobians = jacobian_.count();
+  work.misfit = misfit_ ? misfit_ : jacobian_.misfit();
   if (free_) {
     work.products = free_->products();
     work.iterations = free_->iterations();
@@ -264,7 +351,7 @@ Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear,
 void Newton::restart() {
   forget();
   convergence_.forget();
-  last_c_ = 0;
+  last_c_.reset();
 }
 
 Outcome Newton::prepare(double c, double t1) {

@@ -78,7 +78,7 @@ class AgingJacobian {
   /// factor(c) of `state`, matrix-free.
   bool set_up_again(double c, Archive& archive);
 
-  void forget_factors() { factored_ = 0; }
+  void forget_factors() { factored_.reset(); }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
   template <class Factor>
   void state(Archive& archive, Factor&& factor);
@@ -118,6 +118,11 @@ class AgingJacobian {
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
  private:
+  bool fit_due(const double* y);
+  Status make_fit(double t, const double* y, const double* slope);
+  JacobianCheck::Fit fit(Callback& f, double t, const double* y, const double* slope, double part);
+  Status take_beside(Callback& f, double t, const double* y);
+  Status mend(Callback& f, double t, const double* y, const double* slope);
   bool defined_mass();
   bool needs_factors(double c, double tolerated);
   Outcome factored(double c, double t1, bool regular);
@@ -129,13 +134,18 @@ class AgingJacobian {
   Mass* mass_;
   std::optional<MatrixFree> free_;
   std::vector<double> scratch_;  // empty if matrix-free
+  std::optional<JacobianCheck> check_;
+  std::vector<double> reach_;      // of the check
+  std::optional<double> fitting_;  // the largest size of a J that the check has passed
+  std::optional<Misfit> misfit_;   // of a J that is given
   LinearWork work_;
-  double factored_ = 0;     // c of the factors; 0: there are none
-  double factored_at_ = 0;  // t of the M in them
-  double first_c_ = 0;      // |c| of the first factors with this J
-  bool noisy_ = false;      // roundoff in a J of this run has counted
-  bool current_ = false;    // J is that of the point reached
+  std::optional<double> factored_;  // c of the factors at hand
+  double factored_at_ = 0;          // t of the M in them
+  std::optional<double> first_c_;   // |c| of the first factors with this J
+  bool noisy_ = false;              // roundoff in a J of this run has counted
+  bool current_ = false;            // J is that of the point reached
   bool renew_ = false;
+  bool first_ = true;   // J will be the first one of a start
   int undefined_ = -1;  // component of f, at the last evaluation
   int age_ = 0;
 };
@@ -152,12 +162,12 @@ void AgingJacobian::state(Archive& archive, Factor&& factor) {
   fields(archive);
   if (!archive.reading() || !archive.whole()) return;
   if (!free_ && !jacobian_.provided()) {  // a member of auto that has not begun
-    archive.require(factored_ == 0);
+    archive.require(!factored_);
     renew_ = true;
   }
-  if (factored_ == 0) return;
+  if (!factored_) return;
   if (mass_ && mass_->evaluate(factored_at_) == Status::stop) return archive.stop();
-  archive.require(factor(factored_));
+  archive.require(factor(*factored_));
 }
 
 /// y' and y'' at the start, of M y' = f(t, y).
@@ -222,7 +232,7 @@ class Newton : public AgingJacobian {
   std::unique_ptr<Factorization> lu_;  // null: matrix-free
   Convergence convergence_;
   Place place_{};
-  double last_c_ = 0;  // for which the rate of convergence is known
+  std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
   std::vector<double> f_value_, residual_, sum_;
 };
 

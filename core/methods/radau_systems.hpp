@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "methods/newton.hpp"
@@ -55,7 +56,7 @@ class RadauSystems : public AgingJacobian {
   std::unique_ptr<Factorization> real_lu_;                         // null: matrix-free
   std::vector<std::unique_ptr<ComplexFactorization>> complex_lu_;  // of the pairs, as many as were needed so far
   double h_ = 0;                                                   // of the attempt
-  double last_c_ = 0;  // matrix-free: for which the rate of convergence is known
+  std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
 };
 
 }  // namespace invariode

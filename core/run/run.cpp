@@ -177,7 +177,7 @@ std::int64_t Run::evaluations_of_prepare() const {
 
 void Run::count_evaluations(RunResult& result) const {
   result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
-  result.nfev_check = integration_->discontinuities().evaluations();
+  result.nfev_check = integration_->discontinuities().evaluations() + result.linear.checks;
   if (!steps_) return;
   result.ng = -before_;
   result.nfev_check += slope_->evaluations();

@@ -341,6 +341,26 @@ def complex_steps_left(t: float) -> str:
     )
 
 
+def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bool) -> str:
+    """The text of a warning: what was said about the Jacobian contradicts fun."""
+    kind, t, row, column, lower, upper, change, predicted = found
+    reals = 2 if pairs else 1
+    i, j = row // reals, column // reals
+    if kind == "matrix":
+        return (
+            f"jac does not fit fun at t = {t:.6g}: within the tolerances of y component {i} of fun changes by "
+            f"{change:.3g}, and jac says {predicted:.3g}. Steps are short then, and ode23s is inaccurate. "
+            'Correct jac (jac="differences" does without it)'
+        )
+    entry = f"at t = {t:.6g} component {i} of fun changes with y[{j}]"
+    if kind == "pattern":
+        return f"jac_sparsity misses the entry ({i}, {j}): {entry}. It is used with what was found; add the entry"
+    return (
+        f"lband and uband miss the entry ({i}, {j}): {entry}. The entries in the bands are right, but take more "
+        f"evaluations of fun, and steps may be short; give lband={-(-lower // reals)}, uband={-(-upper // reals)}"
+    )
+
+
 def harmful_projection(components: str, distance: str) -> str:
     """The text of an AccuracyWarning: which components projections move, and how far."""
     return (

@@ -433,10 +433,9 @@ class DescribingOptions(TypedDict, total=False):
             None,
             "(n, n) array_like, sparse matrix, 'detect' or 'dense'",
             "Which entries of the Jacobian can differ from zero, for differences, complex steps and sparse linear "
-            "algebra. An entry missing here is taken to be zero: Newton's iteration then converges slowly or not at "
-            "all, and the steps are small. Default: from n = 200 on the pattern is detected, by evaluations of f near "
-            "y0, at most n / 2 of them, and enlarged where it turns out to lack an entry; 'detect' does so for any n, "
-            "'dense' does not.",
+            "algebra. If a test finds that an entry is missing, the pattern is enlarged, with a warning. Default: from "
+            "n = 200 on the pattern is detected, by evaluations of f near y0, at most n / 2 of them, and enlarged "
+            "where it turns out to lack an entry; 'detect' does so for any n, 'dense' does not.",
             every_method=False,
         ),
     ]

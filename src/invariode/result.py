@@ -68,7 +68,7 @@ class Stats(Record):
     nfev : int
         Evaluations of f by the method.
     nfev_check : int
-        Evaluations of f by the tests of invariants, and in search of its jumps; not in `nfev`.
+        Evaluations of f by the tests of invariants and Jacobians, and in search of its jumps; not in `nfev`.
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int

@@ -25,6 +25,7 @@ from ._messages import (
     formed,
     harmful_projection,
     limited_by_stability,
+    misfit,
 )
 from ._options import ExtensionOptions, Options
 from ._progress import run_bar
@@ -256,6 +257,8 @@ def presented(
         _warn_of_projection(run, plan, sol)
     if not math.isnan(run.left_complex_steps) and source.problem.matrices.jac is not None:
         warn(complex_steps_left(run.left_complex_steps))
+    if run.misfit is not None:
+        warn(misfit(run.misfit, plan.functions.complex))
     if run.remarkable:
         _warn_of_steps(run, plan)
     return sol

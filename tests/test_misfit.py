@@ -1,0 +1,185 @@
+"""A Jacobian that does not describe f leads to no wrong solution without a word: jumps, patterns, bands, `jac`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from problems import implicit, switching
+
+IMPLICIT = [name for name in filter(implicit, iv.METHODS) if not switching(name)]
+TOLERANCES = [1e-3, 1e-6, 1e-8]
+
+#: Friction, in units of the stiffness. From y = 1 at rest the body slides with y = 1/4 + 3/4 cos t until t = π.
+FRICTION, SPAN = 0.25, (0.0, 3.0)
+EXACT = np.array([FRICTION + 0.75 * math.cos(3), -0.75 * math.sin(3)])
+
+
+@pytest.fixture(params=IMPLICIT)
+def method_code(request):
+    return request.param
+
+
+def friction(t, y):
+    return [y[1], -y[0] - FRICTION * np.sign(y[1])]
+
+
+def sliding(t, y):
+    """The same as long as the body moves."""
+    return [y[1], -y[0] + FRICTION]
+
+
+def sharp(t, y):
+    """A smooth f that bends within 1e-10, with its exact Jacobian."""
+    return [y[1], -y[0] - FRICTION * np.tanh(1e10 * y[1])]
+
+
+def sharp_jacobian(t, y):
+    return [[0, 1], [-1, -FRICTION * 1e10 / np.cosh(min(abs(1e10 * y[1]), 300.0)) ** 2]]
+
+
+def error(sol, rtol):
+    """In tolerances."""
+    return np.abs(sol.y[:, -1] - EXACT).max() / rtol
+
+
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
+@pytest.mark.parametrize("rtol", TOLERANCES)
+@pytest.mark.parametrize("fun", [friction, sharp])
+def test_a_start_on_a_jump_costs_no_accuracy(method_code, fun, rtol):
+    """Increments of 1e-14 straddle the jump. The error is that of a smooth start, and what the first step adds, for
+    which the jump is an error of a tolerance or some: 10 of them."""
+    given = {"rtol": rtol, "atol": rtol}
+    smooth = error(iv.solve_ivp(sliding, SPAN, [1.0, 0.0], method_code, **given), rtol)
+    for jac in (None, sharp_jacobian) if fun is sharp else (None,):
+        sol = iv.solve_ivp(fun, SPAN, [1.0, 0.0], method_code, jac=jac, **given)
+        assert sol.success
+        assert error(sol, rtol) <= 3 * smooth + 20
+
+
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
+def test_a_restart_on_a_jump_costs_no_accuracy(method_code):
+    """An event stops the body for an instant, where friction turns around."""
+    rtol = 1e-6
+    rest = iv.Event(lambda t, y: y[1], direction=1, action=lambda t, y: [y[0], 0.0])
+    sol = iv.solve_ivp(friction, (0.0, 6.0), [1.0, 0.0], method_code, events=rest, rtol=rtol, atol=rtol)
+    assert sol.success
+    exact = np.array([-FRICTION - 0.25 * math.cos(6 - math.pi), 0.25 * math.sin(6 - math.pi)])
+    assert np.abs(sol.y[:, -1] - exact).max() <= 200 * rtol
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Structures
+
+
+def circle(t, y):
+    return [y[1], -y[0]]
+
+
+WRONG = {
+    "jac_sparsity": ({"jac_sparsity": np.eye(2)}, r"jac_sparsity misses the entry \(1, 0\)"),
+    "bands": ({"lband": 0, "uband": 0}, r"lband and uband miss the entry \(1, 0\).*give lband=1, uband=1"),
+}
+
+
+@pytest.mark.parametrize("rtol", TOLERANCES)
+@pytest.mark.parametrize("what", WRONG)
+def test_a_structure_that_misses_entries_is_named_and_costs_no_accuracy(method_code, what, rtol):
+    """Columns that share a row would otherwise be differenced together."""
+    structure, message = WRONG[what]
+    given = {"rtol": rtol, "atol": rtol / 1000}
+    with pytest.warns(UserWarning, match=message) as told:
+        sol = iv.solve_ivp(circle, (0, 1), [1.0, 0.0], method_code, **structure, **given)
+    assert len(told) == 1
+    right = iv.solve_ivp(circle, (0, 1), [1.0, 0.0], method_code, **given)
+    errors = [np.abs(one.y[:, -1] - [math.cos(1), -math.sin(1)]).max() / rtol for one in (sol, right)]
+    assert sol.success
+    assert errors[0] <= 5 * errors[1] + 10
+
+
+def coupled(n):
+    """Stiff reactions along a line, and one that acts from one end on the other."""
+
+    def fun(t, y):
+        dy = 1e3 * np.diff(y, prepend=0, append=0, n=2)
+        dy[0] += 1e5 * y[-1]
+        return dy
+
+    return fun, np.linspace(1, 2, n)
+
+
+@pytest.mark.parametrize("how", ["pattern", "bands"])
+@pytest.mark.parametrize("jac", ["differences", "complex-step"])
+def test_one_missing_entry_of_many_is_named(method_code, how, jac):
+    n = 20
+    fun, y0 = coupled(n)
+    near = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) <= 1
+    structure = {"jac_sparsity": near} if how == "pattern" else {"lband": 1, "uband": 1}
+    with pytest.warns(UserWarning, match=r"the entry \(0, 19\): .* component 0 of fun changes with y\[19\]"):
+        sol = iv.solve_ivp(fun, (0, 1e-3), y0, method_code, rtol=1e-5, jac=jac, **structure)
+    whole = iv.solve_ivp(fun, (0, 1e-3), y0, method_code, rtol=1e-5)
+    np.testing.assert_allclose(sol.y[:, -1], whole.y[:, -1], rtol=1e-3)
+
+
+def test_a_wrong_jac_is_named(method_code):
+    """A sign is wrong. What is only rough, as the diagonal of a matrix in which it dominates, is nobody's business."""
+    A = np.array([[-10.0, 3.0], [2.0, -10.0]])
+
+    def solved(jac):
+        return iv.solve_ivp(lambda t, y: A @ y, (0, 1), [1.0, 1.0], method_code, jac=jac)
+
+    for wrong in (-A, lambda t, y: -A):
+        with pytest.warns(UserWarning, match=r"jac does not fit fun at t = 0: .* component 0 of fun changes by 0"):
+            solved(wrong)
+    solved(np.diag(np.diag(A)))
+    solved(lambda t, y: 1.5 * A)
+
+
+def test_a_run_whose_pattern_has_grown_goes_on_from_a_file(method_code, tmp_path):
+    fun, y0 = coupled(20)
+    near = np.abs(np.subtract.outer(np.arange(20), np.arange(20))) <= 1
+    for k, structure in enumerate(({"jac_sparsity": near}, {"lband": 1, "uband": 1})):
+        problem = iv.Problem(fun, (0, 1e-2), y0, **structure)
+        with pytest.warns(UserWarning, match="the entry"):
+            part = problem.solve(method_code, max_steps=5)
+        part.save(tmp_path / f"{k}.npz")
+        with pytest.warns(UserWarning, match="the entry"):
+            on, here = iv.load(tmp_path / f"{k}.npz", problem).extend(1e-2), part.extend(1e-2)
+        np.testing.assert_array_equal(on.y, here.y)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What the tests cost
+
+
+def test_evaluations_that_test_jacobians_are_counted_apart(method_code):
+    """f is called nfev + nfev_check times, and the test takes one call where nothing is wrong."""
+    calls = []
+
+    def fun(t, y):
+        calls.append(t)
+        return [y[1], -y[0]]
+
+    sol = iv.solve_ivp(fun, (0, 1), [1.0, 0.0], method_code)
+    assert len(calls) == sol.nfev + sol.stats.nfev_check
+    assert 1 <= sol.stats.nfev_check <= 1 + math.log2(sol.njev)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Iterates far away
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4])
+def test_iterates_stay_where_an_exponential_can_be_evaluated(method_code, rtol):
+    """A diode between a source and a capacitor: math.exp raises from 18 V on, and the voltages are at most 6 V."""
+
+    def fun(t, y):
+        current = 1e-6 * (math.exp((6 * math.sin(1e3 * t) - y[0]) / 0.026) - 1)
+        return [1e6 * (current - y[0] / 1e3)]
+
+    sol = iv.solve_ivp(fun, (0, 0.02), [0.0], method_code, rtol=rtol, atol=rtol)
+    assert sol.success
+    assert 5 <= sol.y.max() <= 7
