@@ -41,9 +41,9 @@ def rods(ends: list[tuple[int, int]], points: int, dimension: int, masses: list[
     """The mass matrix of uniform thin rods between points; an index beyond the points: a fixed one."""
     mass = np.zeros((points, points))
     for (i, j), m in zip(ends, masses, strict=True):
-        for k, l in ((i, i), (j, j), (i, j), (j, i)):
-            if k < points and l < points:
-                mass[k, l] += m / (3 if k == l else 6)
+        for a, b in ((i, i), (j, j), (i, j), (j, i)):
+            if a < points and b < points:
+                mass[a, b] += m / (3 if a == b else 6)
     return np.kron(mass, np.eye(dimension))
 
 
