@@ -25,6 +25,7 @@ class Benchmark(NamedTuple):
     slope: Callable[[float, Array], Array] | None = None  # in minimal coordinates x
     x0: Array = np.zeros(0)
     positions: Callable[[Array], Array] | None = None  # of some of q, from x; they stand first in q
+    height: Callable[[Array], float] | None = None  # of the centre of a rolling body, of its quaternion
 
     def problem(self, tf: float, correction: str = "levels") -> iv.Problem:
         return self.system.problem((0.0, tf), self.q0, self.v0, correction=correction)
@@ -162,8 +163,8 @@ def governor() -> Benchmark:
     system = MechanicalSystem(mass, force, joints, name="governor")
     tilt, spin = np.pi / 6, 2 * np.pi
     out, up = np.sin(tilt), -np.cos(tilt)
-    q0 = np.concatenate([[out, 0, up], [-out, 0, up], [0, 1, 0], [0, 1, 0], [0, 1, 0], [up]])
-    v0 = np.concatenate([[0, spin * out, 0], [0, -spin * out, 0], [-spin, 0, 0], [-spin, 0, 0], [-spin, 0, 0], [0]])
+    q0 = np.concatenate([[0, out, up], [0, -out, up], [-1, 0, 0], [-1, 0, 0], [-1, 0, 0], [up]])
+    v0 = np.concatenate([[-spin * out, 0, 0], [spin * out, 0, 0], [0, -spin, 0], [0, -spin, 0], [0, -spin, 0], [0]])
 
     def slope(t: float, x: Array) -> Array:  # φ, α (of both rods), s
         _, tilt, s, spin, swing, speed = x
@@ -180,7 +181,7 @@ def governor() -> Benchmark:
         out = np.sin(x[1]) * np.array([np.cos(x[0]), np.sin(x[0])])
         return np.array([*out, -np.cos(x[1]), *-out, -np.cos(x[1])])
 
-    return Benchmark(system, q0, v0, slope, np.array([0, tilt, up, spin, 0, 0]), places)
+    return Benchmark(system, q0, v0, slope, np.array([np.pi / 2, tilt, up, spin, 0, 0]), places)
 
 
 def spatial_slider_crank() -> Benchmark:
@@ -264,8 +265,12 @@ def rolling(axes: Array, inertia: Array, mass: float, e0: Array, spin: Array, na
     system = MechanicalSystem(
         masses, force, touches, rolls, kinematics, energy, [iv.UnitQuaternion([3, 4, 5, 6])], name=name
     )
+
+    def height(e: Array) -> float:
+        return -contact(up_in_body(e)) @ up_in_body(e)
+
     arm = contact(up_in_body(e0))
-    q0 = np.array([0, 0, -arm @ up_in_body(e0), *e0])
+    q0 = np.array([0, 0, height(e0), *e0])
 
     def slope(t: float, x: Array) -> Array:  # centre, quaternion, angular velocity
         e, omega = x[3:7], x[7:]
@@ -281,7 +286,7 @@ def rolling(axes: Array, inertia: Array, mass: float, e0: Array, spin: Array, na
         return np.concatenate([kinematics(t, x[:7], np.concatenate([velocity, omega])), turn])
 
     v0 = np.concatenate([turned(e0, cross(arm, spin)), spin])
-    return Benchmark(system, q0, v0, slope, np.concatenate([q0, spin]), lambda x: x[:7])
+    return Benchmark(system, q0, v0, slope, np.concatenate([q0, spin]), lambda x: x[:7], height)
 
 
 def rattleback() -> Benchmark:

@@ -90,7 +90,8 @@ class MechanicalSystem(HasPoints):
     (n, n). Native constraints not made by `compile` need names, which give their number, and are differentiated by
     differences. If all functions are native, no Python is called in the run.
 
-    A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times, and factorises M, dense, in
+    A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times (several times as many near
+    singular positions, where bars line up), and factorises M, dense, in
     O(n³) operations. With 24 velocities or more, entries of M and Φ that are always zero are looked for. If most are,
     as in chains, one evaluation of φ gives all columns of Φ that have no row in common, and the factors are sparse: a
     call of f costs O(n).
