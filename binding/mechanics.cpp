@@ -127,6 +127,7 @@ MotionTerms make_terms(const MechanicsSpec& spec, Functions& functions) {
   terms.psi_pattern = spec.psi_pattern;
   terms.kinematics_pattern = spec.kinematics_pattern;
   terms.kept = spec.kept;
+  terms.sparse = spec.sparse;
   terms.dependent = spec.dependent;
   return terms;
 }
@@ -310,7 +311,7 @@ void define_description(nb::module_& module) {
           [](MechanicsSpec* self, std::size_t n_q, std::size_t n_v, std::size_t m_phi, std::size_t m_psi,
              nb::dict functions, const std::string& mass_writes, const nb::object& mass, bool jacobian_entries,
              const nb::object& phi, const nb::object& psi, const nb::object& kinematics, const std::vector<bool>& kept,
-             double dependent) {
+             bool sparse, double dependent) {
             const std::size_t map = functions["kinematics"].is_none() ? 0 : n_q;
             new (self) MechanicsSpec{n_q,
                                      n_v,
@@ -324,11 +325,12 @@ void define_description(nb::module_& module) {
                                      to_sparse(psi, m_psi, n_q + n_v),
                                      to_sparse(kinematics, map, n_q + n_v),
                                      std::vector<char>(kept.begin(), kept.end()),
+                                     sparse,
                                      dependent};
           },
           nb::kw_only(), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m_phi"), nb::arg("m_psi"), nb::arg("functions"),
           nb::arg("mass_writes"), nb::arg("mass"), nb::arg("jacobian_entries"), nb::arg("phi"), nb::arg("psi"),
-          nb::arg("kinematics"), nb::arg("kept"), nb::arg("dependent"));
+          nb::arg("kinematics"), nb::arg("kept"), nb::arg("sparse"), nb::arg("dependent"));
   nb::class_<MotionPart>(module, "MotionPart", nb::type_slots(part_slots),
                          "A function of (t, y) that a mechanical system has: its slope, one of its laws.")
       .def(
@@ -356,6 +358,7 @@ nb::dict to_dict(const MotionWork& work) {
   counts["jacobian"] = work.jacobian;
   counts["sparse"] = work.sparse;
   counts["dense"] = work.dense;
+  counts["nearly_singular"] = work.singular;
   return counts;
 }
 

@@ -25,6 +25,7 @@ struct MechanicsSpec {
   bool jacobian_entries;
   SparseMatrix phi_pattern, psi_pattern, kinematics_pattern;
   std::vector<char> kept;
+  bool sparse;
   double dependent;
 };
 

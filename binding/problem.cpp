@@ -174,6 +174,8 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   problem_.n = spec.n;
   problem_.complex = spec.complex;
   if (!spec.fun.is_none()) problem_.f = functions_.state_valued(spec.fun, "fun(t, y)");
+  if (nb::isinstance<MotionPart>(spec.fun))
+    problem_.f_error = functions_.motion(nb::cast<const MotionPart&>(spec.fun).mechanics).relative_error();
   if (!spec.callback.is_none()) problem_.callback = functions_.truth(spec.callback, "callback(t, y)");
   for (const InvariantSpec& one : spec.invariants) problem_.invariants.push_back(make_block(one, functions_));
   problem_.value = spec.value;

@@ -27,8 +27,10 @@ class Slope {
 /// y' = f(t, y)
 class ExplicitSlope final : public Slope {
  public:
-  explicit ExplicitSlope(const Callback& f) : f_(f), before_(f.calls()) {}
+  explicit ExplicitSlope(const Callback& f, double relative_error = 0)
+      : f_(f), relative_error_(relative_error), before_(f.calls()) {}
   Status evaluate(double t, const double* y, double, double* out) override { return f_(t, y, out); }
+  [[nodiscard]] double relative_error() const override { return relative_error_; }
   [[nodiscard]] std::int64_t evaluations() const override { return f_.calls() - before_; }
   void state(Archive& archive) override {
     f_.state(archive);
@@ -37,6 +39,7 @@ class ExplicitSlope final : public Slope {
 
  private:
   Callback f_;
+  double relative_error_;
   std::int64_t before_;  // calls that the callback had counted when it was copied
 };
 

@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/QR>
+#include <cmath>
 #include <limits>
 #include <stdexcept>
 
@@ -33,6 +34,10 @@ class Columns {
     qr_.compute(B * scale_.cwiseInverse().asDiagonal());
   }
   [[nodiscard]] Index rank() const { return qr_.rank(); }
+  /// The last pivot: 0 where some columns depend on others.
+  [[nodiscard]] double pivot() const {
+    return rank() < qr_.cols() ? 0 : std::abs(qr_.matrixR()(rank() - 1, rank() - 1));
+  }
 
   /// The vector u of least norm with Bᵀ u = c, as far as its independent rows go.
   [[nodiscard]] Vector least_norm(const Vector& c) const {
@@ -83,6 +88,7 @@ void solve_definite(const Eigen::LLT<Matrix>& mass, const MatrixView& A, const V
   const Columns columns(B, threshold);
   const Vector u = columns.least_norm(gamma - B.transpose() * free);
   found.rank = columns.rank();
+  found.pivot = columns.pivot();
   found.a = mass.matrixU().solve(free + u);
   found.lambda = multipliers(B, columns, u, threshold);
 }
@@ -98,6 +104,7 @@ void solve_semidefinite(const MatrixView& M, const MatrixView& A, const VectorVi
   const Matrix At = A.transpose();
   const Columns columns(At, threshold);
   found.rank = columns.rank();
+  found.pivot = columns.pivot();
   const Matrix Z = columns.complement();
   Vector a = columns.least_norm(gamma);
   if (Z.cols() > 0) {

@@ -19,6 +19,8 @@ struct ConstrainedSolution {
   Eigen::VectorXd lambda;  ///< (k); of least norm where rows of A depend on each other
   Eigen::Index rank = 0;   ///< of A
   bool unique = true;      ///< M is positive definite on the null space of A
+  double pivot = 1;        ///< how far the rows of A are from depending on each other: about the least singular value,
+                           ///< of rows with norm 1; 0: some depend on others
 };
 
 /// Where M is definite: M = L Lᵀ and a pivoted QR of L⁻¹Aᵀ, never the Gram matrix A M⁻¹ Aᵀ, whose condition is the

@@ -1,6 +1,7 @@
 #include "linear/sparse_saddle.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "weights.hpp"
@@ -12,13 +13,17 @@ using Sparse = Eigen::SparseMatrix<double>;
 using Vector = Eigen::VectorXd;
 using Eigen::Index;
 
+constexpr double golden = 0.6180339887498949;
 constexpr double dependent = 1000 * eps;  // pivots of a matrix of ones on the diagonal: what roundoff leaves of 0
 constexpr double accurate = 1e-13;        // residuals, as a part of their terms
+constexpr double roundoff = 10 * eps;  // of the largest unknown, which the factors leave in all that are coupled to it
 
-/// The residual is at most `part` of its terms, row by row.
-bool small(const Vector& residual, const Vector& terms, double part) {
-  return (residual.array().abs() <= part * terms.array()).all();
+/// The residual is at most `accurate` of its terms, row by row, or what roundoff leaves of them.
+bool small(const Vector& residual, const Vector& terms, const Vector& floor) {
+  return (residual.array().abs() <= accurate * terms.array() + floor.array()).all();
 }
+
+double largest(const Vector& v) { return v.size() == 0 ? 0 : v.cwiseAbs().maxCoeff(); }
 
 }  // namespace
 
@@ -44,6 +49,8 @@ bool SparseSaddle::solve(const Sparse& M, const Sparse& A, const VectorView& Q, 
   analyzed_ = true;
   const Sparse size = A.cwiseAbs();
   const Sparse mass_size = M.cwiseAbs();
+  const Vector row_sum = size * Vector::Ones(n), column_sum = size.transpose() * Vector::Ones(A.rows());
+  const auto massless = (mass_size * Vector::Ones(n)).array() == 0;  // no acceleration sees what is left in such a row
   found.a = Vector::Zero(n);
   found.lambda = Vector::Zero(A.rows());
   Vector p = Q, q = gamma;
@@ -56,11 +63,13 @@ bool SparseSaddle::solve(const Sparse& M, const Sparse& A, const VectorView& Q, 
     const Vector force_terms =
         Q.cwiseAbs() + size.transpose() * found.lambda.cwiseAbs() + mass_size * found.a.cwiseAbs();
     const Vector terms = gamma.cwiseAbs() + size * found.a.cwiseAbs();
-    if (small(p, force_terms, accurate) && small(q, terms, accurate)) break;
+    const Vector force_floor = massless.select(roundoff * largest(found.lambda) * column_sum, 0);
+    if (small(p, force_terms, force_floor) && small(q, terms, roundoff * largest(found.a) * row_sum)) break;
     if (pass == 1) return false;
   }
   found.rank = A.rows();
   found.unique = true;
+  found.pivot = pivot(A);
   return true;
 }
 
@@ -94,6 +103,19 @@ bool SparseSaddle::factor_whole(const Sparse& M, const Sparse& A) {
   if (!analyzed_) whole_.analyzePattern(all);
   whole_.factorize(all);
   return whole_.info() == Eigen::Success;
+}
+
+/// The last pivot of the complement; or what the inverse makes of right-hand sides of size 1, which are of the size of
+/// the rows and of either sign.
+double SparseSaddle::pivot(const Sparse& A) {
+  if (A.rows() == 0) return 1;
+  if (diagonal_) return std::sqrt(complement_.vectorD().minCoeff());
+  const Vector row_norm = (A.cwiseAbs2() * Vector::Ones(A.cols())).cwiseSqrt();
+  Vector signs(A.rows());
+  for (Index i = 0; i < signs.size(); ++i)
+    signs[i] = std::fmod(golden * static_cast<double>(i + 1), 1.0) < 0.5 ? -1 : 1;
+  substitute(A, Vector::Zero(A.cols()), signs.cwiseProduct(row_norm));
+  return 1 / largest(a_);
 }
 
 void SparseSaddle::substitute(const Sparse& A, const Vector& p, const Vector& q) {

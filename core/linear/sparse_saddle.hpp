@@ -25,6 +25,7 @@ class SparseSaddle {
  private:
   bool factor_complement(const Eigen::SparseMatrix<double>& A);
   bool factor_whole(const Eigen::SparseMatrix<double>& M, const Eigen::SparseMatrix<double>& A);
+  double pivot(const Eigen::SparseMatrix<double>& A);
   /// M a − Aᵀ λ = p, A a = q.
   void substitute(const Eigen::SparseMatrix<double>& A, const Eigen::VectorXd& p, const Eigen::VectorXd& q);
 

@@ -15,13 +15,16 @@ constexpr double tiny = 1e-40;  // a complex increment: its square is nothing be
 // one.
 const double first_increment = std::pow(eps, 1.0 / 5);
 const double second_increment = std::pow(eps, 1.0 / 6);
-constexpr double smallest_part = 0.1;  // of the largest component: smaller ones have increments of this size
-// The rotated complex step begins with this part of the size of x, and is halved until it agrees with its half to that
-// part of its terms. What is left after extrapolation is the square of that, times 1e-3 from the factorials of the
-// series.
+const double second_error = std::sqrt(eps);  // what is left of them, with the terms of φ itself, which cancel
+constexpr double smallest_part = 0.1;        // of the largest component: smaller ones have increments of this size
+// The rotated complex step begins with this part of the size of x, and is halved until two extrapolations agree to
+// `settled` of their terms; or, once they agree to `agreement`, until halving it gains nothing more: what is left is
+// roundoff of φ. (The better of the two is off by far less than the other.)
 constexpr double widest = 0.1;
+constexpr double settled = 1e-13;
 constexpr double agreement = 1e-6;
 constexpr int halvings = 30;
+constexpr std::size_t orders = 4;  // |s|⁴, |s|⁸, … that extrapolation removes; with more roundoff decides
 
 bool moves(const double* dx, std::size_t n) {
   return std::any_of(dx, dx + n, [](double d) { return d != 0; });
@@ -70,6 +73,7 @@ Differentiable::Differentiable(const Forms& forms, std::size_t n, std::size_t m)
       far_(m),
       terms_(m),
       here_(m),
+      table_(orders, std::vector<double>(m)),
       z_(2 * (1 + n)),
       w_(2 * m) {}
 
@@ -111,33 +115,54 @@ void Differentiable::move(const double* x, const double* dx, double s) {
 }
 
 /// With s complex of argument π/4, φ(s) + φ(−s) = 2φ + s²φ″ + O(s⁴): as s² is imaginary and s⁴ real, the imaginary part
-/// is |s|²φ″ up to O(|s|⁶), and φ itself does not cancel. One extrapolation from |s| and |s|/2 removes that.
-Status Differentiable::curvature(double t, const double* x, double dt, const double* dx, double* out) {
+/// is |s|²φ″ up to O(|s|⁶), and φ itself does not cancel. What is left is a series in |s|⁴, which extrapolation from
+/// |s|, |s|/2, |s|/4, … removes power by power.
+Status Differentiable::curvature(double t, const double* x, double dt, const double* dx, double* out,
+                                 const double* sizes) {
   if (dt == 0 && !moves(dx, n_)) {
     std::fill(out, out + m_, 0.0);
     return Status::ok;
   }
   if (!by_complex_steps()) return second_difference(t, x, dt, dx, out);
-  double h = widest * reach(t, x, n_, dt, dx);
-  std::vector<double>&coarse = far_, &fine = near_;
-  if (rotated(t, x, dt, dx, h, coarse.data()) == Status::stop) return Status::stop;
-  for (int k = 0; k < halvings; ++k) {
-    h /= 2;
-    if (rotated(t, x, dt, dx, h, fine.data()) == Status::stop) return Status::stop;
-    bool agree = true;
-    for (std::size_t i = 0; i < m_; ++i) agree = agree && std::abs(fine[i] - coarse[i]) <= agreement * terms_[i];
-    if (agree) {
-      for (std::size_t i = 0; i < m_; ++i) out[i] = (16 * fine[i] - coarse[i]) / 15;
-      return Status::ok;
-    }
-    coarse.swap(fine);
+  double h = widest * reach(t, x, n_, dt, dx), before = std::numeric_limits<double>::infinity();
+  std::size_t rows = 0;  // of the table, since φ was last not finite
+  for (int k = 0; k <= halvings; ++k, h /= 2) {
+    if (rotated(t, x, dt, dx, h, sizes, near_.data()) == Status::stop) return Status::stop;
+    const bool finite = all_finite(near_.data(), m_);
+    const double error = extrapolate(finite ? std::min(rows, orders) : 0);
+    rows = finite ? rows + 1 : 0;
+    const bool no_gain = before <= agreement && error >= before;
+    if (!no_gain) std::copy(near_.begin(), near_.end(), out);
+    if (rows < 2) continue;
+    if (no_gain || error <= settled) return Status::ok;
+    before = error;
   }
-  std::copy(coarse.begin(), coarse.end(), out);
   return Status::ok;
 }
 
+/// The next row of Neville's table, from its first column in `near_` and the row before in `table_`, which it replaces;
+/// its last column is then in `near_`. Returns by how much the last two columns differ, in units of the terms.
+double Differentiable::extrapolate(std::size_t columns) {
+  double worst = 0;
+  for (std::size_t i = 0; i < m_; ++i) {
+    double power = 1, last = near_[i], change = 0;
+    for (std::size_t l = 0; l < columns; ++l) {
+      power *= 16;
+      const double next = (power * last - table_[l][i]) / (power - 1);
+      table_[l][i] = last;
+      change = std::abs(next - last);
+      last = next;
+    }
+    near_[i] = last;
+    if (columns < table_.size()) table_[columns][i] = last;
+    if (change > 0) worst = std::max(worst, change / terms_[i]);
+  }
+  return worst;
+}
+
 /// The second derivative with |s| = h, and in `terms_` the size of what it is the sum of.
-Status Differentiable::rotated(double t, const double* x, double dt, const double* dx, double h, double* out) {
+Status Differentiable::rotated(double t, const double* x, double dt, const double* dx, double h, const double* sizes,
+                               double* out) {
   const double s = h / std::numbers::sqrt2;
   if (complex_at(forms_.quiet, t, x, dt, dx, s, s) == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < m_; ++i) plus_[i] = w_[2 * i + 1];
@@ -145,10 +170,12 @@ Status Differentiable::rotated(double t, const double* x, double dt, const doubl
   for (std::size_t i = 0; i < m_; ++i) {
     const double minus = w_[2 * i + 1];
     out[i] = (plus_[i] + minus) / (h * h);
-    terms_[i] = (std::abs(plus_[i]) + std::abs(minus)) / (h * h);
+    terms_[i] = (std::abs(plus_[i]) + std::abs(minus)) / (h * h) + (sizes != nullptr ? sizes[i] / h : 0);
   }
   return Status::ok;
 }
+
+double Differentiable::relative_error() const { return by_complex_steps() || m_ == 0 ? 0 : second_error; }
 
 Status Differentiable::second_difference(double t, const double* x, double dt, const double* dx, double* out) {
   const double h = second_increment * reach(t, x, n_, dt, dx);

@@ -47,8 +47,10 @@ class Differentiable {
   Status value(double t, const double* x, double* out) { return forms_.function(t, x, out); }
   /// d/ds of function(t + s dt, x + s dx) at s = 0.
   Status slope(double t, const double* x, double dt, const double* dx, double* out);
-  /// d²/ds² of the same.
-  Status curvature(double t, const double* x, double dt, const double* dx, double* out);
+  /// d²/ds² of the same. `sizes` (m): of the terms that d/ds sums, which may cancel; null: not known.
+  Status curvature(double t, const double* x, double dt, const double* dx, double* out, const double* sizes = nullptr);
+  /// What that is good to, relative to its terms; 0: roundoff.
+  [[nodiscard]] double relative_error() const;
   /// ∂/∂x_j for the requested columns, one evaluation of the complex form for each group of them, or four of the
   /// function. `size`: of the components, for increments.
   Status jacobian(double t, const double* x, const double* size, SparseColumns& columns);
@@ -56,7 +58,8 @@ class Differentiable {
  private:
   Status complex_at(Callback& form, double t, const double* x, double dt, const double* dx, double re, double im);
   Status odd_difference(double t, const double* x, double dt, const double* dx, double* out);
-  Status rotated(double t, const double* x, double dt, const double* dx, double h, double* out);
+  Status rotated(double t, const double* x, double dt, const double* dx, double h, const double* sizes, double* out);
+  double extrapolate(std::size_t columns);
   Status second_difference(double t, const double* x, double dt, const double* dx, double* out);
   Status even_difference(double t, const double* x, double dt, const double* dx, double* out);
   void move(const double* x, const double* dx, double s);
@@ -65,6 +68,7 @@ class Differentiable {
   std::size_t n_ = 0, m_ = 0;
   std::vector<double> point_, direction_, column_;                // (n), (n), (m)
   std::vector<double> plus_, minus_, near_, far_, terms_, here_;  // (m)
+  std::vector<std::vector<double>> table_;                        // of the extrapolation, the latest row; (m) each
   std::vector<double> z_, w_;                                     // 1 + n, and m complex numbers
 };
 

@@ -18,6 +18,11 @@ const double along_increment = std::cbrt(eps);  // relative, of the central diff
 // Sparse factors are faster from this size on, where at most that part of A can be other than 0 (benchmarks/chains.py).
 constexpr std::size_t least_sparse = 24;
 constexpr double densest = 0.25;
+// A position is nearly singular where rows of A, of norm 1, are so close to depending on each other: what is off the
+// constraints by e then changes accelerations by e divided by the square of that.
+constexpr double nearly_singular = 0.05;
+constexpr int most_corrections = 6;       // Newton's iteration, which starts near, squares its errors
+constexpr double last_correction = 1e-8;  // of q: its square is roundoff
 
 Index index(std::size_t i) { return static_cast<Index>(i); }
 
@@ -93,6 +98,10 @@ Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
   size_.resize(n);
   ones_.assign(n, 1.0);
   beside_.resize(n_q);
+  terms_of_rate_.resize(m_phi);
+  satisfying_.resize(n);
+  nothing_ = Eigen::VectorXd::Zero(index(n_v));
+  rest_.resize(A_.rows());
   entries_.resize(std::max(n_v * n_v, m_phi * n_q));
 }
 
@@ -114,7 +123,7 @@ void Motion::choose_patterns() {
   assemble();
   const auto all = static_cast<double>(A_.rows() * A_.cols());
   const auto masses = static_cast<double>(terms_.n_v * terms_.n_v);
-  sparse_ = terms_.n_v >= least_sparse && static_cast<double>(A_.nonZeros()) <= densest * all &&
+  sparse_ = terms_.sparse && terms_.n_v >= least_sparse && static_cast<double>(A_.nonZeros()) <= densest * all &&
             static_cast<double>(terms_.mass.matrix.nonZeros()) <= densest * masses;
 }
 
@@ -140,7 +149,13 @@ MotionWork Motion::work() const {
           .kinematics = terms_.kinematics.calls(),
           .jacobian = terms_.jacobian.function.calls(),
           .sparse = sparse_count_,
-          .dense = dense_count_};
+          .dense = dense_count_,
+          .singular = singular_count_};
+}
+
+double Motion::relative_error() const {
+  return std::max({terms_.constraints.relative_error(), terms_.velocity_constraints.relative_error(),
+                   terms_.kinematics.relative_error()});
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -202,6 +217,15 @@ Status Motion::slope(double t, const double* y, double* out) {
 }
 
 Status Motion::accelerations(double t, const double* y, ConstrainedSolution& found) {
+  if (accelerations_at(t, y, found) == Status::stop) return Status::stop;
+  if (!(found.pivot < nearly_singular) || !kept_psi_.empty() || terms_.kinematics.m() > 0) return Status::ok;
+  ++singular_count_;
+  bool satisfied = false;
+  if (satisfy(t, y, satisfied) == Status::stop) return Status::stop;
+  return satisfied ? accelerations_at(t, satisfying_.data(), found) : Status::ok;
+}
+
+Status Motion::accelerations_at(double t, const double* y, ConstrainedSolution& found) {
   if (mass(t, y) == Status::stop || terms_.force(t, y, force_.data()) == Status::stop || rows(t, y) == Status::stop)
     return Status::stop;
   const auto finite = [](const auto& values, Index count) {
@@ -213,18 +237,65 @@ Status Motion::accelerations(double t, const double* y, ConstrainedSolution& fou
              .lambda = Eigen::VectorXd::Constant(A_.rows(), undefined)};
     return Status::ok;
   }
+  solve(force_, gamma_, found);
+  return Status::ok;
+}
+
+void Motion::solve(const Eigen::VectorXd& Q, const Eigen::VectorXd& gamma, ConstrainedSolution& found) {
   if (sparse_) {
     ++sparse_count_;
-    if (saddle_.solve(M(), A_, force_, gamma_, found)) return Status::ok;
+    if (saddle_.solve(M(), A_, Q, gamma, found)) return;
   }
   ++dense_count_;
-  found = solve_saddle(Eigen::MatrixXd(M()), Eigen::MatrixXd(A_), force_, gamma_, terms_.dependent);
+  found = solve_saddle(Eigen::MatrixXd(M()), Eigen::MatrixXd(A_), Q, gamma, terms_.dependent);
+}
+
+/// The (q, v) with φ = 0 and φ' = 0 that is nearest to y, in the metric of M, in `satisfying_`. Not found: Newton's
+/// iteration does not converge.
+Status Motion::satisfy(double t, const double* y, bool& found) {
+  found = false;
+  std::copy(y, y + size(), satisfying_.begin());
+  double size = std::numeric_limits<double>::infinity(), before = size;
+  for (int k = 0; k < most_corrections; ++k) {
+    if (correct_positions(t, size) == Status::stop) return Status::stop;
+    if (!(size < before)) break;  // roundoff, or nothing to converge to
+    before = size;
+  }
+  const auto q = Eigen::Map<const Eigen::VectorXd>(satisfying_.data(), index(terms_.n_q));
+  if (!(before <= last_correction * q.cwiseAbs().maxCoeff())) return Status::ok;
+  found = true;
+  return correct_velocities(t);
+}
+
+/// One iteration, by the system of the accelerations without forces: M δ = Φᵀ μ, Φ δ = −φ. `size`: max |δ|.
+Status Motion::correct_positions(double t, double& size) {
+  double* q = satisfying_.data();
+  if (mass(t, q) == Status::stop || row_values(t, q) == Status::stop) return Status::stop;
+  if (positions(t, q, rest_.data()) == Status::stop) return Status::stop;
+  rest_ = -rest_;
+  solve(nothing_, rest_, correction_);
+  size = correction_.a.cwiseAbs().maxCoeff();
+  if (std::isfinite(size)) Eigen::Map<Eigen::VectorXd>(q, index(terms_.n_q)) += correction_.a;
+  return Status::ok;
+}
+
+Status Motion::correct_velocities(double t) {
+  double* q = satisfying_.data();
+  if (mass(t, q) == Status::stop || row_values(t, q) == Status::stop) return Status::stop;
+  if (rates(t, q, rest_.data()) == Status::stop) return Status::stop;
+  rest_ = -rest_;
+  solve(nothing_, rest_, correction_);
+  Eigen::Map<Eigen::VectorXd>(q + terms_.n_q, index(terms_.n_v)) += correction_.a;
   return Status::ok;
 }
 
 /// A v' = γ, where A = (Φ K_v, ψ_v).
 Status Motion::rows(double t, const double* y) {
   if (A_.rows() == 0) return Status::ok;
+  return row_values(t, y) == Status::stop ? Status::stop : curvatures(t, y);
+}
+
+Status Motion::row_values(double t, const double* y) {
   if (phi_jacobian(t, y) == Status::stop) return Status::stop;
   if (terms_.kinematics.m() > 0 && !kept_phi_.empty()) {
     if (terms_.kinematics.jacobian(t, y, ones_.data(), kinematics_by_v_) == Status::stop) return Status::stop;
@@ -236,7 +307,7 @@ Status Motion::rows(double t, const double* y) {
                                 Status::stop)  // linear in v: any increment
     return Status::stop;
   assemble();
-  return curvatures(t, y);
+  return Status::ok;
 }
 
 /// The rows that are kept, those of φ before those of ψ.
@@ -269,7 +340,13 @@ Status Motion::curvatures(double t, const double* y) {
   std::copy(q_dot_.begin(), q_dot_.end(), along_.begin());
   std::fill(along_.begin() + static_cast<std::ptrdiff_t>(n_q), along_.end(), 0.0);
   if (!kept_phi_.empty()) {
-    if (terms_.constraints.curvature(t, y, 1, q_dot_.data(), values_.data()) == Status::stop) return Status::stop;
+    std::fill(terms_of_rate_.begin(), terms_of_rate_.end(), 0.0);
+    for (Index j = 0; j < phi_.matrix.outerSize(); ++j)
+      for (SparseMatrix::InnerIterator it(phi_.matrix, j); it; ++it)
+        terms_of_rate_[static_cast<std::size_t>(it.row())] +=
+            std::abs(it.value() * q_dot_[static_cast<std::size_t>(j)]);
+    if (terms_.constraints.curvature(t, y, 1, q_dot_.data(), values_.data(), terms_of_rate_.data()) == Status::stop)
+      return Status::stop;
     if (terms_.kinematics.m() > 0) {
       if (terms_.kinematics.slope(t, y, 1, along_.data(), bend_.data()) == Status::stop) return Status::stop;
       Eigen::Map<Eigen::VectorXd> curvature(values_.data(), phi_.matrix.rows());

@@ -40,6 +40,7 @@ struct MotionTerms {
   JacobianTerm jacobian;                                      ///< none: φ is differentiated
   SparseMatrix phi_pattern, psi_pattern, kinematics_pattern;  ///< of their Jacobians
   std::vector<char> kept;                                     ///< of φ, then of ψ: whether it is imposed
+  bool sparse = true;                                         ///< sparse factors are tried, if there are enough zeros
   double dependent = 0;  ///< rows that depend on others to this part of their length are left out
 };
 
@@ -47,6 +48,7 @@ struct MotionTerms {
 struct MotionWork {
   std::int64_t mass, force, constraints, velocity_constraints, kinematics, jacobian;  ///< calls of functions
   std::int64_t sparse, dense;                                                         ///< factorisations
+  std::int64_t singular;  ///< points near singular positions
 };
 
 /// The right-hand side (q', v') and the laws of the motion: φ = 0, φ' = 0 and ψ = 0, as functions of (t, y) with
@@ -79,7 +81,8 @@ class Motion {
   [[nodiscard]] Callback entries(Part jacobian);
 
   Status slope(double t, const double* y, double* out);
-  /// v' and λ; what is not finite makes both NaN.
+  /// v' and λ; what is not finite makes both NaN. Near singular positions those of the nearest (q, v) that satisfies
+  /// the constraints.
   Status accelerations(double t, const double* y, ConstrainedSolution& found);
   /// A and the right-hand side γ of A v' = γ, of what is kept.
   Status rows(double t, const double* y);
@@ -102,6 +105,8 @@ class Motion {
   /// Whether sparse factors are tried before dense ones.
   [[nodiscard]] bool sparse() const { return sparse_; }
   [[nodiscard]] MotionWork work() const;
+  /// What v' is good to, relative to its size; 0: roundoff.
+  [[nodiscard]] double relative_error() const;
 
  private:
   template <Status (Motion::*function)(double, const double*, double*)>
@@ -122,6 +127,12 @@ class Motion {
   Status velocities_entries(double t, const double* y, double* values);
   Status differentiate_velocities(double t, const double* y);
 
+  Status accelerations_at(double t, const double* y, ConstrainedSolution& found);
+  void solve(const Eigen::VectorXd& Q, const Eigen::VectorXd& gamma, ConstrainedSolution& found);
+  Status row_values(double t, const double* y);
+  Status satisfy(double t, const double* y, bool& found);
+  Status correct_positions(double t, double& size);
+  Status correct_velocities(double t);
   void choose_patterns();
   void combine_rates();
   Status phi_jacobian(double t, const double* q);
@@ -138,10 +149,12 @@ class Motion {
   SparseMatrix rates_;        // the Jacobian of φ' with respect to y
   bool sparse_ = false, diagonal_mass_ = false;
   SparseSaddle saddle_;
-  ConstrainedSolution solution_;
+  ConstrainedSolution solution_, correction_;
   Eigen::VectorXd force_, gamma_;
-  std::vector<double> q_dot_, along_, bend_, values_, size_, ones_, beside_, entries_;
-  std::int64_t sparse_count_ = 0, dense_count_ = 0;
+  std::vector<double> q_dot_, along_, bend_, values_, size_, ones_, beside_, entries_, terms_of_rate_;
+  std::vector<double> satisfying_;  // (q, v) on the constraints
+  Eigen::VectorXd nothing_, rest_;  // right-hand sides of corrections: no force, what is left of the constraints
+  std::int64_t sparse_count_ = 0, dense_count_ = 0, singular_count_ = 0;
 };
 
 }  // namespace invariode

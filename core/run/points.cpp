@@ -60,7 +60,7 @@ std::optional<ImposedPoints> impose(const Problem& problem, const Weights& weigh
 std::optional<PointExamination> examine(const Problem& problem, const Weights& weights, double t, const double* y) {
   if (!problem.f) throw std::invalid_argument("only an f conserves invariants: the problem has none");
   Invariants g = bound(problem, weights);
-  ExplicitSlope slope(problem.f);
+  ExplicitSlope slope(problem.f, problem.f_error);
   Guard guard(g, weights, slope, 0);
   PointExamination all;
   const Outcome outcome = guard.examine(t, y, all.invariants);

@@ -35,7 +35,8 @@ struct Problem {
   std::size_t n = 0;     ///< doubles in a state
   bool complex = false;  ///< these are pairs: n / 2 complex numbers
   Callback f;
-  Callback callback;  ///< asked after each accepted step whether to stop; may be empty
+  double f_error = 0;  ///< of f, relative: of derivatives that it is made of; 0: roundoff
+  Callback callback;   ///< asked after each accepted step whether to stop; may be empty
   std::vector<EventFunction> events;
   std::vector<Breakpoint> breakpoints;  ///< in the order of integration, inside the interval
   std::vector<InvariantBlock> invariants;

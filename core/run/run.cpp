@@ -100,7 +100,7 @@ void Run::derive_slope() {
   if (mass_)
     slope_ = std::make_unique<MassSlope>(f_, linear_algebra(), solver_.weights());
   else
-    slope_ = std::make_unique<ExplicitSlope>(f_);
+    slope_ = std::make_unique<ExplicitSlope>(f_, problem().f_error);
   manifold_.slope = slope_.get();
 }
 

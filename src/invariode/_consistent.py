@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from . import _core
@@ -10,7 +12,7 @@ from ._derivatives import sizes
 from ._motion import DEPENDENT, Motion, Point
 from .failures import InvariantError
 
-__all__ = ["consistent_state", "dependent_rows", "nearby_state"]
+__all__ = ["consistent_state", "nearby_state", "redundant_rows"]
 
 #: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
 _ITERATIONS = 50
@@ -46,8 +48,12 @@ def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
     change = _least_change(motion.mass(at), rows, -motion.rates(at))
     after = at._replace(v=at.v + change)
     left = np.abs(motion.rates(after))
-    terms = np.abs(motion.rates(at)) + np.abs(rows) @ (np.abs(at.v) + np.abs(change))
-    off = left > _ROUNDOFF**0.5 * terms + np.finfo(float).tiny  # rates also have roundoff from φ_t and from differences
+    moving = np.abs(at.v) + np.abs(change)
+    terms = np.abs(motion.rates(at)) + np.abs(rows) @ moving
+    # Rates also have roundoff from φ_t and from differences. M couples velocities: each, also one that is 0, has the
+    # roundoff of the largest.
+    roundoff = _ROUNDOFF * np.abs(rows).sum(axis=1) * moving.max(initial=0.0) + np.finfo(float).tiny
+    off = left > _ROUNDOFF**0.5 * terms + roundoff
     if off.any():
         i = int(np.flatnonzero(off)[0])
         if i < motion.m_phi and not rows[i].any():
@@ -163,15 +169,15 @@ def _surely_independent(rows: Array) -> bool:
     return bool((pivots > _FAR).all())
 
 
-def dependent_rows(rows: Array) -> Array:
-    """Which rows depend on those before them."""
+def dependent_rows(rows: Array, order: Iterable[int] | None = None) -> Array:
+    """Which rows depend on those before them, in the given order."""
     dependent = np.zeros(len(rows), dtype=bool)
     if len(rows) >= _LARGE and _surely_independent(rows):
         return dependent
     basis = np.zeros((0, rows.shape[1]))
-    for i, row in enumerate(rows):
-        length = float(np.linalg.norm(row))
-        rest = row / length if length > 0 else row
+    for i in range(len(rows)) if order is None else order:
+        length = float(np.linalg.norm(rows[i]))
+        rest = rows[i] / length if length > 0 else rows[i]
         for _ in range(2):  # twice is enough
             rest = rest - basis.T @ (basis @ rest)
         left = float(np.linalg.norm(rest))
@@ -179,3 +185,13 @@ def dependent_rows(rows: Array) -> Array:
         if not dependent[i]:
             basis = np.vstack([basis, rest / left])
     return dependent
+
+
+def redundant_rows(here: Array, beside: Array) -> Array:
+    """Which rows depend on others wherever the motion goes: beside, where nothing is singular by chance.
+
+    Those that are independent here are taken first: at a singular position a choice among those of beside alone may
+    leave out a row that is needed here, and keep one that is 0.
+    """
+    dependent = dependent_rows(here)
+    return dependent_rows(beside, [*np.flatnonzero(~dependent), *np.flatnonzero(dependent)])

@@ -427,7 +427,7 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of events.
     """
 
-LANES: list = ...
+LANES: list = [('avx2', 16, 256), ('baseline', 8, 128)]
 
 class StopRequest:
     """A wish to end a run."""
@@ -576,7 +576,7 @@ def sparsity(t: float, y: Annotated[NDArray[numpy.float64], dict(shape=(None,), 
 class Mechanics:
     """A mechanical system, for the core."""
 
-    def __init__(self, *, n_q: int, n_v: int, m_phi: int, m_psi: int, functions: dict, mass_writes: str, mass: object, jacobian_entries: bool, phi: object, psi: object, kinematics: object, kept: Sequence[bool], dependent: float) -> None: ...
+    def __init__(self, *, n_q: int, n_v: int, m_phi: int, m_psi: int, functions: dict, mass_writes: str, mass: object, jacobian_entries: bool, phi: object, psi: object, kinematics: object, kept: Sequence[bool], sparse: bool, dependent: float) -> None: ...
 
 class MotionPart:
     """

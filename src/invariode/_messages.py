@@ -154,7 +154,8 @@ def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
         return (
             f"The projection onto the invariants fails even with the smallest step, {where}: "
             "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
-            "invariants."
+            "invariants; at a singular position, as where bars line up, another method or a larger rtol, whose steps "
+            "pass over it."
         )
     text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
     if any((t - run.t) * run.h > 0 for t in run.discontinuities):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -22,6 +22,12 @@ DEPENDENT = 1e-10
 _LARGE = 500
 #: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
 _BESIDE = (0.1, -0.07)
+
+#: Constraints that are left out are watched at so many of the outputs. One is violated that is off by this many
+#: tolerances, as is a correction that a step may not make; or by this part of its terms, if these are larger.
+_WATCHED = 200
+_VIOLATED = 100
+_ROUNDOFF = 1e-11
 
 Columns = tuple[Array, Array, Array]  # a sparse matrix: starts of its columns, rows, values
 
@@ -74,6 +80,8 @@ class Motion:
     ----------
     kept : ndarray of bool, (m,)
         Which constraints are imposed, those of φ first.
+    names : list of str
+        Of all constraints, for messages.
     derivatives : dict
         How the derivatives of each function are formed.
     """
@@ -101,7 +109,9 @@ class Motion:
         self._jacobian_entries = False
         if functions.jacobian is not None:
             self._take_jacobian(functions.jacobian, start, p)
+        self.names = [f"constraint {i + 1}" for i in range(self.m)]
         self._kept = np.ones(self.m, dtype=bool)
+        self._sparse = True
         self._specs: dict[bytes, _core.Mechanics] = {}
         self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
         self._idle: list[tuple[tuple[Any, ...], bytes, _core.Motion]] = []
@@ -205,6 +215,7 @@ class Motion:
                 psi=self._patterns["velocity_constraints"],
                 kinematics=self._patterns["kinematics"],
                 kept=imposed.tolist(),
+                sparse=self._sparse,
                 dependent=DEPENDENT,
             )
         return self._specs[key]
@@ -226,6 +237,16 @@ class Motion:
             known = (args, key, _core.Motion(spec, args, self._parameters(args).tolist()))
         yield known[2]
         self._idle = [known]
+
+    def choose_factors(self, points: Sequence[Point]) -> None:
+        """Leaves sparse factors out if they are no good at any of these points: none would be later."""
+        core = _core.Motion(self.spec(), points[0].args, self._parameters(points[0].args).tolist())
+        if not core.sparse:
+            return
+        for at in points:
+            core.accelerations(at.t, at.x)
+        if core.work["dense"] == core.work["sparse"]:
+            self._sparse, self._specs, self._parts, self._idle = False, {}, {}, []
 
     # ------------------------------------------------------------------------------------------------------------------
     # Values at a point; all constraints
@@ -287,6 +308,19 @@ class Motion:
         with self.bound(at.args, self._all) as motion:
             return _dense(motion.rows(at.t, at.x)[0], self.m)
 
+    def violated(self, at: Point, weights: Array) -> list[int]:
+        """Which constraints that are not imposed are off by many tolerances `weights` of (q, v)."""
+        left_out = ~self.kept
+        phi, psi = left_out[: self.m_phi], left_out[self.m_phi :]
+        off = np.zeros(self.m, dtype=bool)
+        if phi.any():
+            w = weights[: self.n_q]
+            off[: self.m_phi] = phi & _far(self.positions(at), self.positions_jacobian(at), at.q, w)
+        if psi.any():
+            w = weights[self.n_q :]
+            off[self.m_phi :] = psi & _far(self.rates(at)[self.m_phi :], self.rows(at)[self.m_phi :], at.v, w)
+        return np.flatnonzero(off).tolist()
+
     def accelerations(self, at: Point, every: bool = False) -> Accelerations:
         """v' and λ; `every`: with redundant constraints too, λ is then the one of least norm."""
         with self.bound(at.args, self._all if every else self.kept) as motion:
@@ -320,6 +354,22 @@ class MotionFunction(CoreFunction):
     def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
         """How the derivatives of the constraints are formed."""
         return self._motion.derivatives
+
+    def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
+        """That a constraint which was redundant at the start, and so is not imposed, does not hold any more."""
+        motion, n = self._motion, self._motion.n_q
+        if motion.kept.all():
+            return None
+        for k in np.unique(np.linspace(0, len(t) - 1, min(len(t), _WATCHED)).astype(int)):
+            at = Point(float(t[k]), y[:n, k], y[n:, k], args)
+            if off := motion.violated(at, weights[:, k]):
+                return (
+                    f"{motion.names[off[0]]} depended on the others at the start, and was left out as redundant; at "
+                    f"t = {at.t:.6g} it is independent and does not hold: the solution is wrong from there on, or "
+                    "shortly before. Start from another position, where no constraints depend on each other, or remove "
+                    "those that do everywhere"
+                )
+        return None
 
     def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
         return self._motion.part(self._part)
@@ -373,6 +423,13 @@ class _Entries:
                 f"{self._name} has entries at t = {t} where it had none at the start: store these zeros too"
             )
         return values
+
+
+def _far(residual: Array, rows: Array, x: Array, weights: Array) -> Array:
+    """Which residuals are many tolerances `weights` of x away from 0."""
+    size = np.maximum(_VIOLATED * np.linalg.norm(rows * weights, axis=1), _ROUNDOFF * (np.abs(rows) @ np.abs(x)))
+    far: Array = np.abs(residual) > size
+    return far
 
 
 def _square(given: Any, n: int) -> Any:

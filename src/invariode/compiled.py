@@ -59,6 +59,11 @@ class CoreFunction:
     #: The user's functions that it calls.
     functions: Sequence[Any] = ()
 
+    def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
+        """What speaks against the solution (t, y) of y' = this function that the run itself does not see, in words.
+        `weights`: the tolerances of y, of its shape."""
+        return None
+
     def for_core(self, n: int, size: int, parameters: Array) -> Any:
         """What the core takes in its place, for n components and `size` values."""
         raise NotImplementedError

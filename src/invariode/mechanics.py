@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arguments import Array, choice, extra_arguments, function, interval, state, warn
-from ._consistent import consistent_state, dependent_rows, nearby_state
+from ._consistent import consistent_state, nearby_state, redundant_rows
 from ._films import HasPoints
 from ._motion import FunctionOfState, Functions, Motion, MotionFunction, Point
 from ._types import Span
@@ -91,7 +91,8 @@ class MechanicalSystem(HasPoints):
     (n, n). Native constraints not made by `compile` need names, which give their number, and are differentiated by
     differences. If all functions are native, no Python is called in the run.
 
-    A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times, and factorises M, dense, in
+    A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times (several times as many near
+    singular positions, where bars line up), and factorises M, dense, in
     O(n³) operations. With 24 velocities or more, entries of M and Φ that are always zero are looked for. If most are,
     as in chains, one evaluation of φ gives all columns of Φ that have no row in common, and the factors are sparse: a
     call of f costs O(n).
@@ -383,7 +384,7 @@ class MechanicalSystem(HasPoints):
         return positions + [f"v{i + 1}" for i in range(motion.n_v)]
 
     def _look_for_redundancy(self, motion: Motion, known: Point, names: list[str]) -> None:
-        """Leaves out constraints that depend on others, here and beside: not those of a singular position."""
+        """Leaves out constraints that depend on others beside the start: not those of a singular position."""
         if not motion.m:
             return
         beside = nearby_state(motion, known, names)
@@ -395,14 +396,15 @@ class MechanicalSystem(HasPoints):
                 f"{names[i]} does not depend on {'q' if i < motion.m_phi else 'v'}: it cannot be imposed. Remove "
                 "it, or correct its formula"
             )
-        redundant = dependent_rows(here) & dependent_rows(there)
+        redundant = redundant_rows(here, there)
         if redundant.any():
             listed = ", ".join(name for name, left_out in zip(names, redundant, strict=True) if left_out)
             warn(
                 f"redundant constraints are left out: {listed}. The motion is the same; the multipliers reported are "
                 "those of least norm"
             )
-        motion.kept = ~redundant
+        motion.kept, motion.names = ~redundant, names
+        motion.choose_factors([known, beside])
 
     def _tell_move(self, start: Point, known: Point) -> None:
         q, v = (np.abs(a - b).max(initial=0.0) for a, b in ((known.q, start.q), (known.v, start.v)))

@@ -240,7 +240,19 @@ def _carried_out(
         run = _integrated(core, plan, source.problem.name, resumed, keep)
     sol = presented(run, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _work(core, source.problem.fun)
-    return sol
+    return _examined(sol, source.problem)
+
+
+def _examined(sol: Solution, problem: Description) -> Solution:
+    """The solution of a mechanism, which fails if a constraint that is not imposed does not hold."""
+    if not isinstance(problem.fun, CoreFunction) or not sol.success:
+        return sol
+    y = np.asarray(sol.y)
+    weights = np.maximum(sol._rtol * np.abs(y), np.reshape(sol._atol, (-1, 1)))
+    objection = problem.fun.objection(sol.t, y, problem.args, weights)
+    if objection is None:
+        return sol
+    return sol.changed(status=-2, message=f"{objection[0].upper()}{objection[1:]}.", success=False)
 
 
 def presented(

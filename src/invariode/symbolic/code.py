@@ -16,10 +16,13 @@ from sympy.printing.pycode import PythonCodePrinter
 from .._arguments import Array
 from ..compiled import CompiledFunction, compile
 
-__all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "functions"]
+__all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "eliminated", "functions"]
 
 #: The result of expressions: a Python function, or one for numba.
 Function = CompiledFunction | Callable[..., Any]
+
+#: The time in the code.
+_TIME = sympy.Symbol("t", real=True)
 
 #: Accelerations, if a linear system determines them.
 _ACCELERATION = "a"
@@ -38,6 +41,7 @@ class System(NamedTuple):
     explicit: Sequence[Any]  # the first components of y'
     mass: Any  # Matrix (k, k), k >= 0: at least as many as the other components
     force: Sequence[Any]
+    factors: tuple[Any, Any] | None = None  # L, D with mass = L D Lᵀ, where D in floating point says more than mass
 
     def without(self, rows: Sequence[int]) -> System:
         """The same without some of the constraints, named by rows of the matrix."""
@@ -147,7 +151,7 @@ def functions(system: System, pieces: Iterable[Piece], compiled: bool, parameter
     pieces = list(pieces)
     n = len(system.y)
     solved = len(system.force) > 0
-    groups = [*(list(piece.values) for piece in pieces), [*system.explicit, *_flat(system.mass), *system.force]]
+    groups = [*(list(piece.values) for piece in pieces), [*system.explicit, *_matrices(system), *system.force]]
     rates = [] if solved else _rates(system)
     text = _Text([*groups, rates])
     sources = {piece.name: _plain(piece, *text.formula(i)) for i, piece in enumerate(pieces)}
@@ -193,7 +197,7 @@ def _solved_jacobian(system: System) -> list[str]:
         *_accelerations(system),
         f"slopes = np.zeros({(explicit + k) * n})",
         f"change(t, y, {_ACCELERATION}, slopes, p)",
-        f"rows = np.linalg.solve(mass, slopes[{explicit * n}:].reshape(({k}, {n})))",
+        f"rows = {_divided(system, f'slopes[{explicit * n}:].reshape(({k}, {n}))')}",
         f"for i in range({explicit * n}):",
         "    out[i] = slopes[i]",
         f"for i in range({n - explicit}):",
@@ -204,14 +208,54 @@ def _solved_jacobian(system: System) -> list[str]:
 
 def _accelerations(system: System) -> list[str]:
     """a = mass⁻¹ force."""
-    k, explicit = len(system.force), len(system.explicit)
-    force = explicit + k * k
-    return [
-        f"values = np.zeros({force + k})",
-        "motion(t, y, y, values, p)",
-        f"mass = values[{explicit}:{force}].reshape(({k}, {k}))",
-        f"{_ACCELERATION} = np.linalg.solve(mass, values[{force}:])",
+    k, names = len(system.force), ["left", "mass"] if system.factors else ["mass"]
+    starts = [len(system.explicit) + i * k * k for i in range(len(names) + 1)]
+    matrices = [
+        f"{name} = values[{start}:{start + k * k}].reshape(({k}, {k}))"
+        for name, start in zip(names, starts, strict=False)
     ]
+    return [
+        f"values = np.zeros({starts[-1] + k})",
+        "motion(t, y, y, values, p)",
+        *matrices,
+        f"{_ACCELERATION} = {_divided(system, f'values[{starts[-1]}:]')}",
+    ]
+
+
+def _divided(system: System, right: str) -> str:
+    """The text of mass⁻¹ right."""
+    if system.factors is None:
+        return f"np.linalg.solve(mass, {right})"
+    inner = f"np.linalg.solve(mass, np.linalg.solve(left, {right}))"
+    return f"np.linalg.solve(np.ascontiguousarray(left.T), {inner})"
+
+
+def eliminated(system: System) -> System:
+    """The same with factors of its mass, if eliminating coordinates with constant masses cancels terms of others.
+
+    As with Euler's angles near gimbal lock: of I₁ sin²θ + I₃ cos²θ only the first term is left, which a mass matrix in
+    floating point has lost where θ is small. Other masses stay as they are.
+    """
+    mass, n = system.mass, len(system.force)
+    rest, left = mass.copy(), sympy.eye(n)
+    waiting, cancels = set(range(n)), False
+    while constant := [i for i in waiting if rest[i, i] != 0 and not rest[i, i].free_symbols & {*system.y, _TIME}]:
+        pivot = constant[0]
+        waiting.remove(pivot)
+        coupled = [i for i in waiting if rest[i, pivot] != 0]
+        for i in coupled:
+            left[i, pivot] = rest[i, pivot] / rest[pivot, pivot]
+        for i in coupled:
+            for j in coupled:
+                rest[i, j] = sympy.expand(rest[i, j] - left[i, pivot] * rest[pivot, j])
+            cancels = cancels or _terms(rest[i, i]) < _terms(mass[i, i])
+        for i in coupled:
+            rest[i, pivot] = rest[pivot, i] = sympy.S.Zero
+    return system._replace(factors=(left, rest)) if cancels else system
+
+
+def _terms(expression: Any) -> int:
+    return len(sympy.Add.make_args(sympy.expand(expression)))
 
 
 def _interpreted(sources: dict[str, _Source], parameters: int) -> dict[str, Function]:
@@ -296,6 +340,11 @@ def _gradient(terms: Sequence[Any], y: Sequence[Any]) -> list[Any]:
     """The derivatives of a sum: of a long one, most terms do not depend on most of y."""
     known = [(term, term.free_symbols) for term in terms]
     return [sympy.Add(*(term.diff(one) for term, symbols in known if one in symbols)) for one in y]
+
+
+def _matrices(system: System) -> list[Any]:
+    """The entries of what f solves with."""
+    return [e for matrix in system.factors or (system.mass,) for e in _flat(matrix)]
 
 
 def _flat(matrix: Any) -> list[Any]:

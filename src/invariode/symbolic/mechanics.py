@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 
 from .._types import Span
 from ..problem import Problem
-from .code import System
+from .code import System, eliminated
 from .mechanism import Consistent, Correction
 from .noether import symmetries, vanishes
 from .systems import Law, Phase, constrained, label
@@ -263,6 +263,7 @@ def lagrangian(
     laws, mechanism = constrained(words, held, rates, rolled, system.mass[:n, :n], system.force[:n])
     if mechanism is None:
         _require_regular(words, system)
+        system = eliminated(system)
     laws += form.laws(held, rates, rolled)
     shown = [(sympy.Symbol("L"), words.shown(form.lagrangian))]
     shown += [(sympy.Integer(0), words.shown(one)) for one in [*held, *rolled]]
