@@ -22,7 +22,7 @@ using Memory = Buffer<std::byte>;
 class Archive {
  public:
   /// Raised whenever the fields of any class change, or their order.
-  static constexpr std::uint32_t version = 3;
+  static constexpr std::uint32_t version = 4;
 
   /// To write. Where it would take more than `most_values` matrix entries, matrices are left out: whoever reads it
   /// starts the method anew.

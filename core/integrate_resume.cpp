@@ -50,8 +50,8 @@ void Integration::state(Archive& archive) {
 
 /// The attempt that comes next, where the run was interrupted between two of a step.
 void Integration::archive_attempt(Archive& archive) {
-  auto& [h, t1, hmin, landing, error, correction, refused, refusals] = attempt_;
-  archive(in_step_, h, t1, hmin, landing, refused[0], refused[1], refusals);
+  auto& [h, t1, hmin, landing, error, correction, refused, refusals, reconciled] = attempt_;
+  archive(in_step_, h, t1, hmin, landing, refused[0], refused[1], refusals, reconciled);
 }
 
 State Integration::resume(bool anew) {
