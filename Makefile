@@ -22,7 +22,7 @@ CLANG ?= clang++
 AARCH64 ?= aarch64-linux-gnu
 LOWEST := .venv-lowest
 
-.PHONY: paper test test-lowest native native-clang native-aarch64 sanitize fuzz fuzz-sanitize lint format stubs bench docs dist clean
+.PHONY: paper test test-lowest test-kernels native native-clang native-aarch64 sanitize fuzz fuzz-sanitize lint format stubs bench docs dist clean
 
 paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
 	$(BIN)/invariode paper --output paper-report.html
@@ -36,6 +36,13 @@ test: $(VENV)/.installed-test native  ## every test: the core's own, then Python
 
 test-lowest: $(LOWEST)/.installed  ## the Python tests with every dependency at its lowest allowed version
 	$(LOWEST)/bin/python $(PYTEST) -W ignore::DeprecationWarning
+
+# Of OpenBLAS, that this processor can run: tests that find their way from one rounding error to the next.
+KERNEL_TESTS := tests/test_kernels.py tests/test_stiff.py -k "chosen or null_space or put_back or ends_of_the_test_set"
+
+test-kernels: $(VENV)/.installed-test  ## the stiff tests with the linear algebra of other processors
+	set -e; for kernel in $$($(BIN)/python tests/kernels.py); do echo $$kernel; \
+	  OPENBLAS_CORETYPE=$$kernel $(BIN)/python $(PYTEST) $(KERNEL_TESTS); done
 
 # With the core of the wheel, which pip has just built.
 native: $(VENV)/.installed-test

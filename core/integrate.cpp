@@ -321,28 +321,27 @@ Integration::Verdict Integration::reject(Cause cause) {
   ++counts_.failed;
   discontinuities_.failed(cause, aim_.t1(), aim_.h());
   if (!step_->reject(cause, aim_.hmin())) {
-    if (cause == Cause::error && reconcile()) return Verdict::rejected;
+    if ((cause == Cause::error || cause == Cause::newton) && reconcile()) return Verdict::rejected;
     return ended(state_ == State::running && explain_failure(cause) ? State::step_failed : state_);
   }
   aim_.retry(interpolant_->start_t(), step_->h());
   return Verdict::rejected;
 }
 
-/// An error that is too large however small h is may not be one of the step: Newton's iteration, with an old Jacobian
-/// of an f that is very nonlinear, has left the start of the step off the algebraic equations by more than the
-/// tolerance. Moves it onto them, and starts the method again there. False: it was not that, or the run has ended.
+/// An attempt that fails however small h is may not be what is wrong: Newton's iteration, with an old Jacobian of an f
+/// that is very nonlinear, has left the start of the step off the algebraic equations. Moves it onto them, once, and
+/// starts the method again there. False: it was not that, or the run has ended.
 bool Integration::reconcile() {
-  if (!breaks_.consistent || projector_) return false;
   const double t = interpolant_->start_t(), *old = interpolant_->start_y();
-  std::vector<double> y(old, old + n_), w(n_);
+  if (!breaks_.consistent || projector_ || attempt_.reconciled) return false;
+  std::vector<double> y(old, old + n_);
   const Consistency verdict = breaks_.consistent(t, y.data());
   if (verdict == Consistency::stop) return end(State::interrupted);
-  weights_.fill(old, w.data());
-  const double moved = max_norm(n_, [&](std::size_t i) { return (y[i] - old[i]) / w[i]; });
-  if (verdict != Consistency::corrected || moved <= weights_.rtol()) return false;
+  if (verdict != Consistency::corrected) return false;
   reached_ = {t, old};
   leave_step(y.data());
-  return start_memory(t, reached_.y) && watch_events(events_.restart(t, reached_.y)) && begin_step();
+  if (!start_memory(t, reached_.y) || !watch_events(events_.restart(t, reached_.y)) || !begin_step()) return false;
+  return attempt_.reconciled = true;
 }
 
 /// False: a user function has stopped the run, and that is why it ends.

@@ -123,6 +123,7 @@ class Integration {
     double correction = 0;       // max_i |y*_i − y₁_i| / w_i
     double refused[2] = {0, 0};  // sizes of the latest two corrections refused in this step
     int refusals = 0;            // how many were
+    bool reconciled = false;     // its start has been moved onto the algebraic equations
   };
   /// The latest candidate and the bounds, if there are any.
   struct Outside {

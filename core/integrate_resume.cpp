@@ -29,7 +29,7 @@ void Integration::state(Archive& archive) {
   archive(in_step_);  // interrupted between two attempts of a step: what comes next
   aim_.state(archive);
   archive.require(!in_step_ || aim_.defined());
-  archive(attempt_.refused[0], attempt_.refused[1], attempt_.refusals);
+  archive(attempt_.refused[0], attempt_.refused[1], attempt_.refusals, attempt_.reconciled);
   if (archive.reading()) {
     archive.require(std::isfinite(reached_.t) && next_break_ <= breaks_.points.size());
     pass_breakpoints(0);

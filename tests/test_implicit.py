@@ -557,7 +557,7 @@ def test_a_mass_matrix_that_there_is_no_memory_for_is_not_called_singular(monkey
 
     monkeypatch.setattr("invariode._matrices.splu", splu)
     with pytest.raises(MemoryError, match="no memory for the LU factors of mass"):
-        iv.ode15s(lambda t, y: -y, (0, 1), [1.0, 2.0], mass=sparse.csc_array(np.eye(2)))
+        iv.ode15s(lambda t, y: -y, (0, 1), np.ones(80), mass=sparse.csc_array(np.eye(80)))
 
 
 def test_a_matrix_that_says_wrongly_of_itself_that_it_is_sorted_is_read_and_left_alone():

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 #include <utility>
 
 #include "linear/time_derivative.hpp"
@@ -18,21 +19,30 @@ constexpr double consistent_to = 1e-11;  // weighted size of a last correction: 
 Eigen::Map<const Eigen::VectorXd> as_vector(const double* v, Eigen::Index n) { return {v, n}; }
 Eigen::Map<Eigen::VectorXd> as_vector(double* v, Eigen::Index n) { return {v, n}; }
 
-Mass::Basis to_sparse(const Matrix& A) {
-  std::vector<Eigen::Triplet<double>> entries;
-  A.for_each([&](std::size_t i, std::size_t j, double a) {
-    if (a != 0) entries.emplace_back(static_cast<int>(i), static_cast<int>(j), a);
-  });
-  const auto n = static_cast<Eigen::Index>(A.n());
-  Mass::Basis S(n, n);
-  S.setFromTriplets(entries.begin(), entries.end());
-  return S;
+/// The rows of Z in which one column k alone has an entry: for each k the one of its largest entry. M is as well
+/// determined by the other rows as by all.
+std::vector<std::size_t> own_rows(const Mass::Basis& Z) {
+  constexpr std::size_t none = std::numeric_limits<std::size_t>::max();
+  const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(Z);
+  std::vector<std::size_t> own(static_cast<std::size_t>(Z.cols()), none);
+  std::vector<double> largest(own.size(), 0);
+  for (Eigen::Index i = 0; i < rows.outerSize(); ++i) {
+    const decltype(rows)::InnerIterator z(rows, i);
+    if (rows.innerVector(i).nonZeros() != 1) continue;
+    const auto k = static_cast<std::size_t>(z.col());
+    if (std::abs(z.value()) <= largest[k]) continue;
+    largest[k] = std::abs(z.value());
+    own[k] = static_cast<std::size_t>(i);
+  }
+  if (std::ranges::find(own, none) != own.end())
+    throw std::invalid_argument("a column of the null basis has no row in which the others are zero");
+  return own;
 }
 
 }  // namespace
 
 Mass::Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis)
-    : matrix_(std::move(matrix)), function_(function), Z_(null_basis) {}
+    : matrix_(std::move(matrix)), function_(function), Z_(null_basis), own_(own_rows(Z_)) {}
 
 std::optional<std::vector<double>> Mass::diagonal() const {
   if (!constant()) return {};
@@ -59,19 +69,24 @@ void Mass::algebraic_part(const Matrix& J, double* out) const {
   });
 }
 
-void Mass::keep_algebraic_part(double* v) const {
-  const Eigen::VectorXd part = Z_.transpose() * as_vector(v, Z_.rows());
-  as_vector(v, Z_.rows()) = Z_ * part;
-}
-
-void Mass::remove_algebraic_part(double* v) const {
-  const Eigen::VectorXd part = Z_.transpose() * as_vector(v, Z_.rows());
-  as_vector(v, Z_.rows()) -= Z_ * part;
-}
-
 Matrix Mass::completed(const Matrix& J) const {
-  const Basis projected = Z_ * Basis(Z_.transpose() * to_sparse(J));
-  const Basis sum = to_sparse(matrix_) + projected;
+  const auto n = static_cast<Eigen::Index>(matrix_.n());
+  std::vector<char> replaced(matrix_.n(), 0);
+  for (const std::size_t row : own_) replaced[row] = 1;
+  std::vector<Eigen::Triplet<double>> entries;
+  const auto add = [&entries](std::size_t i, std::size_t j, double a) {
+    if (a != 0) entries.emplace_back(static_cast<int>(i), static_cast<int>(j), a);
+  };
+  matrix_.for_each([&](std::size_t i, std::size_t j, double m) {
+    if (!replaced[i]) add(i, j, m);
+  });
+  const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(Z_);
+  J.for_each([&](std::size_t i, std::size_t j, double value) {
+    for (decltype(rows)::InnerIterator z(rows, static_cast<Eigen::Index>(i)); z; ++z)
+      add(own_[static_cast<std::size_t>(z.col())], j, z.value() * value);
+  });
+  Basis sum(n, n);
+  sum.setFromTriplets(entries.begin(), entries.end());
   Matrix out(
       {.kind = matrix_.structure.kind == Structure::Kind::dense ? Structure::Kind::dense : Structure::Kind::sparse,
        .n = matrix_.n()});
@@ -119,19 +134,18 @@ void MassSolver::solve(double* b) {
 
 void MassSolver::slope(const Mass& mass, const double* ft, double* f) {
   if (mass.singular()) {
-    mass.remove_algebraic_part(f);
-    if (ft) {
-      std::vector<double> rate(ft, ft + row_scale_.size());
-      mass.keep_algebraic_part(rate.data());
-      for (std::size_t i = 0; i < rate.size(); ++i) f[i] -= rate[i];
-    }
+    std::vector<double> rate(mass.equations(), 0);
+    if (ft) mass.algebraic_part(ft, rate.data());
+    for (std::size_t k = 0; k < rate.size(); ++k) f[mass.own_row(k)] = -rate[k];
   }
   solve(f);
 }
 
 void MassSolver::correction(const Mass& mass, double* f) {
-  mass.keep_algebraic_part(f);
-  for (std::size_t i = 0; i < row_scale_.size(); ++i) f[i] = -f[i];
+  std::vector<double> residual(mass.equations());
+  mass.algebraic_part(f, residual.data());
+  std::fill(f, f + row_scale_.size(), 0);
+  for (std::size_t k = 0; k < residual.size(); ++k) f[mass.own_row(k)] = -residual[k];
   solve(f);
 }
 

@@ -20,8 +20,8 @@ class Mass {
  public:
   using Basis = Eigen::SparseMatrix<double>;
 
-  /// A constant M, or, with a function, M(t), whose first argument is its structure. `null_basis`: Z (n, r), with
-  /// orthonormal columns, the same for all t; r = 0 for a regular M.
+  /// A constant M, or, with a function, M(t), whose first argument is its structure. `null_basis`: Z (n, r), the same
+  /// for all t, where each column has a row in which the others are zero; r = 0 for a regular M.
   Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis);
 
   /// M(t) is to be called by way of what `see` makes of it.
@@ -45,16 +45,16 @@ class Mass {
   void algebraic_part(const double* f, double* r) const;
   /// Zᵀ J into out (r, n), row-major.
   void algebraic_part(const Matrix& J, double* out) const;
-  /// v − Z Zᵀ v and Z Zᵀ v, in place.
-  void remove_algebraic_part(double* v) const;
-  void keep_algebraic_part(double* v) const;
-  /// M + Z Zᵀ J: regular where the index is 1. Dense if M is, else sparse.
+  /// The row of M that follows from the others by column k of Z, and that algebraic equation k takes.
+  [[nodiscard]] std::size_t own_row(std::size_t k) const { return own_[k]; }
+  /// M with Zᵀ J in the rows of the algebraic equations: regular where the index is 1. Dense if M is, else sparse.
   [[nodiscard]] Matrix completed(const Matrix& J) const;
 
  private:
   Matrix matrix_;
   MatrixFunction function_;
   Basis Z_;
+  std::vector<std::size_t> own_;
 };
 
 struct KrylovTerms;
@@ -68,15 +68,15 @@ struct LinearAlgebra {
   const KrylovTerms* krylov = nullptr;  ///< if the Jacobian is known by its products alone
 };
 
-/// Solves M y' = f for y', with Zᵀ f = 0 kept along it: (M + Z Zᵀ J) y' = (I − Z Zᵀ) f − Z Zᵀ f_t.
+/// Solves M y' = f for y', with Zᵀ f = 0 kept along it: in the rows of the algebraic equations Zᵀ J y' = −Zᵀ f_t.
 class MassSolver {
  public:
-  /// Factorises M + Z Zᵀ J, its rows and columns scaled by the weights w. False: singular, so M y' = f has no unique
-  /// y', or the index is above 1.
+  /// Factorises `Mass::completed`, its rows and columns scaled by the weights w. False: singular, so M y' = f has no
+  /// unique y', or the index is above 1.
   [[nodiscard]] bool factor(const Mass& mass, const Matrix& J, const double* w, const Lapack* lapack);
   /// y' from f, in place. ft may be null: 0.
   void slope(const Mass& mass, const double* ft, double* f);
-  /// The change of y that solves the linearised algebraic equations, δ = −(M + Z Zᵀ J)⁻¹ Z Zᵀ f, from f, in place.
+  /// The change of y that solves the linearised algebraic equations, M δ = 0 and Zᵀ J δ = −Zᵀ f, from f, in place.
   void correction(const Mass& mass, double* f);
 
  private:

@@ -207,6 +207,17 @@ double Ndf::retry_h(int k, double error, double safety) const {
   return h_ * std::max(smallest_retry, safety * std::pow(weights_.rtol() / error, 1.0 / (k + 1)));
 }
 
+/// Whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong, and in
+/// algebraic equations it may be so large that the updates are too small to show it. There one that is not old is
+/// renewed too, at the second failure of a step.
+bool Ndf::misleading_jacobian() {
+  const int age = newton_.jacobian_age();
+  const bool algebraic = newton_.mass() && newton_.mass()->singular();
+  if (algebraic && failed_ && age > 0) return true;
+  return (algebraic || options_.renew_on_error) && age >= old_jacobian &&
+         newton_.stiff(h_ * gamma_inverse(order_), weight_.data());
+}
+
 bool Ndf::reject(Cause cause, double hmin) {
   if (cause == Cause::newton) {
     if (newton_.hopeless()) return false;
@@ -229,9 +240,7 @@ bool Ndf::reject(Cause cause, double hmin) {
       }
     }
   }
-  if (cause == Cause::error && options_.renew_on_error && newton_.jacobian_age() >= old_jacobian &&
-      newton_.stiff(h_ * gamma_inverse(order_), weight_.data()))
-    newton_.renew();
+  if (cause == Cause::error && misleading_jacobian()) newton_.renew();
   failed_ = true;
   h_ = std::max(hmin, h);
   return true;

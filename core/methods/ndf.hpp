@@ -70,6 +70,7 @@ class Ndf final : public Step {
   /// |h| that formula k would choose, if its error at the present |h| is `error`.
   [[nodiscard]] double optimal_h(int k, double error, double safety) const;
   [[nodiscard]] double retry_h(int k, double error, double safety) const;
+  [[nodiscard]] bool misleading_jacobian();
 
   Options options_;
   int order_ = 1;         // k of the next attempt

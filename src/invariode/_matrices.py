@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from . import _core
-from ._arguments import EPS, Array, warn
+from ._arguments import Array, warn
 from ._complex_steps import compiled_at_complex, python_at_complex
+from ._elimination import null_space, roundoff, whole
 from ._given_matrices import Matrices, as_matrix, bandwidths, require_shape
 from ._krylov import Krylov, is_operator
 from ._sparsity import find_pattern
@@ -24,7 +25,9 @@ from .compiled import is_native, to_native
 __all__ = ["Start", "prepare", "too_large_to_be_dense"]
 
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
-_NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed by a dense factorisation
+_SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
+_NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed
+_NEARLY_WHOLE = 1e-6  # relative distance from a whole number that is looked at
 _SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
 
 
@@ -257,31 +260,50 @@ class _JacobianFunction:
 
 
 def null_basis(mass: sp.csc_array) -> sp.csc_array:
-    """An orthonormal basis Z (n, r) of the left null space of M: Zᵀ M = 0. r = 0 where M is regular.
+    """A basis Z (n, r) of the left null space of M: Zᵀ M = 0. r = 0 where M is regular.
 
-    Rows of zeros are evident. If what remains is singular too, the null space is computed, by a dense factorisation.
+    Each column of Z has a row of its own. Of a small M it has the same bits on every processor. In a large one rows of
+    zeros are evident; if what remains is singular too, elimination finds the null space.
     """
     n = mass.shape[0]
     rows = sp.csr_array(mass)
     rows.data[np.abs(rows.data) < np.finfo(float).tiny] = 0
     rows.eliminate_zeros()
-    scale = abs(rows).max(axis=1).toarray().ravel() if n else np.zeros(0)
-    empty_rows = np.flatnonzero(scale == 0)
-    empty_columns = np.flatnonzero(abs(rows).max(axis=0).toarray().ravel() == 0) if n else empty_rows
-    units = sp.csc_array((np.ones(len(empty_rows)), (empty_rows, np.arange(len(empty_rows)))), (n, len(empty_rows)))
-    if len(empty_rows) == len(empty_columns):
-        kept_rows, kept_columns = np.delete(np.arange(n), empty_rows), np.delete(np.arange(n), empty_columns)
-        if _regular(sp.csc_array(rows[kept_rows][:, kept_columns])):
+    if n > _SMALL:
+        units = _rows_of_zeros(rows)
+        if units is not None:
             return units
     if n > _NULL_SPACE_LIMIT:
         raise ValueError(
             f"mass is singular beyond its rows of zeros, and with {n} rows too large to find its null space: "
             "transform the system so that each algebraic equation has a row of zeros in mass"
         )
-    safe = np.where(scale == 0, 1, scale)
-    left, sizes, _ = np.linalg.svd(rows.toarray() / safe[:, None])
-    null = left[:, sizes <= n * EPS * max(sizes[0], 1e-300)] / safe[:, None]
-    return sp.csc_array(np.linalg.qr(null)[0])
+    transposed = rows.toarray().T
+    tolerance = roundoff(transposed)
+    basis = [_exact(vector, transposed, tolerance) for vector in null_space(transposed, tolerance).vectors]
+    return sp.csc_array(np.reshape(basis, (-1, n)).T)
+
+
+def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
+    """z of Mᵀ z = 0 in whole numbers, if these solve it as well: where M was rounded, z is not quite that."""
+    candidate = whole(z, _NEARLY_WHOLE)
+    if candidate is None:
+        return z
+    terms = transposed * candidate
+    solved = (np.abs(terms.sum(axis=1)) <= tolerance * np.abs(terms).max(axis=1)).all()
+    return candidate if solved else z
+
+
+def _rows_of_zeros(rows: sp.csr_array) -> sp.csc_array | None:
+    """Units for the rows of zeros, if these make up the left null space."""
+    n = rows.shape[0]
+    empty_rows, empty_columns = (np.flatnonzero(abs(rows).max(axis=axis).toarray().ravel() == 0) for axis in (1, 0))
+    if len(empty_rows) != len(empty_columns):
+        return None
+    kept_rows, kept_columns = np.delete(np.arange(n), empty_rows), np.delete(np.arange(n), empty_columns)
+    if not _regular(sp.csc_array(rows[kept_rows][:, kept_columns])):
+        return None
+    return sp.csc_array((np.ones(len(empty_rows)), (empty_rows, np.arange(len(empty_rows)))), (n, len(empty_rows)))
 
 
 def _regular(A: sp.csc_array) -> bool:

@@ -24,6 +24,7 @@ from ._arguments import (
     shown,
     state,
 )
+from ._elimination import echelon, null_space
 from ._types import Span
 from .invariants import Invariants
 from .ivp import solve_ivp
@@ -38,15 +39,16 @@ _MOST_MONOMIALS = 2000
 _TRAJECTORIES = 4
 _MOST_STEPS = 5000  # of the code for problems that are not stiff
 _SPREAD = 0.2  # of starts and sample points, in units of the size of the components
-_NULL = 1e-10  # singular values below, in units of the largest, are zero,
+_NULL = 1e-10  # pivots below, in units of the first, are zero,
 _GAP = 1e3  # if none stands within this factor above the largest of these
+_LEADING = 1e-6  # least coefficient of a leading term, in units of the largest of the polynomials left
 _NEGLIGIBLE = 1e-8  # coefficients below, in units of the largest term, are zero
 _DENOMINATOR = 1000
 _NUMERATOR = 10**6
 _RATIONAL = 1e-8  # relative distance from a fraction
 _CONSERVED = 1e-9  # rate, in units of its terms
 _DRIFT = 1e-6  # over a fresh trajectory of relative accuracy 1e-9
-_INDEPENDENT = 1e-7  # smallest singular value of scaled gradients
+_INDEPENDENT = 1e-7  # smallest pivot of gradients, in units of the first
 
 
 class PolynomialInvariant(Invariants):
@@ -134,7 +136,7 @@ def find_invariants(
     -------
     list of PolynomialInvariant
         Functionally independent ones, low degrees first: no products or powers of others. Empty if none is found, or
-        if the singular values leave doubt: a wrong invariant is worse than a missing one.
+        if the pivots leave doubt: a wrong invariant is worse than a missing one.
 
     Raises
     ------
@@ -268,19 +270,12 @@ class _Search:
         exponents = np.array(monomials)
         x, v = y / self._size[:, None], slope / self._size[:, None]
         rates = np.array([_rate(e, x, v) for e in exponents]).T
-        rates /= np.abs(rates).max(axis=1, keepdims=True)
-        norms = np.linalg.norm(rates, axis=0)
-        norms[norms == 0] = 1
-        _, singular, right = np.linalg.svd(rates / norms, full_matrices=True)
-        null = singular <= _NULL * singular[0]
-        if not null.any():
+        found = null_space(rates, _NULL)
+        if len(found.pivots) and found.pivots.min() < _GAP * max(found.left, 1e-14):
             return []
-        if not null.all() and singular[~null].min() < _GAP * max(singular[null].max(), 1e-14 * singular[0]):
-            return []
-        basis = right[len(singular) - int(null.sum()) :] / norms  # coefficients of the scaled monomials
         scale = np.prod(self._size[None, :] ** exponents, axis=1)
-        found = [self._tidy(row, monomials, scale) for row in _echelon(basis)]
-        return sorted(filter(None, found), key=lambda p: (max(map(sum, p)), len(p)))
+        polynomials = [self._tidy(row, monomials, scale) for row in echelon(found.vectors, _LEADING)]
+        return sorted(filter(None, polynomials), key=lambda p: (max(map(sum, p)), len(p)))
 
     def in_units(self, coefficients: dict[Exponents, Number]) -> dict[Exponents, Number]:
         """A polynomial of the user's y as one of y in units, with the same first coefficient."""
@@ -311,8 +306,7 @@ class _Search:
         for _ in range(3):
             y = self._near(self._y0)
             rows = np.array([p._gradient(0.0, y) * self._size for p in polynomials])
-            norms = np.linalg.norm(rows, axis=1, keepdims=True)
-            if (norms > 0).all() and np.linalg.svd(rows / norms, compute_uv=False)[-1] > _INDEPENDENT:
+            if len(null_space(rows, _INDEPENDENT).pivots) == len(rows):
                 return len(polynomials) <= len(self._size)
         return False
 
@@ -352,24 +346,6 @@ def _rate(exponents: Array, x: Array, v: Array) -> Array:
         lowered[j] -= 1
         total += exponents[j] * np.prod(x ** lowered[:, None], axis=0) * v[j]
     return total
-
-
-def _echelon(basis: Array) -> Array:
-    """The reduced row echelon form: few terms, and simple ones."""
-    rows = basis.copy()
-    done = 0
-    for column in range(rows.shape[1]):
-        if done == len(rows):
-            break
-        pivot = done + int(np.argmax(np.abs(rows[done:, column])))
-        if abs(rows[pivot, column]) <= 1e-6 * np.abs(rows[done:]).max():
-            continue
-        rows[[done, pivot]] = rows[[pivot, done]]
-        rows[done] /= rows[done, column]
-        others = np.arange(len(rows)) != done
-        rows[others] -= np.outer(rows[others, column], rows[done])
-        done += 1
-    return rows[:done]
 
 
 def _formula(coefficients: dict[Exponents, Number], labels: Sequence[str]) -> str:

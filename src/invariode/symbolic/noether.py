@@ -17,11 +17,12 @@ import numpy as np
 import sympy
 
 from .._arguments import Array
+from .._elimination import echelon, null_space
 
 __all__ = ["symmetries", "vanishes"]
 
 _SEED = 1918  # Noether's paper
-_NULL = 1e-9  # singular values below, in units of the largest, are zero
+_NULL = 1e-9  # pivots below, in units of the first, are zero
 _INTEGER = 1e-6  # distance from an integer
 _DIGITS, _ZERO = 40, 1e-25  # of the verification: digits carried, and what is zero of a sum of terms
 _POINTS = 3  # of the verification
@@ -83,34 +84,9 @@ def _sampled(evaluate: Callable[..., Any], symbols: int, unknowns: int) -> Array
 
 def _integer_null_space(rows: Array) -> list[list[int]]:
     """A sparse basis of the null space, if it has one of small integers: those vectors that are."""
-    n = rows.shape[1]
-    if len(rows):
-        _, singular, right = np.linalg.svd(rows, full_matrices=len(rows) < n)
-        full = np.zeros(n)
-        full[: len(singular)] = singular
-        null = right[full <= _NULL * full[0]]
-    else:
-        null = np.eye(n)
-    reduced = _echelon(null[:, ::-1])[:, ::-1]  # rotations lead with one entry of A, not with translations
+    null = null_space(rows, _NULL).vectors
+    reduced = echelon(null[:, ::-1], _INTEGER)[:, ::-1]  # rotations lead with one entry of A, not with translations
     return [[round(float(c)) for c in row] for row in reduced[::-1] if np.abs(row - np.round(row)).max() <= _INTEGER]
-
-
-def _echelon(basis: Array) -> Array:
-    """The reduced row echelon form, by partial pivoting."""
-    rows = basis.copy()
-    done = 0
-    for column in range(rows.shape[1]):
-        if done == len(rows):
-            break
-        pivot = done + int(np.argmax(np.abs(rows[done:, column])))
-        if abs(rows[pivot, column]) <= _INTEGER:
-            continue
-        rows[[done, pivot]] = rows[[pivot, done]]
-        rows[done] /= rows[done, column]
-        others = np.arange(len(rows)) != done
-        rows[others] -= np.outer(rows[others, column], rows[done])
-        done += 1
-    return rows[:done]
 
 
 def vanishes(expression: Any, symbols: Sequence[Any]) -> bool:
