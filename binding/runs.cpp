@@ -550,6 +550,12 @@ std::optional<MisfitFields> fields_of(const std::optional<Misfit>& misfit) {
   return MisfitFields(kinds[static_cast<std::size_t>(kind)], t, row, column, lower, upper, change, predicted);
 }
 
+using AccumulationTuple = std::tuple<std::size_t, double, double, std::int64_t>;
+std::optional<AccumulationTuple> as_tuple(const std::optional<Accumulation>& all) {
+  if (!all) return {};
+  return AccumulationTuple{all->event, all->t, all->interval, all->count};
+}
+
 void define_summary_of_run(RunClass& run) {
   run.def_prop_ro(
       "counts", [](const FinishedRun& self) { return std::tuple_cat(self.result.counted()); },
@@ -570,7 +576,14 @@ void define_summary_of_run(RunClass& run) {
   property(run, "harm", [](const RunResult& r) { return r.harm.ratio; });
   property(run, "stiff", [](const RunResult& r) { return r.stiffness.found; });
   property(run, "stiff_since", [](const RunResult& r) { return r.stiffness.since; });
-  property(run, "remarkable", [](const RunResult& r) { return r.stiffness.found || !r.discontinuities.empty(); });
+  property(run, "remarkable", [](const RunResult& r) {
+    return r.stiffness.found || !r.discontinuities.empty() || r.sticks_since || r.accumulation;
+  });
+  property(run, "sticks_since", [](const RunResult& r) { return r.sticks_since; });
+  run.def_prop_ro(
+      "accumulation", [](const FinishedRun& self) { return as_tuple(self.result.accumulation); },
+      "Of an event whose actions come closer and closer until it is passed: its number, the last t, the interval "
+      "before it, and how many there were.");
   property(run, "discontinuities", [](const RunResult& r) { return r.discontinuities; });
   property(run, "clipped", [](const RunResult& r) { return r.clipped; });
   property(run, "next_h", [](const RunResult& r) { return r.next_h; });
@@ -710,6 +723,9 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "discontinuities", [](Stepper& s) { return s.integration().discontinuities().found(); },
           "Where f jumps, as far as it was seen.")
+      .def_prop_ro(
+          "sticks_since", [](Stepper& s) { return s.integration().discontinuities().sticks_since(); },
+          "From which t on the solution sticks where f jumps.")
       .def_prop_ro("nfev", &Stepper::evaluations)
       .def_prop_ro("nfev_searching", [](Stepper& s) { return s.integration().discontinuities().evaluations(); })
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })

@@ -12,6 +12,11 @@ constexpr double kept = 1.0 / 8;  // of the change, which a jump keeps: less is 
 constexpr double grown = 2;       // more than this times the change is a pole, which no breakpoint helps
 // Of a step that failed: a change within this is a jump, though f may be smooth on a finer scale.
 constexpr double sharp = 1e-3;
+// Steps of which the rest of the interval would take so many, or so much shorter than the longest, may be those of a
+// solution that sticks (docs/algorithms.md, 'Jumps of f').
+constexpr double very_many = 1e5, much_shorter = 300;
+constexpr int meetings = 3;           // one after the other, for which no jump at certain times accounts
+constexpr int pause = 8;              // looks after one that has found nothing
 constexpr double noise = 1000 * eps;  // of f, in units of its size: a smaller change tells nothing
 
 }  // namespace
@@ -63,6 +68,41 @@ bool JumpSearch::evaluate(Point& point) {
   return !stopped_ && all_finite(point.f.data(), point.f.size());
 }
 
+JumpSearch::Result JumpSearch::decided_by_y(double t0) {
+  const double whole = change(a_, b_);
+  a_.t = b_.t = t0;
+  if (!evaluate(a_) || !evaluate(b_)) return stopped_ ? Result::stop : Result::none;
+  return change(a_, b_) > kept * whole ? Result::found : Result::none;
+}
+
+Status DiscontinuityDetector::watch_pace(double t, const double* y, const double* slope, double target,
+                                         std::int64_t steps, std::int64_t attempts) {
+  const double way = std::abs(t - std::exchange(pace_t_, t)), h = way / static_cast<double>(steps);
+  fastest_ = std::max(fastest_, way);
+  const double rest = std::abs(target - t);
+  const bool slow = much_shorter * way < fastest_ || (std::isfinite(rest) && very_many * h < rest);
+  if (sticks_since_ || !slow) meetings_ = 0;
+  if (sticks_since_ || !slow || pause_-- > 0 || !may_search(attempts, evaluations_ahead_)) return Status::ok;
+  pause_ = 0;
+  const double length = std::copysign(std::min(way, rest), target - t);
+  std::vector<double> y1(weights_.size());
+  for (std::size_t i = 0; i < y1.size(); ++i) y1[i] = y[i] + length * slope[i];
+  if (!search_) search_.emplace(f_, weights_);
+  const std::int64_t before = search_->calls();
+  JumpSearch::Result result = search_->search(t, y, t + length, y1.data(), std::abs(length));
+  if (result == JumpSearch::Result::found) result = search_->decided_by_y(t);
+  evaluations_ahead_ += search_->calls() - before;
+  if (result == JumpSearch::Result::stop) return Status::stop;
+  if (result == JumpSearch::Result::none) {
+    meetings_ = 0;
+    pause_ = pause;
+    return Status::ok;
+  }
+  if (meetings_++ == 0) first_meeting_ = t;
+  if (meetings_ == meetings) sticks_since_ = first_meeting_;
+  return Status::ok;
+}
+
 Status DiscontinuityDetector::look(double t0, const double* y0, double t1, const double* y1, std::int64_t attempts) {
   from_.resize(weights_.size());
   latest_.resize(weights_.size());
@@ -96,6 +136,10 @@ Status DiscontinuityDetector::search(double t0, const double* y0, double t1, con
 
 void DiscontinuityDetector::state(Archive& archive) {
   SeriesMemory m = series_.memory();
+  bool sticks = sticks_since_.has_value();
+  double since = sticks_since_.value_or(0);
+  archive(pace_t_, fastest_, meetings_, first_meeting_, pause_, evaluations_ahead_, sticks, since);
+  if (sticks) sticks_since_ = since;
   archive(m.count, m.failed, m.stepped, m.longest, m.latest, m.beyond, m.latest_t, m.from_t, evaluations_);
   series_.go_on(m);
   for (std::vector<double>* one : {&from_, &latest_, &found_}) archive.resizable(*one);

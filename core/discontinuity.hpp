@@ -23,10 +23,14 @@ class JumpSearch {
 
   /// `resolved`: |h| of a step that would resolve f if it were smooth.
   Result search(double t0, const double* y0, double t1, const double* y1, double resolved);
+  /// After a jump was found: is it y that decides on which side f is? Then f jumps between these points at t0 too.
+  Result decided_by_y(double t0);
   /// Where the jump is: the first of the times with the new f.
   [[nodiscard]] double t() const { return t1_; }
   /// Of f, in the latest search.
   [[nodiscard]] std::int64_t evaluations() const { return f_.calls() - calls_before_; }
+  /// Evaluations of f in all searches.
+  [[nodiscard]] std::int64_t calls() const { return f_.calls(); }
 
  private:
   struct Point {
@@ -69,10 +73,17 @@ class DiscontinuityDetector {
   Status gave_up(double t0, const double* y0, const double* slope, double t1, double target);
   /// The method starts again, where the solution or f may have jumped.
   void restart() { series_.forget(); }
+  /// `steps` steps have been accepted since the last call, the last one to (t, y), where y' is `slope`. Where they have
+  /// become very short, and what lies ahead is again and again a jump of f that y decides on, the solution sticks
+  /// there.
+  Status watch_pace(double t, const double* y, const double* slope, double target, std::int64_t steps,
+                    std::int64_t attempts);
 
   /// Where f jumps, as far as it was seen: at most `most` places.
   [[nodiscard]] const std::vector<double>& found() const { return found_; }
-  [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
+  /// From when on the solution sticks where f jumps.
+  [[nodiscard]] const std::optional<double>& sticks_since() const { return sticks_since_; }
+  [[nodiscard]] std::int64_t evaluations() const { return evaluations_ + evaluations_ahead_; }
 
   void state(Archive& archive);
 
@@ -93,6 +104,12 @@ class DiscontinuityDetector {
   std::optional<JumpSearch> search_;   // once there was one
   std::vector<double> from_, latest_;  // of the series; empty: it has not needed them yet
   std::vector<double> found_;
+  double pace_t_ = 0, fastest_ = 0;  // where the latest call of `watch_pace` was, and the longest way between two
+  int meetings_ = 0;                 // so often in a row there was such a jump ahead,
+  double first_meeting_ = 0;         // at first here
+  int pause_ = 0;                    // calls that do not look
+  std::int64_t evaluations_ahead_ = 0;
+  std::optional<double> sticks_since_;
   std::int64_t evaluations_ = 0;
 };
 

@@ -377,8 +377,14 @@ State Integration::finish_step() {
   if (!judge_invariants()) return state_;
   if (one_sided_) one_sided_->commit();
   const double t0 = interpolant_->start_t(), *y0 = interpolant_->start_y();
-  stiffness_.note(*step_, ++counts_.steps, t0, y0);
-  if (discontinuities_.accepted(t0, y0, step_->t(), step_->y(), counts_.steps + counts_.failed) == Status::stop) {
+  const std::int64_t attempts = ++counts_.steps + counts_.failed;
+  if (stiffness_.note(*step_, counts_.steps, t0, y0) &&
+      discontinuities_.watch_pace(step_->t(), step_->y(), step_->slope(), aim_.target(), StiffnessDetector::every,
+                                  attempts) == Status::stop) {
+    end(State::interrupted);
+    return state_;
+  }
+  if (discontinuities_.accepted(t0, y0, step_->t(), step_->y(), attempts) == Status::stop) {
     end(State::interrupted);
     return state_;
   }

@@ -100,6 +100,7 @@ class Integration {
   [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
   [[nodiscard]] Stiffness stiffness() const { return stiffness_.found(); }
   [[nodiscard]] const DiscontinuityDetector& discontinuities() const { return discontinuities_; }
+  [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return events_.accumulation(); }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
 
   /// The results, to be moved out when the run has ended.

@@ -27,11 +27,15 @@ StepLook look_at(const Step& method, const Weights& weights, const double* y0);
 /// is not in the solution: the problem is stiff.
 class StiffnessDetector {
  public:
+  static constexpr std::int64_t every = 64;  ///< steps from one look to the next: less than 1 % of the cost of a step
+
   explicit StiffnessDetector(const Weights& weights) : weights_(weights) {}
 
-  /// Step number `step`, from (t0, y0), has been accepted. Looks at one step in 64.
-  void note(const Step& method, std::int64_t step, double t0, const double* y0) {
-    if (step % every == 0) look(method, t0, y0);
+  /// Step number `step`, from (t0, y0), has been accepted. True: it looked at it, as at one step in 64.
+  bool note(const Step& method, std::int64_t step, double t0, const double* y0) {
+    if (step % every != 0) return false;
+    look(method, t0, y0);
+    return true;
   }
 
   /// Nothing, unless most steps since then were limited.
@@ -46,8 +50,6 @@ class StiffnessDetector {
   void look(const Step& method, double t0, const double* y0);
   void limited(double t0);
   void free();
-
-  static constexpr std::int64_t every = 64;  // so that it costs less than 1 % of a step
 
   const Weights& weights_;
   std::int64_t looks_ = 0, limited_ = 0;  // since `since_`

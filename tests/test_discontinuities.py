@@ -255,3 +255,75 @@ def test_exceptions_of_the_search_come_out():
 
     with pytest.raises(BrokenError):
         iv.ode45(fun, (0, 10), [1.0], rtol=1e-6)
+
+
+def floor(t, y):
+    return y[0]
+
+
+def bouncing(restitution, method, **options):
+    """A ball that is dropped on a floor; the last impact is at `end`."""
+    hit = iv.Event(floor, direction=-1, action=lambda t, y: [0.0, -restitution * y[1]])
+    end = np.sqrt(2.0) * (1 + 2 * restitution / (1 - restitution))
+    return iv.solve_ivp(lambda t, y: [y[1], -1.0], (0, 2 * end), [1.0, 0.0], method, events=hit, **options), end
+
+
+@pytest.mark.parametrize("restitution", [0.4, 0.8])
+def test_impacts_that_accumulate_are_named(method, restitution):
+    """A ball falls through the floor when its flights are shorter than what a step shows: that is said, once."""
+    with pytest.warns(iv.DiscontinuityWarning, match=r"floor: its actions came closer and closer") as said:
+        sol, end = bouncing(restitution, method)
+    assert len(said) == 1
+    assert "Floor: its actions came closer" in sol.message
+    assert sol.success
+    assert sol.y[0, -1] < -0.1
+    named = float(str(said[0].message).partition("until t = ")[2].split()[0])
+    assert named == pytest.approx(sol.t_events[0][-1], rel=1e-11)
+    assert named == pytest.approx(end, rel=0.05)
+
+
+def test_impacts_are_named_in_a_run_that_goes_on_too(method, tmp_path):
+    """The memory of a run knows how its impacts went."""
+    sol, end = bouncing(0.8, method, max_steps=60)
+    with pytest.warns(iv.DiscontinuityWarning, match="floor: its actions came closer"):
+        sol.extend(2 * end, max_steps=None)
+
+
+def test_actions_that_do_not_accumulate_are_not_named(method):
+    """Impacts that are few, that end at rest, that keep their distance, or that switch and let the solution pass."""
+    short = iv.Event(floor, direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]])
+    at_rest = iv.Event(floor, direction=-1, action=lambda t, y: [0.0, -0.5 * y[1]] if y[1] < -0.1 else [1e-9, 0.0])
+    through = iv.Event(floor, action=lambda t, y: 0.9 * y)
+    for fun, y0, event in (
+        (lambda t, y: [y[1], -1.0], [1.0, 0.0], short),
+        (lambda t, y: [y[1], -1.0 if y[0] > 1e-8 else 0.0], [1.0, 0.0], at_rest),
+        (lambda t, y: [y[1], -((1 + t) ** 2) * y[0]], [1.0, 0.0], through),
+    ):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", message=".*closer and closer")
+            warnings.filterwarnings("ignore", message=".*looks discontinuous")
+            iv.solve_ivp(fun, (0, 6), y0, method, events=event)
+
+
+def block(t, y):
+    """Driven less than the friction that holds it: at first it slides, then it sticks."""
+    return [y[1], 0.5 * np.sin(t) - np.sign(y[1])]
+
+
+@pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # which it is too, in a sense
+@pytest.mark.parametrize("y0", [[0.0, 1.0], [0.0, 1e-9]], ids=["slides first", "sticks at once"])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+def test_a_solution_that_sticks_where_f_jumps_is_told(method, rtol, y0):
+    """Implicit methods may fail there instead, at last or in most attempts, and name the jump."""
+    with pytest.warns(iv.DiscontinuityWarning, match="fun") as said:
+        sol = iv.solve_ivp(block, (0, 100), y0, method, rtol=rtol, atol=1e-3 * rtol, max_steps=2000)
+    (text,) = [str(one.message) for one in said if one.category is iv.DiscontinuityWarning]
+    if sol.status == -1 or sol.stats.failed > sol.stats.steps:
+        assert "sticks where fun jumps" in text or "looks discontinuous" in text
+        return
+    assert "sticks where fun jumps" in text
+    since = float(text.partition("from t = ")[2].split()[0])
+    assert since <= sol.t[-1] * (1 + 1e-5)
+    if y0[1] == 1:
+        assert since == pytest.approx(1.42, abs=0.2)  # where it would come to rest
+    assert "sticks where fun jumps" in sol.message

@@ -10,6 +10,7 @@ namespace {
 constexpr double location_ulps = 2;  // width of the final bracket, in ulp of t
 constexpr int fewest_points = 3;     // inside a step: an event need not be linear in y
 constexpr double tie_ulps = 4;       // roots this close are one instant
+constexpr int few_intervals = 3;     // that shrink do not yet accumulate
 
 int sign_of(double v) { return (v > 0) - (v < 0); }
 
@@ -51,6 +52,7 @@ Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degr
       scan_{std::vector<double>(intervals_ + 1), std::vector<double>(intervals_ + 1)},
       last_(functions_.size()),
       sign_(functions_.size()),
+      actions_(functions_.size()),
       times_seen_(functions_.size()),
       y_(functions_.empty() ? 0 : n) {
   if (empty()) return;
@@ -97,6 +99,14 @@ void Events::state(Archive& archive) {
     std::int64_t terminal = functions_[e].terminal, seen = times_seen_[e];
     archive(terminal, seen);
     times_seen_[e] = functions_[e].terminal - (terminal - seen);
+  }
+  for (Actions& all : actions_) archive(all.t, all.interval, all.count, all.shorter, all.crossed, all.returned);
+  bool accumulated = accumulation_.has_value();
+  archive(accumulated);
+  if (accumulated) {
+    if (!accumulation_) accumulation_.emplace();
+    archive(accumulation_->event, accumulation_->t, accumulation_->interval, accumulation_->count);
+    archive.require(accumulation_->event < count());
   }
   std::vector<std::size_t> which;
   std::vector<double> when;
@@ -147,8 +157,9 @@ Outcome Events::find(std::size_t event) {
     double root = scanned.times[bracket.b];
     outcome = locate(event, scanned, bracket, root);
     if (outcome != Outcome::ok) return outcome;
-    occurrences_.push_back({event, root});
+    occurrences_.push_back({event, root, direction});
   }
+  if (woken_ != 0 && functions_[event].action) note_waking(event, woken_);
   last_[event] = closely ? values.back() : values[intervals_];
   sign_[event] = sign_after_;
   return Outcome::ok;
@@ -219,6 +230,7 @@ void Events::find_brackets(std::size_t event, const Scan& scan) {
   const std::size_t intervals = &scan == &scan_ ? intervals_ : values.size() - 1;
   brackets_.clear();
   int sign = sign_[event];
+  woken_ = 0;
   std::size_t a = 0;     // where the event was last not zero
   std::size_t zero = 0;  // first exact zero since, if any
   for (std::size_t j = 1; j <= intervals; ++j) {
@@ -226,6 +238,7 @@ void Events::find_brackets(std::size_t event, const Scan& scan) {
     if (s == 0 && sign != 0 && zero == 0) zero = j;
     if (s == 0 && j < intervals) continue;  // crossing or tangency: the next nonzero value tells
     if (sign != 0 && s != sign) brackets_.push_back({a, zero != 0 ? zero : j});
+    if (sign == 0) woken_ = s;
     sign = s;
     a = j;
     zero = 0;
@@ -271,6 +284,29 @@ void Events::settle() {
   }
   if (terminal_) acts_ = false;
   occurrences_.resize(kept);
+  for (const Occurrence& occurrence : occurrences_)
+    if (acts_ && functions_[occurrence.event].action) note_action(occurrence);
+}
+
+void Events::note_action(const Occurrence& occurrence) {
+  Actions& all = actions_[occurrence.event];
+  const double interval = all.count++ == 0 ? all.interval : std::abs(occurrence.t - all.t);
+  all.shorter = interval < all.interval ? all.shorter + 1 : 0;
+  all.interval = interval;
+  all.t = occurrence.t;
+  all.crossed = occurrence.direction;
+}
+
+/// The event has left zero after its action, in this direction. Events whose actions switch something go on to the
+/// other side each time; one whose actions have sent it back does so when a whole flight is shorter than what a step
+/// shows.
+void Events::note_waking(std::size_t event, int sign) {
+  Actions& all = actions_[event];
+  if (all.crossed == 0) return;
+  const bool through = sign == std::exchange(all.crossed, 0);
+  if (through && all.returned && all.shorter > few_intervals && !accumulation_)
+    accumulation_ = {.event = event, .t = all.t, .interval = all.interval, .count = all.count};
+  all.returned = !through;
 }
 
 }  // namespace invariode

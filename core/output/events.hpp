@@ -3,6 +3,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
+#include <optional>
 #include <vector>
 
 #include "callback.hpp"
@@ -27,6 +29,16 @@ struct EventFunction {
 struct Occurrence {
   std::size_t event;
   double t;
+  int direction = 0;  ///< the sign that the event takes on
+};
+
+/// Occurrences with an action that come closer and closer, up to the one after which the event stays on the side to
+/// which it has crossed: a ball that bounces infinitely often in a finite time falls through the floor in the end.
+struct Accumulation {
+  std::size_t event;
+  double t;            ///< of the last one
+  double interval;     ///< from the one before
+  std::int64_t count;  ///< so many there were
 };
 
 /// Watches the events from step to step. A sign change between successive points of a step (its ends and as many
@@ -75,6 +87,8 @@ class Events {
   /// Whether an action is to be taken at the last occurrence.
   [[nodiscard]] bool acts() const { return acts_; }
   [[nodiscard]] EventFunction& function(std::size_t event) { return functions_[event]; }
+  /// The first one in the run.
+  [[nodiscard]] const std::optional<Accumulation>& accumulation() const { return accumulation_; }
   /// Of an outcome `not_finite`: the event that is NaN, and where.
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
@@ -91,6 +105,18 @@ class Events {
   struct Bracket {
     std::size_t a, b;  // indices into the scan; equal where the event is exactly zero there
   };
+
+  /// What is known of the actions of an event.
+  struct Actions {
+    double t = 0;  // of the last one
+    double interval = std::numeric_limits<double>::infinity();
+    std::int64_t count = 0;
+    std::int64_t shorter = 0;  // so many intervals in a row were each shorter than the one before
+    int crossed = 0;           // the sign to which the event has just changed; 0: it is awake
+    bool returned = false;     // after the action before, the event was back on the side where it came from
+  };
+  void note_action(const Occurrence& occurrence);
+  void note_waking(std::size_t event, int sign);
 
   Outcome evaluate(std::size_t event, double t, const double* y, double& value);
   Outcome points(bool projected);
@@ -116,6 +142,9 @@ class Events {
   std::vector<double> last_;       // value of each event at the end of the last step
   std::vector<int> sign_;          // of each event where it was last not zero; 0: asleep
   int sign_after_ = 0;             // what it becomes with the step
+  int woken_ = 0;                  // the first one that it takes on in the step, if it was asleep
+  std::vector<Actions> actions_;
+  std::optional<Accumulation> accumulation_;
   std::vector<std::int64_t> times_seen_;
   std::vector<double> y_;
   std::vector<Occurrence> occurrences_;

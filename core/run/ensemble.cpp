@@ -135,6 +135,7 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
   clipped[i] = one.clipped;
   if (one.stiffness.found) stiff_since[i] = one.stiffness.since;
   if (!one.discontinuities.empty()) discontinuity[i] = one.discontinuities.front();
+  if (one.sticks_since && one.discontinuities.empty()) discontinuity[i] = *one.sticks_since;
   std::copy(one.end(), one.end() + n, &y_end[i * n]);
   state[i] = static_cast<std::int8_t>(one.state);
   std::ranges::copy(one.counted(), &count[i * counts]);

@@ -216,6 +216,8 @@ void Run::describe(RunResult& result) const {
   result.counts = loop.counts();
   result.stiffness = loop.stiffness();
   result.discontinuities = loop.discontinuities().found();
+  result.sticks_since = loop.discontinuities().sticks_since();
+  result.accumulation = loop.accumulation();
   result.switches = loop.step().switches();
   result.linear = loop.step().linear_work();
   count_evaluations(result);

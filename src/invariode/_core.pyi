@@ -375,6 +375,15 @@ class Run:
     def remarkable(self) -> bool: ...
 
     @property
+    def sticks_since(self) -> float | None: ...
+
+    @property
+    def accumulation(self) -> tuple[int, float, float, int] | None:
+        """
+        Of an event whose actions come closer and closer until it is passed: its number, the last t, the interval before it, and how many there were.
+        """
+
+    @property
     def discontinuities(self) -> list[float]: ...
 
     @property
@@ -490,7 +499,7 @@ class Stepper:
         """The continuous solution over the last step."""
 
     def result(self) -> Run:
-        """Why the run ended, and its counts."""
+        """What the run has done so far, and why it ended, if it has."""
 
     @property
     def state(self) -> str: ...
@@ -523,6 +532,10 @@ class Stepper:
         """Where f jumps, as far as it was seen."""
 
     @property
+    def sticks_since(self) -> float | None:
+        """From which t on the solution sticks where f jumps."""
+
+    @property
     def nfev(self) -> int: ...
 
     @property
@@ -534,7 +547,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 3
+MEMORY_VERSION: int = 4
 
 STATES: list = ...
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ._arguments import EPS
 from ._bounds import Limits
-from ._core import Linear, Run
+from ._core import Linear, Run, Stepper
 
 #: The most times that a message lists.
 _TIMES = 4
@@ -43,19 +43,35 @@ class Laws(NamedTuple):
     senses: list[int]
 
 
-def status_and_message(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
-    """The status of the Solution and its message."""
+def status_and_message(run: Run, laws: Laws, events: Sequence[str], pairs: bool) -> tuple[int, str]:
+    """The status of the Solution and its message. `events`: their names."""
     status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
-    return status, remarked(message, run)
+    return status, remarked(message, run, events)
 
 
-def remarked(message: str, run: Run) -> str:
+def remarked(message: str, run: Run, events: Sequence[str]) -> str:
     """The message, and what else is to be said of the run."""
     if run.stiff:
         message += f" {_sentence(limited_by_stability(run.stiff_since))}"
-    if found := run.discontinuities:
-        message += f" {_sentence(discontinuous(found))}"
+    for text in about_jumps(run, events):
+        message += f" {_sentence(text)}"
     return message
+
+
+def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
+    """The warnings about jumps of f, and of the solution where they accumulate."""
+    texts = [about_jumps_of_fun(run)]
+    if run.accumulation is not None:
+        event, t, interval, count = run.accumulation
+        texts.append(accumulating(events[event], t, interval, count))
+    return [text for text in texts if text]
+
+
+def about_jumps_of_fun(run: Run | Stepper) -> str:
+    """The warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none does."""
+    if (since := run.sticks_since) is not None:
+        return sticking(since)
+    return discontinuous(run.discontinuities) if run.discontinuities else ""
 
 
 def limited_by_stability(since: float) -> str:
@@ -70,6 +86,25 @@ def discontinuous(times: Sequence[float]) -> str:
     return (
         f"fun looks discontinuous at t = {listed}{more}, where steps fail; give breakpoints=[{listed}"
         f"{', ...' * (len(times) > _TIMES)}], or an event with an action where y decides when it jumps"
+    )
+
+
+def sticking(since: float) -> str:
+    """The warning about a solution that stays where the right-hand side jumps."""
+    return (
+        f"from t = {since:.6g} on the solution sticks where fun jumps, as with dry friction, and steps become tiny; "
+        "make the jump a steep but continuous function, such as tanh(v / v_s) for sign(v), or describe sticking as a "
+        "state of its own that events with actions begin and end"
+    )
+
+
+def accumulating(event: str, t: float, interval: float, count: int) -> str:
+    """The warning about an event whose actions accumulate."""
+    return (
+        f"{event}: its actions came closer and closer, {count} of them until t = {t:.12g} with {interval:.2g} between "
+        "the last two, and then the solution passed it without one: infinitely many would follow (Zeno), and what "
+        "comes after that t is wrong; end the run there with a terminal event, or let the action put the system to "
+        "rest, with a fun that keeps it there"
     )
 
 

@@ -157,8 +157,9 @@ class Plan(NamedTuple):
             return ended
         if run.state == "limit_reached":
             limit = self.settings.limit(run.limit)
-            return LIMIT_REACHED, remarked(limit_reached(run, limit, self.settings.t0, self.settings.tf), run)
-        return status_and_message(run, self.laws, self.functions.complex)
+            message = limit_reached(run, limit, self.settings.t0, self.settings.tf)
+            return LIMIT_REACHED, remarked(message, run, self.event_names)
+        return status_and_message(run, self.laws, self.event_names, self.functions.complex)
 
     def exception(self, run: _core.Run) -> ValueError | None:
         """The exception that a single solve raises if the run ended like this."""

@@ -148,7 +148,8 @@ class StiffnessWarning(UserWarning):
 
 
 class DiscontinuityWarning(UserWarning):
-    """f looks discontinuous where attempts fail: `breakpoints` and events save them."""
+    """f looks discontinuous where attempts fail, which `breakpoints` and events save; or the solution sticks where f
+    jumps; or the actions of an event accumulate in a finite time."""
 
 
 class Steps(Record):

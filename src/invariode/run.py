@@ -20,8 +20,8 @@ from ._identity import identity_of_run
 from ._interruption import stopped_by_interrupt
 from ._messages import (
     MESSAGES,
+    about_jumps,
     complex_steps_left,
-    discontinuous,
     formed,
     harmful_projection,
     limited_by_stability,
@@ -279,8 +279,8 @@ def presented(
 def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
     if run.stiff:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
-    if found := run.discontinuities:
-        warn(f"{plan.method.name}: {discontinuous(found)}", DiscontinuityWarning)
+    for text in about_jumps(run, plan.event_names):
+        warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:

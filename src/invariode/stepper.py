@@ -11,7 +11,7 @@ from scipy.integrate import DenseOutput, OdeSolver
 from . import _core
 from ._arguments import Array, flag, unknown_option, warn
 from ._docstrings import documented
-from ._messages import discontinuous, harmful_projection, limited_by_stability
+from ._messages import about_jumps_of_fun, harmful_projection, limited_by_stability
 from ._options import TABLE, DescribingOptions, Options, StepperOptions, parted, table_of, unused
 from ._types import Numbers
 from .compiled import is_native
@@ -147,10 +147,10 @@ class Stepper(OdeSolver):
         if since is not None and not self._warned_stiff:
             self._warned_stiff = True
             warn(f"{self._plan.method.name}: {limited_by_stability(since)}", StiffnessWarning)
-        found = self._stepper.discontinuities
-        if found and not self._warned_discontinuous:
+        text = about_jumps_of_fun(self._stepper)
+        if text and not self._warned_discontinuous:
             self._warned_discontinuous = True
-            warn(f"{self._plan.method.name}: {discontinuous(found)}", DiscontinuityWarning)
+            warn(f"{self._plan.method.name}: {text}", DiscontinuityWarning)
 
     def _watch_accuracy(self) -> None:
         harmed = self._stepper.harmed
