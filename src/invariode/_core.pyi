@@ -351,6 +351,9 @@ class Run:
     def enlargements(self) -> int: ...
 
     @property
+    def misfit(self) -> tuple[str, float, int, int, int, int, float, float] | None: ...
+
+    @property
     def pattern(self) -> tuple[int, int]: ...
 
     @property
@@ -427,7 +430,7 @@ def integrate_all(solvers: Sequence[Solver], y0: Annotated[NDArray[numpy.float64
     Integrates from each row of y0, on as many threads as there are solvers. lanes: the name of an instruction set and where the code of the functions is in its lanes: of f, and of an invariant g and its Jacobian, of events.
     """
 
-LANES: list = ...
+LANES: list = [('avx2', 16, 256), ('baseline', 8, 128)]
 
 class StopRequest:
     """A wish to end a run."""
@@ -534,7 +537,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 3
+MEMORY_VERSION: int = 4
 
 STATES: list = ...
 
