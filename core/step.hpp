@@ -39,7 +39,7 @@ struct LinearWork {
   double left_complex_steps = std::numeric_limits<double>::quiet_NaN();  ///< t at which differences replaced them
   std::int64_t enlargements = 0;                                         ///< of a sparsity pattern that was found,
   std::int64_t entries = 0, groups = 0;  ///< its entries, and the evaluations of f that differences take with it
-  std::int64_t checks = 0;  ///< evaluations of f that tested Jacobians
+  std::int64_t checks = 0;               ///< evaluations of f that tested Jacobians
   std::optional<Misfit> misfit;
   bool singular = false;
   bool undefined_jacobian = false;

@@ -137,7 +137,8 @@ Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, 
   bool larger = false;
   const bool structured = matrix_.structure.kind != Structure::Kind::dense && !source_.found_pattern;
   if (structured && enlarge_pattern(f, t, y, slope, reach_, larger) == Status::stop) return Status::stop;
-  return larger ? step_complex(t, y, finite) : leave_complex_steps(f, t, y, slope);
+  if (larger) return step_complex(t, y, finite);
+  return misfit_ ? Status::ok : leave_complex_steps(f, t, y, slope);  // bands are known to miss entries: so it must be
 }
 
 Status Jacobian::step_complex(double t, const double* y, bool& finite) {
@@ -200,8 +201,9 @@ Status Jacobian::enlarge_pattern(Callback& f, double t, const double* y, const d
   larger = false;
   if (stopped) return Status::stop;
   const bool banded = matrix_.structure.kind == Structure::Kind::banded;
-  if (banded && beyond_.starts.empty()) beyond_ = pattern_of(matrix_);
-  const Pattern known = banded ? beyond_ : Pattern{.starts = matrix_.starts, .rows = matrix_.rows};
+  const Pattern known = !banded                  ? Pattern{.starts = matrix_.starts, .rows = matrix_.rows}
+                        : beyond_.starts.empty() ? pattern_of(matrix_)
+                                                 : beyond_;
   const Pattern all = united(known, *here);
   larger = all.rows.size() > known.rows.size() && static_cast<double>(all.rows.size()) <= most_entries;
   if (!larger) return Status::ok;
@@ -249,10 +251,12 @@ void Jacobian::note_misfit(double t, const Pattern& seen) {
 Status Jacobian::complete(Callback& f, double t, const double* y, const double* slope,
                           const std::vector<double>& displacement) {
   bool larger = false;
-  if (matrix_.structure.kind != Structure::Kind::dense &&
-      enlarge_pattern(f, t, y, slope, displacement, larger) == Status::stop)
+  if (matrix_.structure.kind == Structure::Kind::dense)
+    widen_increments();
+  else if (enlarge_pattern(f, t, y, slope, displacement, larger) == Status::stop)
     return Status::stop;
-  if (!larger) widen_increments();
+  else if (!larger)
+    return Status::ok;
   return evaluate(f, t, y, slope);
 }
 

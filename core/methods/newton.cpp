@@ -24,6 +24,7 @@ constexpr double noise_growth = 100;      // of |c|, after which a J that may be
 // How far from y, in units of the weights, J is tested: rtol, or where that is large this, since f may end there.
 constexpr double widest_reach = 1e-3;
 constexpr double on_one_side = 0.25;      // of that, from a point half of it at least away from where f jumps
+const double part_of_y = std::sqrt(eps);  // in which missing entries are sought
 constexpr double suspicious_growth = 10;  // of the size of J
 
 // Matrix-free (Brown & Hindmarsh, 1989, and CVODE's defaults).
@@ -121,10 +122,23 @@ bool AgingJacobian::fit_due(const double* y) {
 /// does not solve the equations. This takes evaluations of f that are counted apart.
 Status AgingJacobian::make_fit(double t, const double* y, const double* slope) {
   Callback f = f_;
+  // Columns that are differenced together and share a row after all fit in the direction of the increments: random
+  // signs tell them apart, in parts of y that leave its signs as they are.
+  const auto seek_missing = [&] {
+    if (!jacobian_.computed() || jacobian().structure.kind == Structure::Kind::dense) return Status::ok;
+    for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = part_of_y * std::abs(y[j]);
+    const auto turn = static_cast<std::size_t>(jacobian_.count());
+    switch (check_->examine(f, t, y, slope, jacobian(), reach_.data(), turn)) {
+      case JacobianCheck::Verdict::stop: return Status::stop;
+      case JacobianCheck::Verdict::wrong: return jacobian_.complete(f, t, y, slope, check_->direction());
+      case JacobianCheck::Verdict::right: break;
+    }
+    return Status::ok;
+  };
   Status status = Status::ok;
   switch (fit(f, t, y, slope, 1)) {
     case JacobianCheck::Fit::stop: status = Status::stop; break;
-    case JacobianCheck::Fit::good: break;
+    case JacobianCheck::Fit::good: status = seek_missing(); break;
     case JacobianCheck::Fit::wrong: status = mend(f, t, y, slope); break;
     case JacobianCheck::Fit::bent: status = take_beside(f, t, y); break;
   }

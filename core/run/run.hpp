@@ -36,7 +36,8 @@ struct RunResult {
   std::int64_t switches = 0;  ///< from an explicit to an implicit method, or back
   LinearWork linear;
   std::int64_t nfev = 0;
-  std::int64_t nfev_check = 0;  ///< evaluations of f by the tests of invariants and Jacobians, and in search of its jumps
+  std::int64_t nfev_check =
+      0;  ///< evaluations of f by the tests of invariants and Jacobians, and in search of its jumps
   std::int64_t ng = 0, ngjac = 0;
   std::int64_t ngdiff = 0;  ///< of ng, those for Jacobians
   bool projected_start = false;

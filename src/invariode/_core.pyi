@@ -351,6 +351,9 @@ class Run:
     def enlargements(self) -> int: ...
 
     @property
+    def misfit(self) -> tuple[str, float, int, int, int, int, float, float] | None: ...
+
+    @property
     def pattern(self) -> tuple[int, int]: ...
 
     @property
