@@ -67,6 +67,21 @@ def test_four_bars_pass_the_position_in_which_they_line_up(method, rtol):
     assert np.abs(sol.y[:4, -1] - bars.reference(2.0)).max() <= 20 * rtol
 
 
+@pytest.mark.parametrize("loops", [2, 20])  # with dense factors, and with sparse ones
+def test_near_a_singular_position_an_error_across_the_constraints_is_not_magnified(loops):
+    """At a distance of 1e-3 the formula of the accelerations alone magnifies it 1e4 times."""
+    problem = multibody.four_bars(loops).problem(1.0)
+    angle, turn, across = np.pi / 2 - 1e-3, 5.0, 1e-9
+    tops = loops + 1
+    q = np.column_stack([np.arange(tops) + np.sin(angle), np.full(tops, np.cos(angle))])
+    v = np.tile([turn * np.cos(angle), -turn * np.sin(angle)], tops)
+    there = problem.fun(0.0, np.concatenate([q.ravel(), v]))
+    signs = np.zeros((tops, 2))
+    signs[:, 1] = np.where(np.arange(tops) % 2, -1, 1)
+    off = problem.fun(0.0, np.concatenate([q.ravel(), v + across * signs.ravel()])) - there
+    assert np.abs(off[2 * tops :]).max() < 100 * across
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # Starts
 
