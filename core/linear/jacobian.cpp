@@ -244,7 +244,8 @@ void Jacobian::matrix_state(Archive& archive) {
   const bool kept = archive.matrix(matrix_.values);
   if (!archive.reading()) return;
   archive.require(!sparse || well_formed_pattern(matrix_));
-  archive.require(!kept || matrix_.values.empty() || provided());
+  if (!kept) matrix_.values.clear();  // which may have been those of another pattern
+  archive.require(matrix_.values.empty() || provided());
   if (sparse && source_.found_pattern) group_columns();
 }
 
