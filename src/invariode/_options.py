@@ -312,8 +312,9 @@ class CheckpointOptions(TypedDict, total=False):
             None,
             "str or path-like",
             "A file from which ``load(path, problem).extend(tf)`` goes on, to the last bit, if the process dies: the "
-            "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to PATH.output "
-            "beside it. A run of another process that has not ended is not overwritten. An extension goes on writing.",
+            "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to a file "
+            "PATH.output-TOKEN beside it. A run that has not ended is not overwritten, and a second one that is given "
+            "the same file meanwhile is refused before it computes. An extension goes on writing.",
             path,
             command=True,
         ),
