@@ -291,17 +291,13 @@ class TestCompile:
             sol = iv.ode15s(iv.compile(lambda t, y: (y[1], -y[0])), (0, 1), [1.0, 0.0], jac=iv.compile(uneven))
             assert "The Jacobian of fun is NaN or infinite" in sol.message
 
-    @pytest.mark.parametrize(
-        "fun",
-        [
-            lambda t, y: y[:1] * 1.0,
-            lambda t, y: [y[0]],
-            lambda t, y: np.ones(3),
-            lambda t, y: (y[np.argmax(y[:0])], 1.0),  # raises
-        ],
-    )
-    def test_what_gives_no_values_cannot_be_evaluated(self, fun):
-        sol = iv.solve_ivp(iv.compile(fun), (0, 1), [1.0, 1.0])
+    @pytest.mark.parametrize("fun", [lambda t, y: y[:1] * 1.0, lambda t, y: [y[0]], lambda t, y: np.ones(3)])
+    def test_a_list_or_array_of_another_length_is_refused(self, fun):
+        with pytest.raises(ValueError, match=r"returned [13] values at t = 0\.0, expected 2"):
+            iv.solve_ivp(iv.compile(fun), (0, 1), [1.0, 1.0])
+
+    def test_what_raises_cannot_be_evaluated(self):
+        sol = iv.solve_ivp(iv.compile(lambda t, y: (y[np.argmax(y[:0])], 1.0)), (0, 1), [1.0, 1.0])
         assert sol.status == -1
         assert "component 0 is NaN or infinite" in sol.message
 

@@ -32,6 +32,12 @@ class Matrices:
     jac_product: Any = None
     preconditioner: Any = None
 
+    @property
+    def given(self) -> bool:
+        """Whether there is anything to check."""
+        structure = self.jac_sparsity is None and self.lband is None and self.uband is None
+        return not (structure and self.jac is None and self.mass is None)
+
     def check(self, n: int, *, is_complex: bool) -> None:
         """That constants are matrices of n components, and words known ones, whatever the method will use.
 

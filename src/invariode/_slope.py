@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +15,7 @@ from .inputs import Input, fed
 __all__ = ["Slope"]
 
 
-@dataclass(frozen=True)
-class Slope:
+class Slope(NamedTuple):
     """f(t, y) of a problem: given the values of its inputs, and its arguments, by machine code where it is such."""
 
     given: Any  # as users write it

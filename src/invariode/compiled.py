@@ -360,9 +360,10 @@ def compile(
         ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
         compiles; it returns a number, a tuple (fast), a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or
         with its rows one after the other.
-        If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here'. If it is
-        already compiled by numba or by this function, its Python function is used. A function that writes to y or p
-        gets copies of them in each call, which takes longer.
+        If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here' (an f that
+        returns another number of values at the start is an error). If it is already compiled by numba or by this
+        function, its Python function is used. A function that writes to y or p gets copies of them in each call, which
+        takes longer.
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
     elementary : {"own", "libm"}, default "own"

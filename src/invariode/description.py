@@ -72,7 +72,8 @@ class Description:
         for event in listed:
             terminal_count(event), direction_sign(event)
         matrices = Matrices(jac, jac_sparsity, lband, uband, mass, jac_product, preconditioner)
-        matrices.check(len(start), is_complex=start.dtype.kind == "c")
+        if matrices.given:
+            matrices.check(len(start), is_complex=start.dtype.kind == "c")
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         named = None if labels is None else distinct_labels(labels, len(start))
