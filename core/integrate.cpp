@@ -329,6 +329,7 @@ Integration::Verdict Integration::reject(Cause cause) {
   discontinuities_.failed(cause, attempt_.t1, attempt_.h);
   if (!step_->reject(cause, attempt_.hmin)) {
     if (cause == Cause::error && reconcile()) return Verdict::rejected;
+    if (state_ == State::running && settle_at_bounds()) return Verdict::rejected;
     return ended(state_ == State::running && explain_failure(cause) ? State::step_failed : state_);
   }
   attempt_.landing = attempt_.landing && step_->h() >= std::abs(attempt_.h);
@@ -349,9 +350,25 @@ bool Integration::reconcile() {
   weights_.fill(old, w.data());
   const double moved = max_norm(n_, [&](std::size_t i) { return (y[i] - old[i]) / w[i]; });
   if (verdict != Consistency::corrected || moved <= weights_.rtol()) return false;
-  reached_ = {t, old};
-  leave_step(y.data());
-  return start_memory(t, reached_.y) && watch_events(events_.restart(t, reached_.y)) && begin_step();
+  return start_step_anew(y.data());
+}
+
+/// Attempts that fail however small h is may end at a bound where f has no derivative, as √y at 0. Moves components
+/// that f has led there, but for roundoff, onto it, and starts the method again. False: there were none, or the run has
+/// ended.
+bool Integration::settle_at_bounds() {
+  if (!bounds_) return false;
+  const double* old = interpolant_->start_y();
+  std::vector<double> y(old, old + n_);
+  if (!bounds_->settle(weights_, forward_, step_->slope(), y.data())) return false;
+  return start_step_anew(y.data());
+}
+
+/// From y, beside the start of the step.
+bool Integration::start_step_anew(const double* y) {
+  reached_ = {interpolant_->start_t(), interpolant_->start_y()};
+  leave_step(y);
+  return start_memory(reached_.t, reached_.y) && watch_events(events_.restart(reached_.t, reached_.y)) && begin_step();
 }
 
 /// False: a user function has stopped the run, and that is why it ends.

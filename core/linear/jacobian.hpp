@@ -5,9 +5,11 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/box.hpp"
 #include "linear/jacobian_check.hpp"
 #include "linear/matrix.hpp"
 #include "weights.hpp"
@@ -43,6 +45,10 @@ class Jacobian {
   /// The matrix may come out not finite.
   Status evaluate(Callback& f, double t, const double* y, const double* slope);
   [[nodiscard]] bool needs_slope() const;
+  /// From now on f is evaluated in this box only, whoever calls it: increments lead inside.
+  void keep_within(Box box) { box_ = std::move(box); }
+  /// Adds J (y − P y) to f(t, P y), P y the nearest point in the box: what Newton's iteration takes for f outside.
+  void extend(const double* y, double* f);
   /// Newton's iteration has failed with it: the next evaluation is examined.
   void doubt() { doubtful_now_ = true; }
 
@@ -109,6 +115,7 @@ class Jacobian {
   std::vector<double> point_, moved_;
   std::vector<double> complex_point_, complex_value_;
   std::vector<double> reach_;  // of the components, for the check
+  Box box_;
   JacobianCheck check_;
 };
 

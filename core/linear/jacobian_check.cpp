@@ -16,13 +16,13 @@ constexpr double noise_of_entry = 4;  // and what that does to each entry by dif
 }  // namespace
 
 JacobianCheck::Verdict JacobianCheck::examine(Callback& f, double t, const double* y, const double* slope,
-                                              const Matrix& J, const double* reach, std::size_t turn) {
+                                              const Matrix& J, const double* reach, std::size_t turn, const Box& box) {
   const std::size_t n = point_.size();
   if (!all_finite(slope, n)) return Verdict::right;
   for (std::size_t j = 0; j < n; ++j) {
     const double part = 2 * scattered(j + n * turn) - 1;
     const double moved = y[j] + (part < 0 ? part - 1 : part + 1) / 2 * reach[j];  // by half of it at least
-    direction_[j] = moved - y[j];
+    direction_[j] = box.turned(j, y[j], moved - y[j]);
     product_[j] = size_[j] = terms_[j] = entries_[j] = 0;
   }
   J.for_each([&](std::size_t i, std::size_t j, double value) {
@@ -34,6 +34,8 @@ JacobianCheck::Verdict JacobianCheck::examine(Callback& f, double t, const doubl
   if (move(f, t, y, slope, 1, change_.data()) == Status::stop) return Verdict::stop;
   const bool ahead = all_finite(change_.data(), n);
   if (ahead && agrees(slope)) return Verdict::right;
+  for (std::size_t j = 0; box && j < n; ++j)
+    if (!box.contains(j, y[j] - direction_[j])) return Verdict::right;
   // Once more to the other side: of the mean of both the curvature of f is no part.
   if (move(f, t, y, slope, -1, back_.data()) == Status::stop) return Verdict::stop;
   if (!all_finite(back_.data(), n)) return Verdict::right;

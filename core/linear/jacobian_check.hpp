@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/box.hpp"
 #include "linear/matrix.hpp"
 
 namespace invariode {
@@ -19,9 +20,9 @@ class JacobianCheck {
   enum class [[nodiscard]] Verdict { right, wrong, stop };
 
   /// J at (t, y), where f is `slope`; `reach`: by how much each component may move. `turn` chooses the direction.
-  /// Where f is not finite beside y nothing speaks against J.
+  /// Where f is not finite beside y, or beside it is outside of the box, nothing speaks against J.
   Verdict examine(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
-                  std::size_t turn);
+                  std::size_t turn, const Box& box = {});
 
  private:
   Status move(Callback& f, double t, const double* y, const double* slope, double side, double* change);

@@ -123,6 +123,7 @@ class Motion {
   Status differentiate_velocities(double t, const double* y);
 
   void choose_patterns();
+  [[nodiscard]] std::size_t most_entries() const;
   void combine_rates();
   Status phi_jacobian(double t, const double* q);
   Status curvatures(double t, const double* y);

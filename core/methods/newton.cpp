@@ -76,6 +76,7 @@ Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
   undefined_ = -1;
   if (!all_finite(y, n)) return Outcome::not_finite;
   if (f_(t, y, out) == Status::stop) return Outcome::stop;
+  jacobian_.extend(y, out);
   if (all_finite(out, n)) return Outcome::ok;
   undefined_ = static_cast<int>(std::find_if_not(out, out + n, [](double x) { return std::isfinite(x); }) - out);
   return Outcome::not_finite;

@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 
 from . import _core
 from ._arguments import EPS, Array, as_array, shown, warn
+from ._bounds import Limits
 from ._complex_steps import compiled_at_complex, python_at_complex
 from ._krylov import Krylov, is_operator
 from ._sparsity import find_pattern
@@ -102,6 +103,7 @@ class Start:
     y: Array
     args: tuple[Any, ...]
     parameters: Array
+    limits: Limits | None = None
     complex_by_default: bool = True
 
 
@@ -170,7 +172,7 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     if bands is not None:
         held = storage("banded", lower=bands[0], upper=bands[1])
     elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
-        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters)
+        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters, start.limits)
         pattern, found = searched or (None, 0)
         held = storage("dense" if pattern is None else "sparse")
     else:
