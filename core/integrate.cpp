@@ -322,6 +322,7 @@ Integration::Verdict Integration::reject(Cause cause) {
   discontinuities_.failed(cause, aim_.t1(), aim_.h());
   if (!step_->reject(cause, aim_.hmin())) {
     if ((cause == Cause::error || cause == Cause::newton) && reconcile()) return Verdict::rejected;
+    if (state_ == State::running && settle_at_bounds()) return Verdict::rejected;
     return ended(state_ == State::running && explain_failure(cause) ? State::step_failed : state_);
   }
   aim_.retry(interpolant_->start_t(), step_->h());
@@ -337,11 +338,26 @@ bool Integration::reconcile() {
   std::vector<double> y(old, old + n_);
   const Consistency verdict = breaks_.consistent(t, y.data());
   if (verdict == Consistency::stop) return end(State::interrupted);
-  if (verdict != Consistency::corrected) return false;
-  reached_ = {t, old};
-  leave_step(y.data());
-  if (!start_memory(t, reached_.y) || !watch_events(events_.restart(t, reached_.y)) || !begin_step()) return false;
+  if (verdict != Consistency::corrected || !start_step_anew(y.data())) return false;
   return attempt_.reconciled = true;
+}
+
+/// Attempts that fail however small h is may end at a bound where f has no derivative, as √y at 0. Moves components
+/// that f has led there, but for roundoff, onto it, and starts the method again. False: there were none, or the run has
+/// ended.
+bool Integration::settle_at_bounds() {
+  if (!bounds_) return false;
+  const double* old = interpolant_->start_y();
+  std::vector<double> y(old, old + n_);
+  if (!bounds_->settle(weights_, forward_, step_->slope(), y.data())) return false;
+  return start_step_anew(y.data());
+}
+
+/// From y, beside the start of the step.
+bool Integration::start_step_anew(const double* y) {
+  reached_ = {interpolant_->start_t(), interpolant_->start_y()};
+  leave_step(y);
+  return start_memory(reached_.t, reached_.y) && watch_events(events_.restart(reached_.t, reached_.y)) && begin_step();
 }
 
 /// False: a user function has stopped the run, and that is why it ends.

@@ -157,6 +157,8 @@ class Integration {
   Verdict ended(State state);
   bool explain_failure(Cause cause);
   bool reconcile();
+  bool settle_at_bounds();
+  bool start_step_anew(const double* y);
   [[nodiscard]] double roundoff_of_correction() const;
   /// The correction belongs to the bounds as well: it tells nothing of the invariants.
   [[nodiscard]] bool at_bounds() const { return active_set_ && active_set_->active(); }

@@ -173,7 +173,14 @@ Status Jacobian::leave_complex_steps(Callback& f, double t, const double* y, con
 JacobianCheck::Verdict Jacobian::examine(Callback& f, double t, const double* y, const double* slope) {
   for (std::size_t j = 0; j < matrix_.n(); ++j)
     reach_[j] = kind_ == Kind::complex_steps ? first_factor * scale(j, y) : std::abs(columns_[j].increment);
-  return check_.examine(f, t, y, slope, matrix_, reach_.data(), static_cast<std::size_t>(count_));
+  return check_.examine(f, t, y, slope, matrix_, reach_.data(), static_cast<std::size_t>(count_), box_);
+}
+
+void Jacobian::extend(const double* y, double* f) {
+  if (!box_ || matrix_.values.empty()) return;
+  for (std::size_t j = 0; j < matrix_.n(); ++j)
+    if (const double outside = y[j] - box_.nearest(j, y[j]); outside != 0)
+      for_each_in_column(j, [&](std::size_t i, double& value) { f[i] += value * outside; });
 }
 
 /// Each time: a direction costs one evaluation of f. Where an entry is missing, the pattern is sought anew at (t, y),
@@ -336,7 +343,7 @@ double Jacobian::increment(std::size_t j, const double* y, double slope, double 
   double scale = std::max(std::abs(y[j]), weights_.absolute_tolerance(j));
   if (again && columns_[j].change == 0) scale = weights_.at(j, y[j]);
   const double moved = y[j] + (slope >= 0 ? factor : -factor) * defined_scale(scale, y);
-  return moved - y[j];
+  return box_.turned(j, y[j], moved - y[j]);
 }
 
 /// The scale, or where it is too small to tell one that of the largest component.
@@ -365,7 +372,7 @@ Status Jacobian::difference_group(Callback& f, double t, const double* y, const 
     column.change = column.size = 0;
     for_each_in_column(j, [&](std::size_t i, double& value) {
       const double change = moved_[i] - slope[i];
-      value = change / column.increment;
+      value = column.increment == 0 ? 0 : change / column.increment;  // 0: y_j has one value
       if (std::abs(change) <= column.change) return;
       column.change = std::abs(change);
       column.size = std::max(std::abs(slope[i]), std::abs(moved_[i]));

@@ -6,9 +6,11 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/box.hpp"
 #include "linear/jacobian_check.hpp"
 #include "linear/matrix.hpp"
 #include "linear/misfit.hpp"
@@ -50,6 +52,11 @@ class Jacobian {
   /// structure excludes, a pattern grows, and bands, which cannot, are computed from groups of columns that f does not
   /// mix. Otherwise increments are too small. The matrix is evaluated again.
   Status complete(Callback& f, double t, const double* y, const double* slope, const std::vector<double>& displacement);
+  /// From now on f is evaluated in this box only, whoever calls it: increments lead inside.
+  void keep_within(Box box) { box_ = std::move(box); }
+  [[nodiscard]] const Box& box() const { return box_; }
+  /// Adds J (y − P y) to f(t, P y), P y the nearest point in the box: what Newton's iteration takes for f outside.
+  void extend(const double* y, double* f);
   /// Newton's iteration has failed with it: the next evaluation is examined.
   void doubt() { doubtful_now_ = true; }
 
@@ -128,6 +135,7 @@ class Jacobian {
   std::vector<double> point_, moved_;
   std::vector<double> complex_point_, complex_value_;
   std::vector<double> reach_;  // of the components, for the check
+  Box box_;
   JacobianCheck check_;
 };
 

@@ -19,14 +19,15 @@ constexpr double noise_of_entry = 4;  // and what that does to each entry by dif
 }  // namespace
 
 /// Every component moves by half of its reach at least, to the side of the sign that is chosen for (j, a random
-/// number).
+/// number), unless that leads out of the box.
 template <class Sign>
-void JacobianCheck::aim(const double* y, const Matrix& J, const double* reach, std::size_t turn, Sign sign) {
+void JacobianCheck::aim(const double* y, const Matrix& J, const double* reach, std::size_t turn, const Box& box,
+                        Sign sign) {
   const std::size_t n = point_.size();
   for (std::size_t j = 0; j < n; ++j) {
     const double part = 2 * scattered(j + n * turn) - 1, length = (1 + std::abs(part)) / 2 * reach[j];
     const double moved = y[j] + (sign(j, part) < 0 ? -length : length);
-    direction_[j] = moved - y[j];
+    direction_[j] = box.turned(j, y[j], moved - y[j]);
     product_[j] = size_[j] = terms_[j] = entries_[j] = 0;
   }
   J.for_each([&](std::size_t i, std::size_t j, double value) {
@@ -38,13 +39,15 @@ void JacobianCheck::aim(const double* y, const Matrix& J, const double* reach, s
 }
 
 JacobianCheck::Verdict JacobianCheck::examine(Callback& f, double t, const double* y, const double* slope,
-                                              const Matrix& J, const double* reach, std::size_t turn) {
+                                              const Matrix& J, const double* reach, std::size_t turn, const Box& box) {
   const std::size_t n = point_.size();
   if (!all_finite(slope, n)) return Verdict::right;
-  aim(y, J, reach, turn, [](std::size_t, double part) { return part; });
+  aim(y, J, reach, turn, box, [](std::size_t, double part) { return part; });
   if (move(f, t, y, slope, 1, change_.data()) == Status::stop) return Verdict::stop;
   const bool ahead = all_finite(change_.data(), n);
   if (ahead && agrees(slope)) return Verdict::right;
+  for (std::size_t j = 0; box && j < n; ++j)
+    if (!box.contains(j, y[j] - direction_[j])) return Verdict::right;
   // Once more to the other side: of the mean of both the curvature of f is no part.
   if (move(f, t, y, slope, -1, back_.data()) == Status::stop) return Verdict::stop;
   if (!all_finite(back_.data(), n)) return Verdict::right;
@@ -73,10 +76,10 @@ bool JacobianCheck::agrees(const double* slope) const {
 
 /// All components move to the side to which the differences move them: where f is not defined everywhere, it is there.
 JacobianCheck::Fit JacobianCheck::fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J,
-                                      const double* reach, std::size_t turn) {
+                                      const double* reach, std::size_t turn, const Box& box) {
   const std::size_t n = point_.size();
   if (!all_finite(slope, n)) return Fit::good;
-  aim(y, J, reach, turn, [slope](std::size_t j, double) { return slope[j]; });
+  aim(y, J, reach, turn, box, [slope](std::size_t j, double) { return slope[j]; });
   if (!all_finite(size_.data(), n)) return Fit::good;
   if (move(f, t, y, slope, 1, change_.data()) == Status::stop) return Fit::stop;
   if (!all_finite(change_.data(), n) || !misleads(slope)) return Fit::good;

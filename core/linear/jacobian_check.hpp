@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/box.hpp"
 #include "linear/matrix.hpp"
 
 namespace invariode {
@@ -22,13 +23,13 @@ class JacobianCheck {
   enum class [[nodiscard]] Fit { good, wrong, bent, stop };
 
   /// J at (t, y), where f is `slope`; `reach`: by how much each component may move. `turn` chooses the direction.
-  /// Where f is not finite beside y nothing speaks against J.
+  /// Where f is not finite beside y, or beside it is outside of the box, nothing speaks against J.
   Verdict examine(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
-                  std::size_t turn);
+                  std::size_t turn, const Box& box = {});
   /// The same in the direction in which f leads, of a neighbourhood as wide as `reach`, and with the patience of
   /// Newton's iteration: only what would mislead it counts.
   Fit fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
-          std::size_t turn);
+          std::size_t turn, const Box& box = {});
   /// Of the latest `fit`: v; the row in which J v is not the change of f, and both.
   [[nodiscard]] const std::vector<double>& direction() const { return direction_; }
   [[nodiscard]] std::size_t row() const { return row_; }
@@ -39,7 +40,7 @@ class JacobianCheck {
 
  private:
   template <class Sign>
-  void aim(const double* y, const Matrix& J, const double* reach, std::size_t turn, Sign sign);
+  void aim(const double* y, const Matrix& J, const double* reach, std::size_t turn, const Box& box, Sign sign);
   Status move(Callback& f, double t, const double* y, const double* slope, double side, double* change);
   [[nodiscard]] bool agrees(const double* slope) const;
   [[nodiscard]] bool misleads(std::size_t i, double change, double part, const double* slope) const;

@@ -177,6 +177,7 @@ Consistency make_consistent(Callback& f, const LinearAlgebra& linear, const Weig
       if (halving > consistency_halvings || !std::isfinite(distance)) return Consistency::not_found;
       for (std::size_t i = 0; i < n; ++i) trial[i] = y[i] + fraction * delta[i];
       if (f(t, trial.data(), slope.data()) == Status::stop) return Consistency::stop;
+      jacobian.extend(trial.data(), slope.data());
       beyond = slope;
       solver.correction(mass, beyond.data());
       if (size(beyond) <= (1 - fraction / 4) * distance) break;
@@ -192,6 +193,7 @@ AlgebraicConstraints::AlgebraicConstraints(Callback& f, Jacobian jacobian, const
 Status AlgebraicConstraints::residual_entry(void* self, double t, const double* y, double* out) {
   auto& me = *static_cast<AlgebraicConstraints*>(self);
   if (me.f_(t, y, me.slope_.data()) == Status::stop) return Status::stop;
+  me.jacobian_.extend(y, me.slope_.data());
   me.mass_.algebraic_part(me.slope_.data(), out);
   return Status::ok;
 }

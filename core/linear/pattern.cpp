@@ -115,7 +115,7 @@ std::optional<Pattern> find_pattern(Callback& f, double t, const std::vector<dou
   return united(blocks.rows, diagonal(n));
 }
 
-std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vector<double>& y,
+std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vector<double>& y, const Box& box,
                                          const PatternSearch& search, bool& stopped) {
   const std::size_t n = y.size();
   std::vector<double> size(n), point(n), value(n);
@@ -124,12 +124,13 @@ std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vecto
   for (std::size_t j = 0; j < n; ++j)
     size[j] = largest < smallest_scale ? 1 : std::max(std::abs(y[j]), smallest_part * largest);
   for (const double distance : beside) {
-    for (std::size_t j = 0; j < n; ++j) point[j] = y[j] + outward(y[j], distance * part(j, 0) * size[j]);
+    for (std::size_t j = 0; j < n; ++j)
+      point[j] = y[j] + box.turned(j, y[j], outward(y[j], distance * part(j, 0) * size[j]));
     stopped = f(t, point.data(), value.data()) == Status::stop;
     if (stopped) return {};
     if (!all_finite(value.data(), n)) continue;
     const double reach = distance == 0 ? part_displaced : std::min(std::abs(distance), part_displaced);
-    for (std::size_t j = 0; j < n; ++j) size[j] = outward(y[j], reach * part(j, 1) * size[j]);
+    for (std::size_t j = 0; j < n; ++j) size[j] = box.turned(j, point[j], outward(y[j], reach * part(j, 1) * size[j]));
     return find_pattern(f, t, point, value, size, search, stopped);
   }
   return {};

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/box.hpp"
 
 namespace invariode {
 
@@ -31,8 +32,8 @@ std::optional<Pattern> find_pattern(Callback& f, double t, const std::vector<dou
                                     const std::vector<double>& value, const std::vector<double>& displacement,
                                     const PatternSearch& search, bool& stopped);
 
-/// The same around (t, y), at a point beside it, where no term vanishes by chance.
-std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vector<double>& y,
+/// The same around (t, y), at a point beside it in the box, where no term vanishes by chance.
+std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vector<double>& y, const Box& box,
                                          const PatternSearch& search, bool& stopped);
 
 /// The entries of either.

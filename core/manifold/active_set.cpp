@@ -56,8 +56,7 @@ Projected ActiveSet::project(double t, const double* from, double* y) {
     if (round >= rounds_of_all && round < most_rounds) wrong_.resize(1);
     for (const Bounds::Interval* one : wrong_) change(*one, y);
   }
-  if (did.outcome == Outcome::ok && active_ && !did.skipped && !on_manifold(t, y, did.residual))
-    did.outcome = Outcome::not_finite;
+  if (did.outcome == Outcome::ok && active_ && !did.skipped) did.outcome = judge_left_out(t, y, did.residual);
   projector_.release_all();
   return did;
 }
@@ -77,7 +76,8 @@ void ActiveSet::note_outside(const double* y) {
 
 /// The fixed components that the nearest point has inside, as their multiplier tells. With b = W⁻¹(y − y*) the free
 /// components of b + W Jᵀλ vanish, which determines λ; what the fixed ones leave, divided by w, is the multiplier of
-/// the bound: at a lower one it is not negative.
+/// the bound: at a lower one it is not negative. It is how far, in units of the weights, the component would rather be
+/// inside, and roundoff of the others is no reason to move.
 void ActiveSet::note_unwilling(const double* y) {
   const Linearization at = projector_.linearization();
   const std::size_t n = at.n(), m = at.m();
@@ -85,7 +85,7 @@ void ActiveSet::note_unwilling(const double* y) {
   const Eigen::VectorXd b = (Vector(y, index(n)) - Vector(candidate_.data(), index(n))).cwiseQuotient(w);
   Eigen::MatrixXd scaled = Eigen::MatrixXd::Zero(index(n), index(m));  // W Jᵀ
   for (std::size_t i = 0; i < m; ++i)
-    if (!projector_.idle(i))
+    if (!projector_.idle(i) && !projector_.left_out(i))
       at.gradient(i).for_each([&](std::size_t j, double value) { scaled(index(j), index(i)) = value * w[index(j)]; });
   Eigen::MatrixXd columns = scaled;
   Eigen::VectorXd wanted = -b;
@@ -102,26 +102,22 @@ void ActiveSet::note_unwilling(const double* y) {
     const double multiplier = b[index(i)] + force[index(i)];
     const double inwards = y[i] <= lower ? -multiplier : multiplier;
     const double terms = std::abs(b[index(i)]) + std::abs(force[index(i)]);
-    if (inwards > roundoff_of_multiplier * terms) wrong_.push_back(&one);
+    if (inwards > std::max(roundoff_of_multiplier * terms, roundoff_at_bound)) wrong_.push_back(&one);
   }
 }
 
 /// Whether the invariants that were left out, some perhaps since the fixed components leave nothing to correct them
-/// with, are nearer than they were `before`.
-bool ActiveSet::on_manifold(double t, const double* y, std::span<const double> before) {
-  const Linearization at = projector_.linearization();
-  Invariants& invariants = projector_.invariants();
-  bool all = true;
-  for (std::size_t i = 0; i < at.m(); ++i) all = all && !projector_.left_out(i);
-  if (all) return true;
-  if (invariants.residual(t, y, residual_.data()) == Status::stop) return false;
-  for (std::size_t i = 0; i < at.m(); ++i) {
-    const double roundoff =
-        std::max(invariants.roundoff(i, y, at.jacobian.data()), invariants.resolution(i, y, at.jacobian.data()));
-    if (projector_.left_out(i) && std::abs(residual_[i]) > std::max(roundoff, least_gain * std::abs(before[i])))
-      return false;
-  }
-  return true;
+/// with, are nearer than they were `before`; if they are not, `not_finite`.
+Outcome ActiveSet::judge_left_out(double t, const double* y, std::span<const double> before) {
+  bool any = false;
+  for (std::size_t i = 0; i < residual_.size(); ++i) any = any || projector_.left_out(i);
+  if (!any) return Outcome::ok;
+  if (projector_.invariants().residual(t, y, residual_.data()) == Status::stop) return Outcome::stop;
+  for (std::size_t i = 0; i < residual_.size(); ++i)
+    if (projector_.left_out(i) &&
+        !(std::abs(residual_[i]) <= std::max(projector_.roundoff(i, y), least_gain * std::abs(before[i]))))
+      return Outcome::not_finite;
+  return Outcome::ok;
 }
 
 Outcome onto_within(Projector& projector, const Bounds& bounds, double t, const double* w, const double* target,

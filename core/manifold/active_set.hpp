@@ -28,7 +28,7 @@ class ActiveSet {
   void change(const Bounds::Interval& one, const double* y);
   void note_outside(const double* y);
   void note_unwilling(const double* y);
-  bool on_manifold(double t, const double* y, std::span<const double> before);
+  Outcome judge_left_out(double t, const double* y, std::span<const double> before);
 
   Projector& projector_;
   const Bounds& bounds_;

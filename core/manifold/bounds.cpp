@@ -55,6 +55,17 @@ double Bounds::clip(double* y) const {
   return added;
 }
 
+bool Bounds::settle(const Weights& weights, double forward, const double* slope, double* y) const {
+  bool any = false;
+  for (const auto& [i, lower, upper] : intervals_) {
+    const double end = forward * slope[i] < 0 ? lower : upper;
+    const bool there = y[i] != end && std::abs(y[i] - end) <= roundoff_at_bound * weights.threshold()[i];
+    if (there) y[i] = end;
+    any = any || there;
+  }
+  return any;
+}
+
 bool Bounds::leads_out(const Interval& one, const double* y, double forward, const double* slope) {
   const auto& [i, lower, upper] = one;
   const double s = forward * slope[i];  // NaN leads nowhere
@@ -71,6 +82,7 @@ BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forwa
     : f_(f), bounds_(bounds), forward_(forward), by_step_(of_implicit_method), mass_(std::move(mass)) {
   if (!by_step_) return;
   rests_.resize(bounds.intervals().size());
+  at_bound_.assign(bounds.intervals().size(), 1);  // at the start nothing has come to a bound
   slope_.resize(bounds.n());
 }
 
@@ -85,18 +97,24 @@ Status BoundedSlope::begin_step(double t, const double* y, bool& changed) {
 /// What rests at (t, y).
 Status BoundedSlope::look(double t, const double* y) {
   bool any = false;
+  arrived_ = at_bound_;
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
     // Which bound: −1, the lower; 1, the upper; of both at once, the lower.
     rests_[k] = y[i] <= lower ? -1 : y[i] >= upper ? 1 : 0;
+    at_bound_[k] = rests_[k] != 0;
+    arrived_[k] = at_bound_[k] != 0 && arrived_[k] == 0;
     any = any || rests_[k] != 0;
   }
   if (!any) return Status::ok;
   ++evaluations_;
   if (f_(t, y, slope_.data()) == Status::stop) return Status::stop;
   for (const Bounds::Interval& one : bounds_.intervals()) slope_[one.component] *= mass(one.component);  // its sign
-  for (std::size_t k = 0; k < rests_.size(); ++k)
-    if (!Bounds::leads_out(bounds_.intervals()[k], y, forward_, slope_.data())) rests_[k] = 0;
+  for (std::size_t k = 0; k < rests_.size(); ++k) {
+    const Bounds::Interval& one = bounds_.intervals()[k];
+    const bool stays = slope_[one.component] == 0 && (arrived_[k] != 0 || rested_[k] != 0);
+    if (!stays && !Bounds::leads_out(one, y, forward_, slope_.data())) rests_[k] = 0;
+  }
   return Status::ok;
 }
 

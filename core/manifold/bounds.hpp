@@ -11,6 +11,8 @@
 
 namespace invariode {
 
+inline constexpr double roundoff_at_bound = 1e-13;  // in units of thr: a few hundred ε of the sizes that count
+
 /// The bounds of those components that have any.
 class Bounds {
  public:
@@ -38,6 +40,9 @@ class Bounds {
   [[nodiscard]] Excess excess(const double* y, const Weights& weights) const;
   /// Moves what is outside onto its bound. Returns the sum of what it added to the components.
   double clip(double* y) const;
+  /// Moves components that have come to a bound, but for roundoff, onto it, if the slope leads them there. Returns
+  /// whether there were any.
+  bool settle(const Weights& weights, double forward, const double* slope, double* y) const;
   /// Whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
   [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
   /// Of a slope at y, takes away what leads out of the bounds where y is at one or beyond. `forward`: +1 or −1, the
@@ -53,7 +58,8 @@ class Bounds {
 ///
 /// For explicit methods that depends on where y is: at or beyond a bound. It jumps there, and Newton's iteration would
 /// find no solution across the jump. So for implicit methods it depends on where the step starts: components that rest
-/// at a bound there, since f leads out, are not led out anywhere in the step; the others follow f.
+/// at a bound there, since f leads out, or is 0 where they have just come, are not led out anywhere in the step; the
+/// others follow f.
 class BoundedSlope {
  public:
   ///
@@ -69,7 +75,7 @@ class BoundedSlope {
   Status begin_step(double t, const double* y, bool& changed);
   /// How often it did.
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  void state(Archive& archive) { archive(rests_, evaluations_); }
+  void state(Archive& archive) { archive(rests_, at_bound_, evaluations_); }
 
   /// Refers to this object.
   Callback callback() { return {&entry, this}; }
@@ -85,7 +91,9 @@ class BoundedSlope {
   double forward_;
   bool by_step_;
   std::vector<double> mass_;
-  std::vector<char> rests_, rested_;  // of the bounded components, for implicit methods: now, in the step before
+  // Of the bounded components, for implicit methods: whether they rest, now and in the step before; whether they are at
+  // a bound, and have come there in the step before.
+  std::vector<char> rests_, rested_, at_bound_, arrived_;
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;
 };

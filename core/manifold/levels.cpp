@@ -34,8 +34,6 @@ Levels::Levels(const Invariants& invariants)
     : layout_(invariants.layout()),
       n_(invariants.n()),
       m_(invariants.m()),
-      scaled_(index(n_), index(m_)),
-      R_(index(m_), index(m_)),
       norm_(m_),
       z_(m_),
       delta_l_(n_),
@@ -48,6 +46,16 @@ Levels::Levels(const Invariants& invariants)
     for (std::size_t end = row + block.m; row < end; ++row) level.rows.push_back(row);
   }
   std::sort(levels_.begin(), levels_.end(), [](const Level& a, const Level& b) { return a.number < b.number; });
+  const bool by_sparse_factors =
+      layout_.sparse() && std::ranges::all_of(levels_, [](const Level& level) { return level.diagonal(); });
+  if (!by_sparse_factors) reserve_dense();
+}
+
+/// For the dense process, which sparse factors need only where rows depend on each other.
+void Levels::reserve_dense() {
+  if (R_.size() > 0) return;
+  scaled_.resize(index(n_), index(m_));
+  R_.resize(index(m_), index(m_));
   basis_.reserve(m_);
   waiting_.reserve(m_);
 }
@@ -122,6 +130,7 @@ bool Levels::scales(Level& level, const double* w) {
 }
 
 std::size_t Levels::solve_dense(const double* J, const double* r, const double* w, double threshold, double* delta) {
+  reserve_dense();
   std::fill(delta, delta + n_, 0);
   std::size_t rank = 0;
   for (std::size_t l = 0; l < levels_.size(); ++l) {

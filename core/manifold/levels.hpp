@@ -47,6 +47,7 @@ class Levels {
     SparseRows sparse;
 
     [[nodiscard]] bool by_metric() const { return metric && metric->regular(); }
+    [[nodiscard]] bool diagonal() const { return !metric || metric->diagonal(); }
   };
 
   Level& level_of(const InvariantBlock& block);
@@ -55,6 +56,7 @@ class Levels {
   [[nodiscard]] bool idle(std::size_t row) const { return idle_ != nullptr && idle_[row] != 0; }
   [[nodiscard]] std::size_t idle_rows(const Level& level) const;
   bool scales(Level& level, const double* w);
+  void reserve_dense();
   void take_rows(const double* J, const double* w, Level& level);
   void apply_metric(const double* J, std::size_t row, Level& level);
   void orthonormalize(std::vector<std::size_t>& rows, double threshold);
@@ -64,6 +66,7 @@ class Levels {
   const RowLayout& layout_;
   std::size_t n_, m_;
   std::vector<Level> levels_;
+  // Empty where sparse factors suffice:
   Eigen::MatrixXd scaled_;  // (n, m): rows of J W, or J L⁻ᵀ, as columns, cut to what moves, of norm 1; becomes a basis
   Eigen::MatrixXd R_;       // (m, m): column i has the components of row i in the basis
   std::vector<double> norm_;          // of the rows before they were scaled

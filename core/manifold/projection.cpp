@@ -21,8 +21,12 @@ constexpr double derivative_errors = 100;  // in units of ε^{2/3}, ε^{1/2}: ro
 constexpr double least_share = 0.01;
 constexpr double matters = 1e-3;
 constexpr double least_direction = 1e-12;  // of vectors that are good to some ε
-constexpr double often = 0.2;              // share of corrections and of time in which redundant ones depend on others,
-constexpr double now_and_then = 0.1;       // and in which each of them is the one that is left out
+// Of the largest term of a gradient: below it a coefficient is what computing the others has left of 0 (laws from a
+// singular value decomposition of 30 species: some ε; measured up to 2e-15).
+constexpr double roundoff_of_coefficients = 1e-13;
+constexpr double slight = 1.0 / 16;   // a power that orders parts from 1e-13 to 1, and leaves them within a factor of 7
+constexpr double often = 0.2;         // share of corrections and of time in which redundant ones depend on others,
+constexpr double now_and_then = 0.1;  // and in which each of them is the one that is left out
 constexpr int impose_iterations = 50;
 constexpr int impose_patience = 2;  // iterations without a gain: roundoff is reached, or there is no way on
 constexpr double recovery = 0.5;    // of the residual before: Newton's iteration comes back from a step too far
@@ -35,6 +39,17 @@ double norm2(const double* v, std::size_t n) {
 }
 
 Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
+
+/// The tolerances as units of the components; of those without an absolute tolerance the largest of the others, or 1.
+std::vector<double> units_of(const Weights& weights) {
+  std::vector<double> unit = weights.threshold();
+  double largest = 0;
+  for (std::size_t j = 0; j < unit.size(); ++j)
+    if (!weights.pure_relative(j)) largest = std::max(largest, unit[j]);
+  for (std::size_t j = 0; j < unit.size(); ++j)
+    if (weights.pure_relative(j)) unit[j] = largest > 0 ? largest : 1;
+  return unit;
+}
 
 }  // namespace
 
@@ -55,13 +70,17 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       delta_(invariants.n()),
       original_(invariants.n()),
       best_(invariants.n()),
-      scaled_(index(invariants.n()), index(invariants.m())),
-      R_(index(invariants.m()), index(invariants.m())),
+      unit_of_component_(units_of(weights)),
       z_(index(invariants.m())),
       order_(invariants.m()),
       left_out_(invariants.m()),
       dropped_(invariants.m()) {
-  if (Levels::needed(invariants)) levels_.emplace(invariants);
+  if (Levels::needed(invariants)) {
+    levels_.emplace(invariants);
+  } else {
+    scaled_.resize(index(invariants.n()), index(invariants.m()));
+    R_.resize(index(invariants.m()), index(invariants.m()));
+  }
   if (invariants.any_one_sided()) idle_.resize(invariants.m());
   rest_one_sided();
   one_sided_ = idle_count_;
@@ -298,29 +317,61 @@ Outcome Projector::linearize_known(double t, const double* y) {
 }
 
 /// A factor of row i that settles ties between pivots in favour of the invariant that was given first; those that may
-/// only rise or fall come last. (A row and its residual may be multiplied by anything.)
+/// only rise or fall come last, and of those that components fixed at bounds make dependent the one that has lost
+/// least: its residual has the least roundoff in units of what is left. (A row and its residual may be multiplied by
+/// anything.)
 double Projector::preference(std::size_t i) const {
   const std::size_t place = invariants_.sense(i) == 0 ? i : i + r_.size();
-  return 1 / (1 + 1e-6 * static_cast<double>(place));
+  const double first = 1 / (1 + 1e-6 * static_cast<double>(place));
+  return r_.size() == 1 || movable_.empty() || movable_[i] == 1 ? first : first * std::pow(movable_[i], slight);
 }
 
-/// The norm of row i of J W and, where the correction is that of all together, the row itself with norm 1. (Levels
-/// scale rows themselves.)
+/// The largest coefficient of the components that may move in invariant i, as a part of the largest of all. In the
+/// units of the tolerances: in those of the weights, a component at its bound 0 would hardly count.
+double Projector::movable_part(std::size_t i) const {
+  double all = 0, free = 0;
+  invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) {
+    const double term = std::abs(value) * unit_of_component_[j];
+    all = std::max(all, term);
+    if (!fixed(j)) free = std::max(free, term);
+  });
+  return all > 0 ? free / all : 0;
+}
+
+/// Whether nothing but the roundoff of its coefficients is left of invariant i, since components are fixed.
+bool Projector::stuck(std::size_t i) const { return !movable_.empty() && movable_[i] <= roundoff_of_coefficients; }
+
+double Projector::roundoff(std::size_t i, const double* y) {
+  double roundoff = std::max(invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()));
+  if (!any_fixed()) return roundoff;
+  double largest = 0, sizes = 0;
+  invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) {
+    largest = std::max(largest, std::abs(value) * unit_of_component_[j]);
+    sizes += std::abs(y[j]) / unit_of_component_[j];
+  });
+  return std::max(roundoff, roundoff_of_coefficients * largest * sizes);
+}
+
+/// The norm of row i of J W and, where the correction is that of all together, the row itself with norm 1; without the
+/// components that are fixed, unless nothing else is left of it: its norm is then that of all, the row 0. (Levels scale
+/// rows themselves.)
 void Projector::scale_row(std::size_t i) {
   const std::size_t n = w_.size();
   const Row gradient = invariants_.row(i, J_.data());
   const bool sparse = gradient.columns != nullptr;
   double* row = levels_ ? delta_.data() : &scaled_(0, index(i));
   if (sparse && !levels_) std::fill(row, row + n, 0.0);
+  if (!movable_.empty()) movable_[i] = any_fixed() ? movable_part(i) : 1;
   if (sparse || any_fixed()) {
     std::size_t k = 0;
-    gradient.for_each([&](std::size_t j, double value) { row[levels_ ? k++ : j] = fixed(j) ? 0 : value * w_[j]; });
+    gradient.for_each(
+        [&](std::size_t j, double value) { row[levels_ ? k++ : j] = fixed(j) && !stuck(i) ? 0 : value * w_[j]; });
   } else {
     for (std::size_t j = 0; j < n; ++j) row[j] = gradient.values[j] * w_[j];
   }
   norm_[i] = norm2(row, levels_ ? gradient.size : n);
   if (!(norm_[i] > 0) || levels_) return;
-  const double factor = preference(i) / norm_[i];
+  const double factor = stuck(i) ? 0 : preference(i) / norm_[i];
   for (std::size_t j = 0; j < n; ++j) row[j] *= factor;
 }
 
@@ -332,8 +383,9 @@ std::size_t Projector::solve(double t) {
   return rank;
 }
 
-/// For the verdict which invariants are redundant.
+/// For the verdict which invariants are redundant, of which corrections with fixed components tell nothing.
 void Projector::count_correction(double t, std::size_t rank) {
+  if (any_fixed()) return;
   const double since = corrections_ == 0 ? 0 : std::abs(t - corrected_at_);
   corrected_at_ = t;
   ++corrections_;
@@ -346,7 +398,7 @@ void Projector::count_correction(double t, std::size_t rank) {
 
 std::size_t Projector::solve_one(double t) {
   const std::size_t n = w_.size();
-  if (norm_[0] == 0 || all_idle()) {
+  if (norm_[0] == 0 || stuck(0) || all_idle()) {
     if (!all_idle()) leave_out(0, t);
     std::fill(delta_.begin(), delta_.end(), 0);
     return 0;
@@ -381,15 +433,25 @@ std::size_t Projector::solve_in_levels(double t) {
       if (fixed(j)) free_w_[j] = 0;
     w = free_w_.data();
   }
-  const char* idle = idle_count_ > 0 ? idle_.data() : nullptr;
-  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), idle, delta_.data());
+  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), without_part(), delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
-    if (levels_->left_out()[i] != 0) leave_out(i, t);
+    if (levels_->left_out()[i] != 0 || (stuck(i) && !idle(i))) leave_out(i, t);
   return rank;
 }
 
+/// The invariants that take no part in the correction: those that are idle or stuck. Null: all take part.
+const char* Projector::without_part() {
+  if (!any_fixed()) return idle_count_ > 0 ? idle_.data() : nullptr;
+  for (std::size_t i = 0; i < r_.size(); ++i) without_part_[i] = idle(i) || stuck(i);
+  return without_part_.data();
+}
+
 void Projector::fix(std::size_t j) {
-  if (fixed_.empty()) fixed_.resize(w_.size());
+  if (fixed_.empty()) {
+    fixed_.resize(w_.size());
+    movable_.assign(r_.size(), 1);
+    without_part_.resize(r_.size());
+  }
   fixed_count_ += fixed_[j] == 0 ? 1 : 0;
   fixed_[j] = 1;
 }
@@ -484,8 +546,9 @@ double Projector::pivot_threshold() const {
 }
 
 void Projector::leave_out(std::size_t i, double t) {
-  if (deficient_ == 0) dropped_at_ = t;
   left_out_[i] = 1;
+  if (any_fixed()) return;
+  if (deficient_ == 0) dropped_at_ = t;
   ++dropped_[i];
 }
 

@@ -107,12 +107,17 @@ class Projector {
   /// The t at which some were first left out.
   [[nodiscard]] double dropped_at() const { return dropped_at_; }
   void state(Archive& archive);
+  /// Size below which the residual of invariant i at y, near the latest linearization, is roundoff: of g, of the point,
+  /// and where components are fixed of the coefficients that the others have in it.
+  [[nodiscard]] double roundoff(std::size_t i, const double* y);
   /// Whether the latest correction left out invariant i.
   [[nodiscard]] bool left_out(std::size_t i) const { return left_out_[i] != 0; }
 
  private:
   Outcome linearize(double t, const double* y);
   Outcome linearize_known(double t, const double* y);
+  [[nodiscard]] double movable_part(std::size_t i) const;
+  [[nodiscard]] bool stuck(std::size_t i) const;
   void scale_row(std::size_t i);
   [[nodiscard]] double preference(std::size_t i) const;
   Outcome measure(double t, const double* y);
@@ -131,6 +136,7 @@ class Projector {
   std::size_t solve_one(double t);
   std::size_t solve_several(double t);
   std::size_t solve_in_levels(double t);
+  const char* without_part();
   [[nodiscard]] bool settled() const;
   std::size_t factor(double t);
   void substitute(std::size_t rank);
@@ -148,11 +154,15 @@ class Projector {
   double bent_ = 0;          // relative change of the length of a gradient since the linearization before
   std::vector<double> residual_before_, distance_before_, residual_after_, unit_;
   std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
+  std::vector<double> unit_of_component_;
+  // Without levels, which have their own:
   Eigen::MatrixXd scaled_;             // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
   Eigen::MatrixXd R_;                  // (m, m): column i has the components of row i in Q
   Eigen::VectorXd z_;                  // (m)
   std::vector<std::size_t> order_;     // of the pivots
   std::vector<char> left_out_;         // in the latest correction
+  std::vector<double> movable_;        // `movable_part` of each invariant; empty: no component was ever fixed
+  std::vector<char> without_part_;     // see there
   std::vector<std::int64_t> dropped_;  // in how many corrections
   std::int64_t corrections_ = 0, deficient_ = 0;
   double corrected_at_ = 0;                     // t of the latest correction

@@ -19,14 +19,29 @@ bool SparseRows::least_norm(const RowLayout& layout, const double* values, const
   std::fill(x.begin(), x.end(), 0.0);
   if (right_.size() == 0) return true;
   const Matrix gram = transposed_.transpose() * transposed_;
-  if (analyzed_ != gram.nonZeros()) factors_->analyzePattern(gram);
-  analyzed_ = gram.nonZeros();
+  if (!analyzed(gram)) analyze(gram);
   factors_->factorize(gram);
   const double least = std::max(threshold * threshold, dependent);  // a pivot is the square of what is left of a row
   if (factors_->info() != Eigen::Success || !(factors_->vectorD().array() > least).all()) return false;
   const Eigen::VectorXd z = transposed_ * Eigen::VectorXd(factors_->solve(right_));
   for (std::size_t j = 0; j < x.size(); ++j) x[j] = scale[j] * z[static_cast<Eigen::Index>(j)];
   return true;
+}
+
+/// Whether the order and the structure of the factors are those of this pattern: an equality, since bounds move entries
+/// without changing their number.
+bool SparseRows::analyzed(const Matrix& gram) const {
+  const auto begins = [](const std::vector<int>& known, const int* given, Eigen::Index count) {
+    return std::ssize(known) == count && std::equal(known.begin(), known.end(), given);
+  };
+  return begins(starts_, gram.outerIndexPtr(), gram.outerSize() + 1) &&
+         begins(rows_, gram.innerIndexPtr(), gram.nonZeros());
+}
+
+void SparseRows::analyze(const Matrix& gram) {
+  factors_->analyzePattern(gram);
+  starts_.assign(gram.outerIndexPtr(), gram.outerIndexPtr() + gram.outerSize() + 1);
+  rows_.assign(gram.innerIndexPtr(), gram.innerIndexPtr() + gram.nonZeros());
 }
 
 /// The rows in which something may move, scaled. False: nothing is left of one of them.

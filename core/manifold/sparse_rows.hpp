@@ -11,8 +11,8 @@
 
 namespace invariode {
 
-/// Equations a_i x = r_i with sparse rows, of a pattern that stays: with rows b_i of norm 1 in the scaled unknowns, by
-/// the factors L D Lᵀ of B Bᵀ, ordered once. That squares the condition number; the next Newton iteration
+/// Equations a_i x = r_i with sparse rows: with rows b_i of norm 1 in the scaled unknowns, by the factors L D Lᵀ of B
+/// Bᵀ, which are ordered anew where its pattern changes. That squares the condition number; the next Newton iteration
 /// recovers what is lost.
 class SparseRows {
  public:
@@ -25,13 +25,15 @@ class SparseRows {
  private:
   using Matrix = Eigen::SparseMatrix<double>;
 
+  [[nodiscard]] bool analyzed(const Matrix& gram) const;
+  void analyze(const Matrix& gram);
   bool take(const RowLayout& layout, const double* values, const std::vector<std::size_t>& rows,
             const std::vector<double>& scale, const std::vector<double>& right);
 
   Matrix transposed_;      // (n, k): the scaled rows
   Eigen::VectorXd right_;  // (k)
   std::unique_ptr<Eigen::SimplicialLDLT<Matrix>> factors_ = std::make_unique<Eigen::SimplicialLDLT<Matrix>>();
-  Eigen::Index analyzed_ = -1;  // entries of the pattern that the order is for
+  std::vector<int> starts_, rows_;  // the pattern that the order of the factors is for
 };
 
 }  // namespace invariode

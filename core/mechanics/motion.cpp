@@ -102,7 +102,22 @@ Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
   satisfying_.resize(n);
   nothing_ = Eigen::VectorXd::Zero(index(n_v));
   rest_.resize(A_.rows());
-  entries_.resize(std::max(n_v * n_v, m_phi * n_q));
+  entries_.resize(most_entries());
+}
+
+/// What the users' functions write at most at once: those of M and of Φ, if they are given.
+std::size_t Motion::most_entries() const {
+  std::size_t mass = 0, phi = 0;
+  switch (terms_.mass.writes) {
+    case MassTerm::Writes::nothing: break;
+    case MassTerm::Writes::diagonal: mass = terms_.n_v; break;
+    case MassTerm::Writes::entries: mass = static_cast<std::size_t>(terms_.mass.matrix.nonZeros()); break;
+    case MassTerm::Writes::rows: mass = terms_.n_v * terms_.n_v; break;
+  }
+  if (terms_.jacobian.function)
+    phi = terms_.jacobian.entries ? static_cast<std::size_t>(phi_.matrix.nonZeros())
+                                  : static_cast<std::size_t>(phi_.matrix.rows()) * terms_.n_q;
+  return std::max(mass, phi);
 }
 
 void Motion::choose_patterns() {

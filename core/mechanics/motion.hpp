@@ -134,6 +134,7 @@ class Motion {
   Status correct_positions(double t, double& size);
   Status correct_velocities(double t);
   void choose_patterns();
+  [[nodiscard]] std::size_t most_entries() const;
   void combine_rates();
   Status phi_jacobian(double t, const double* q);
   Status curvatures(double t, const double* y);

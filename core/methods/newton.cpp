@@ -91,6 +91,7 @@ Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
   undefined_ = -1;
   if (!all_finite(y, n)) return Outcome::not_finite;
   if (f_(t, y, out) == Status::stop) return Outcome::stop;
+  jacobian_.extend(y, out);
   if (all_finite(out, n)) return Outcome::ok;
   undefined_ = static_cast<int>(std::find_if_not(out, out + n, [](double x) { return std::isfinite(x); }) - out);
   return Outcome::not_finite;
@@ -128,7 +129,7 @@ Status AgingJacobian::make_fit(double t, const double* y, const double* slope) {
     if (!jacobian_.computed() || jacobian().structure.kind == Structure::Kind::dense) return Status::ok;
     for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = part_of_y * std::abs(y[j]);
     const auto turn = static_cast<std::size_t>(jacobian_.count());
-    switch (check_->examine(f, t, y, slope, jacobian(), reach_.data(), turn)) {
+    switch (check_->examine(f, t, y, slope, jacobian(), reach_.data(), turn, jacobian_.box())) {
       case JacobianCheck::Verdict::stop: return Status::stop;
       case JacobianCheck::Verdict::wrong: return jacobian_.complete(f, t, y, slope, check_->direction());
       case JacobianCheck::Verdict::right: break;
@@ -153,7 +154,7 @@ JacobianCheck::Fit AgingJacobian::fit(Callback& f, double t, const double* y, co
   const double reach = part * std::min(weights_.rtol(), widest_reach);
   for (std::size_t j = 0; j < reach_.size(); ++j) reach_[j] = reach * jacobian_.scale(j, y);
   const auto turn = static_cast<std::size_t>(jacobian_.count());
-  return check_->fit(f, t, y, slope, jacobian(), reach_.data(), turn);
+  return check_->fit(f, t, y, slope, jacobian(), reach_.data(), turn, jacobian_.box());
 }
 
 /// f jumps, or bends sharply, within the tolerance: J is taken on the side to which f leads.

@@ -107,7 +107,8 @@ class AgingJacobian {
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
 
-  /// f(t, y), which must be finite; a component that is not is remembered until the next evaluation.
+  /// f(t, y), outside of bounds by its linearization within; it must be finite; a component that is not is remembered
+  /// until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
   [[nodiscard]] int undefined_component() const { return undefined_; }
   void forget_undefined() { undefined_ = -1; }

@@ -2,6 +2,7 @@
 
 #include <stdexcept>
 
+#include "confined.hpp"
 #include "linear/groups.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
@@ -80,9 +81,16 @@ std::optional<ConsistentStart> consistent_start(const Problem& problem, const We
   require_sizes(problem, weights);
   if (!problem.f || !problem.linear || !problem.linear->mass)
     throw std::invalid_argument("algebraic equations come from f and a mass matrix: the problem lacks one of them");
-  const LinearTerms& linear = *problem.linear;
-  Callback f = problem.f;
-  const Jacobian jacobian = make_jacobian(linear, weights);
+  Problem seen = problem;
+  std::optional<Confined> confined;
+  if (problem.bounds) {
+    confined.emplace(*problem.bounds, weights);
+    seen.f = confined->seen(problem.f);
+    seen.linear->source = confined->seen(problem.linear->source);
+  }
+  const LinearTerms& linear = *seen.linear;
+  Callback f = seen.f;
+  const Jacobian jacobian = make_jacobian(seen, weights);
   Mass mass = *linear.mass;
   ConsistentStart start{.y0 = std::vector<double>(y0, y0 + problem.n), .verdict = {}};
   const LinearAlgebra algebra{
@@ -96,7 +104,7 @@ std::optional<Matrix> jacobian_at(const Problem& problem, const Weights& weights
   require_sizes(problem, weights);
   if (!problem.f || !problem.linear) throw std::invalid_argument("the problem does not say what its Jacobian is");
   Callback f = problem.f;
-  Jacobian jacobian = make_jacobian(*problem.linear, weights);
+  Jacobian jacobian = make_jacobian(problem, weights);
   std::vector<double> slope(problem.n);
   if (f(t, y, slope.data()) == Status::stop) return {};
   if (jacobian.evaluate(f, t, y, slope.data()) == Status::stop) return {};
@@ -108,7 +116,8 @@ std::optional<FoundPattern> sparsity(const Problem& problem, double t, const dou
   Callback f = problem.f;
   FoundPattern found;
   bool stopped = false;
-  found.pattern = find_pattern_near(f, t, {y, y + problem.n}, search, stopped);
+  const Box box = problem.bounds ? box_of(*problem.bounds) : Box{};
+  found.pattern = find_pattern_near(f, t, {y, y + problem.n}, box, search, stopped);
   if (stopped) return {};
   found.calls = f.calls();
   if (found.pattern)

@@ -41,9 +41,13 @@ void require_sizes(const Problem& problem, const Weights& weights) {
   require(!linear.mass || linear.mass->matrix().n() == problem.n, "the mass matrix is not of the size of the problem");
 }
 
-Jacobian make_jacobian(const LinearTerms& linear, const Weights& weights) {
-  return {linear.source, linear.jacobian, weights};
+Jacobian make_jacobian(const Problem& problem, const Weights& weights) {
+  Jacobian jacobian(problem.linear->source, problem.linear->jacobian, weights);
+  if (problem.bounds) jacobian.keep_within(box_of(*problem.bounds));
+  return jacobian;
 }
+
+Box box_of(const Bounds& bounds) { return {.lower = bounds.lower(), .upper = bounds.upper()}; }
 
 Solver::Solver(const Method& method, Problem problem, Weights weights, Settings settings, MethodOptions options)
     : method_(method),
@@ -65,7 +69,7 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require(!problem_.linear || !problem_.linear->krylov || implicit_one.takes("linear_solver"),
           std::string(implicit_one.name) + " needs exact solutions of its linear systems; use ode15s");
   options_.projected = !problem_.invariants.empty() || problem_.bounds.has_value();
-  if (problem_.linear) jacobian_.emplace(make_jacobian(*problem_.linear, weights_));
+  if (problem_.linear) jacobian_.emplace(make_jacobian(problem_, weights_));
 }
 
 void Solver::cover(double t0, double tf, double hmax) {

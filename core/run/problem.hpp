@@ -81,7 +81,9 @@ class Solver {
   std::optional<Jacobian> jacobian_;
 };
 
-/// The Jacobian that the terms describe. The weights belong to the caller and outlive it.
-Jacobian make_jacobian(const LinearTerms& linear, const Weights& weights);
+/// The Jacobian that the problem, which has linear terms, describes; with increments that stay within its bounds. The
+/// weights belong to the caller and outlive it.
+Jacobian make_jacobian(const Problem& problem, const Weights& weights);
+Box box_of(const Bounds& bounds);
 
 }  // namespace invariode

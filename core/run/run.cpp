@@ -30,7 +30,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
 
 /// In this order: each refers to what the ones before have made.
 Run::Run(const Solver& solver) : solver_(solver) {
-  see_pieces();
+  see_functions();
   f_ = problem().f;
   copy_linear_terms();
   keep_within_bounds();
@@ -40,10 +40,14 @@ Run::Run(const Solver& solver) : solver_(solver) {
 }
 
 /// What may jump at a breakpoint, f and g with their derivatives, is called by way of the piece. Events are not: their
-/// signs go on through breakpoints.
-void Run::see_pieces() {
-  if (solver_.problem().breakpoints.empty()) return;
-  Problem& problem = pieced_.emplace(solver_.problem());
+/// signs go on through breakpoints. Within bounds f and its derivatives are called there only.
+void Run::see_functions() {
+  const Problem& all = solver_.problem();
+  if (!all.breakpoints.empty()) see_pieces(seen_.emplace(all));
+  if (all.bounds) see_bounds(seen_ ? *seen_ : seen_.emplace(all));
+}
+
+void Run::see_pieces(Problem& problem) {
   problem.f = piece_.seen(problem.f);
   for (InvariantBlock& block : problem.invariants) {
     block.g = piece_.seen(block.g);
@@ -61,10 +65,20 @@ void Run::see_pieces() {
   if (problem.linear->mass) problem.linear->mass->see([this](const MatrixFunction& m) { return piece_.seen(m); });
 }
 
+void Run::see_bounds(Problem& problem) {
+  confined_.emplace(*solver_.problem().bounds, solver_.weights());
+  users_f_ = problem.f;
+  problem.f = confined_->seen(problem.f);
+  if (!problem.linear) return;
+  problem.linear->source = confined_->seen(problem.linear->source);
+  if (problem.linear->krylov)
+    problem.linear->krylov->product = confined_->seen_product(problem.linear->krylov->product);
+}
+
 void Run::copy_linear_terms() {
   if (!solver_.jacobian()) return;
-  if (pieced_)
-    jacobian_.emplace(make_jacobian(*pieced_->linear, solver_.weights()));
+  if (seen_)
+    jacobian_.emplace(make_jacobian(*seen_, solver_.weights()));
   else
     jacobian_.emplace(*solver_.jacobian());
   mass_ = problem().linear->mass;
@@ -97,10 +111,11 @@ void Run::keep_within_bounds() {
 /// y' as a function, by which invariants are tested.
 void Run::derive_slope() {
   if (problem().invariants.empty() && !moves_off_algebraic_equations()) return;
+  const Callback f = confined_ ? confined_->defined(users_f_) : f_;
   if (mass_)
-    slope_ = std::make_unique<MassSlope>(f_, linear_algebra(), solver_.weights());
+    slope_ = std::make_unique<MassSlope>(f, linear_algebra(), solver_.weights());
   else
-    slope_ = std::make_unique<ExplicitSlope>(f_, problem().f_error);
+    slope_ = std::make_unique<ExplicitSlope>(f, problem().f_error);
   manifold_.slope = slope_.get();
 }
 

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "confined.hpp"
 #include "integrate.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
@@ -105,7 +106,9 @@ class Run {
   State resume(std::span<const std::byte> memory, bool anew);
 
  private:
-  void see_pieces();
+  void see_functions();
+  void see_pieces(Problem& problem);
+  void see_bounds(Problem& problem);
   void copy_linear_terms();
   void keep_within_bounds();
   void derive_slope();
@@ -121,12 +124,14 @@ class Run {
   void describe_invariants(RunResult& result) const;
   LinearAlgebra linear_algebra();
 
-  /// The functions of the run: the solver's, or what a piece between breakpoints sees of them.
-  [[nodiscard]] const Problem& problem() const { return pieced_ ? *pieced_ : solver_.problem(); }
+  /// The functions of the run: the solver's, or what a piece between breakpoints sees of them, within bounds.
+  [[nodiscard]] const Problem& problem() const { return seen_ ? *seen_ : solver_.problem(); }
 
   const Solver& solver_;
   Piece piece_;
-  std::optional<Problem> pieced_;
+  std::optional<Confined> confined_;
+  std::optional<Problem> seen_;
+  Callback users_f_;  // within bounds: f before it is confined to them
   Callback f_;
 
   // Of its own, since evaluating them changes them.

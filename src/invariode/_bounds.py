@@ -18,6 +18,9 @@ class Limits(NamedTuple):
     lower: Array
     upper: Array
 
+    def nearest(self, y: Array) -> Array:
+        return np.clip(y, *self)
+
 
 def limits(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | None) -> Limits | None:
     """Both options as one pair of bounds. None: nothing is bounded.

@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from . import _core
 from ._arguments import Array, warn
+from ._bounds import Limits
 from ._complex_steps import compiled_at_complex, python_at_complex
 from ._elimination import null_space, roundoff, whole
 from ._given_matrices import Matrices, as_matrix, bandwidths, require_shape
@@ -100,6 +101,7 @@ class Start:
     y: Array
     args: tuple[Any, ...]
     parameters: Array
+    limits: Limits | None = None
     complex_by_default: bool = True
 
 
@@ -166,7 +168,7 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     if bands is not None:
         held = storage("banded", lower=bands[0], upper=bands[1])
     elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
-        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters)
+        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters, start.limits)
         pattern, found = searched or (None, 0)
         held = storage("dense" if pattern is None else "sparse")
     else:

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from . import _core
 from ._arguments import Array
+from ._bounds import Limits
 from ._given_matrices import Matrices
 from .compiled import is_native, to_native
 
@@ -24,7 +25,13 @@ _PART_OF_DENSE, _PART_OF_COLUMNS, _FULL = 0.5, 0.25, 0.1
 
 
 def find_pattern(
-    given: Matrices, fun: Any, t: float, y: Array, args: tuple[Any, ...], parameters: Array
+    given: Matrices,
+    fun: Any,
+    t: float,
+    y: Array,
+    args: tuple[Any, ...],
+    parameters: Array,
+    limits: Limits | None = None,
 ) -> tuple[tuple[Array, Array, Array], int] | None:
     """The pattern of ∂f/∂y as (starts, rows, values), and the evaluations of f that it took. None: the Jacobian is
     dense, or not large, or is not to be examined."""
@@ -34,7 +41,8 @@ def find_pattern(
     if way == "dense" or n == 0 or (way is None and (n < _LARGE or not _sparse(given.mass))):
         return None
     form = to_native("fun", fun, n, n, parameters) if is_native(fun) else _Anywhere(fun, y)
-    problem = _core.Problem(n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters)
+    within = {} if limits is None else limits._asdict()
+    problem = _core.Problem(n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters, **within)
     most = int(_PART_OF_DENSE * n) if way is None else 4 * n + 100
     found, evaluations, each = _core.sparsity(t, reals, problem, most, way is None)
     if found is None or (way is None and (len(found[1]) > _FULL * n**2 or each > _PART_OF_COLUMNS * n)):

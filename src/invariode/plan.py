@@ -405,7 +405,9 @@ def _linear_algebra(
     if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
-    start = Start(problem.slope.fun, t0, y0, problem.args, parameters, complex_by_default=compiled)
+    limits = problem.limits
+    inside = y0 if limits is None else limits.nearest(y0)
+    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, limits, compiled)
     linear = prepare(matrices, start, _matrix_free(problem, matrices, options, parameters))
     if not linear.algebraic:
         return linear, y0
@@ -423,6 +425,7 @@ def _linear_algebra(
         args=problem.args,
         parameters=parameters,
         linear=linear,
+        **({} if limits is None else limits._asdict()),
     )
     y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
     if verdict in ("index_too_high", "not_found"):

@@ -9,6 +9,7 @@
 #include "check.hpp"
 #include "decompositions.hpp"
 #include "manifold/projection.hpp"
+#include "manifold/sparse_rows.hpp"
 #include "problems.hpp"
 
 using namespace invariode;
@@ -262,5 +263,29 @@ TEST(invariants_of_one_level_may_not_move_different_components) {
       refused = true;
     }
     CHECK(refused);
+  }
+}
+
+TEST(sparse_rows_order_their_factors_anew_where_the_pattern_changes_but_not_the_number_of_its_entries) {
+  // Equations of four pairs of unknowns, of which each may move or not: all sets of unknowns, one after the other.
+  RowLayout layout(8);
+  layout.add(5, {.starts = {0, 2, 4, 6, 8, 10}, .columns = {0, 1, 1, 2, 2, 3, 4, 5, 6, 7}});
+  const std::vector<double> values{1, 2, -1, 3, 2, 1, 1, -1, 2, 5};
+  const std::vector<std::size_t> rows{0, 1, 2, 3, 4};
+  const std::vector<double> right{1, -2, 3, 0.5, 4};
+  const auto solve = [&](SparseRows& sparse, unsigned moves, std::vector<double>& x) {
+    std::vector<double> scale(8);
+    for (std::size_t j = 0; j < 8; ++j) scale[j] = moves >> j & 1U;
+    return sparse.least_norm(layout, values.data(), rows, scale, right, 1e-10, x);
+  };
+  SparseRows again;
+  for (unsigned moves = 0; moves < 256; ++moves) {
+    const unsigned scattered = moves * 151 % 256;  // neighbours differ in many unknowns
+    const check::Case label("moves ", scattered);
+    SparseRows fresh;
+    std::vector<double> x(8), expected(8);
+    const bool solved = solve(again, scattered, x);
+    CHECK(solved == solve(fresh, scattered, expected));
+    if (solved) CHECK(x == expected);
   }
 }
