@@ -15,7 +15,7 @@ constexpr double slowest_rate = 0.9;
 constexpr double rate_memory = 0.9;  // what remains of the last rate in the present one
 // A component that changes by so many times its size has left the region in which J holds, and f may not be defined
 // there: converging iterations have updates of 0.5 at most (stiff set, rtol ≤ 1e-4).
-constexpr double largest_update = 1;
+constexpr double largest_update = 2;
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
