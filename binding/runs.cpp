@@ -727,7 +727,11 @@ void define_stepper(nb::module_& module) {
           "sticks_since", [](Stepper& s) { return s.integration().discontinuities().sticks_since(); },
           "From which t on the solution sticks where f jumps.")
       .def_prop_ro("nfev", &Stepper::evaluations)
-      .def_prop_ro("nfev_searching", [](Stepper& s) { return s.integration().discontinuities().evaluations(); })
+      .def_prop_ro("nfev_check",
+                   [](Stepper& s) {
+                     const Integration& loop = s.integration();
+                     return loop.discontinuities().evaluations() + loop.step().linear_work().checks;
+                   })
       .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
       .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
 }

@@ -17,6 +17,9 @@ import pytest
 import invariode as iv
 from ensembles import same
 
+#: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
+pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
+
 numba = pytest.importorskip("numba")
 
 SIZE = 40
@@ -414,9 +417,6 @@ def test_the_bar_counts_trajectories(capsys):
 FOREVER = """
 import os, signal, sys, threading
 import numpy as np, invariode as iv
-
-#: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
-pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
 f = lambda t, y: (y[1], -y[0])
 if {native}:
     f = iv.compile(f)

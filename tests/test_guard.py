@@ -379,7 +379,7 @@ def test_check_false_takes_the_user_at_their_word(method):
     fun, y0, wrong = WRONG["dissipative"]
     sol = iv.solve_ivp(fun, (0, 5), y0, method, invariants=wrong, check=False)
     assert sol.success
-    assert sol.stats.nfev_check == 0
+    assert sol.stats.nfev_check == iv.solve_ivp(fun, (0, 5), y0, method).stats.nfev_check  # of Jacobians of f
 
 
 def test_invariant_that_is_not_finite_at_the_start():

@@ -174,7 +174,7 @@ def test_events_are_those_of_single_solves(method, invariants):
         np.testing.assert_array_equal(found.y[i, :, : len(one.t)], one.y)
         for event, t, y in zip(found.events, one.t_events, one.y_events, strict=True):
             np.testing.assert_array_equal(event.t[event.trajectory == i], t)
-            np.testing.assert_array_equal(event.y[event.trajectory == i], y)
+            np.testing.assert_array_equal(event.y[event.trajectory == i], y.reshape(len(t), one.y.shape[0]))
 
 
 @pytest.fixture(scope="module", params=["Henon-Heiles", "rigid body"])

@@ -161,6 +161,7 @@ def test_same_kind_of_exception(name):
 
 #: Options of SciPy's methods that not every method of ours can use. min_step is LSODA's; none of ours takes it.
 SELECTIVE = ["jac", "jac_sparsity", "lband", "uband", "min_step", "max_order", "bdf"]
+UNUSED = {"bdf": True, "lband": 0, "uband": 0}
 
 
 @pytest.mark.parametrize(
@@ -169,7 +170,7 @@ SELECTIVE = ["jac", "jac_sparsity", "lband", "uband", "min_step", "max_order", "
 )
 def test_options_that_the_method_cannot_use_are_warned_of(method, option):
     with pytest.warns(UserWarning, match=f"option '{option}' has no effect on {method}"):
-        assert iv.solve_ivp(decay, (0, 1), [1], method, **{option: True if option == "bdf" else 1}).success
+        assert iv.solve_ivp(decay, (0, 1), [1], method, **{option: UNUSED.get(option, 1)}).success
 
 
 def test_rtol_is_raised_as_in_scipy():

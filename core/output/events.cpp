@@ -13,6 +13,7 @@ constexpr double tie_ulps = 4;       // roots this close are one instant
 constexpr int few_intervals = 3;     // that shrink do not yet accumulate
 
 int sign_of(double v) { return (v > 0) - (v < 0); }
+bool is_sign(int s) { return s >= -1 && s <= 1; }
 
 /// Shrinks [a, b], on which e changes sign, to `width` by Chandrupatla's method (Adv. Eng. Software 28 (1997) 145):
 /// inverse quadratic interpolation where the three latest points are in a shape that makes it converge, else bisection.
@@ -100,14 +101,13 @@ void Events::state(Archive& archive) {
     archive(terminal, seen);
     times_seen_[e] = functions_[e].terminal - (terminal - seen);
   }
-  for (Actions& all : actions_) archive(all.t, all.interval, all.count, all.shorter, all.crossed, all.returned);
-  bool accumulated = accumulation_.has_value();
-  archive(accumulated);
-  if (accumulated) {
-    if (!accumulation_) accumulation_.emplace();
-    archive(accumulation_->event, accumulation_->t, accumulation_->interval, accumulation_->count);
-    archive.require(accumulation_->event < count());
+  for (Actions& all : actions_) {
+    archive(all.t, all.interval, all.count, all.shorter, all.returned);
+    archive.values(&all.crossed, 1);
+    archive.require(is_sign(all.crossed));
   }
+  archive(accumulation_);
+  archive.require(!accumulation_ || accumulation_->event < count());
   std::vector<std::size_t> which;
   std::vector<double> when;
   for (const Occurrence& occurrence : occurrences_) {
@@ -117,7 +117,7 @@ void Events::state(Archive& archive) {
   archive.resizable(which);
   archive.resizable(when);
   if (!archive.reading()) return;
-  archive.require(std::ranges::all_of(sign_, [](int sign) { return sign >= -1 && sign <= 1; }));
+  archive.require(std::ranges::all_of(sign_, is_sign));
   archive.require(which.size() == when.size());
   occurrences_.clear();
   for (std::size_t k = 0; k < which.size(); ++k) {

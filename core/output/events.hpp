@@ -35,10 +35,12 @@ struct Occurrence {
 /// Occurrences with an action that come closer and closer, up to the one after which the event stays on the side to
 /// which it has crossed: a ball that bounces infinitely often in a finite time falls through the floor in the end.
 struct Accumulation {
-  std::size_t event;
-  double t;            ///< of the last one
-  double interval;     ///< from the one before
-  std::int64_t count;  ///< so many there were
+  std::size_t event = 0;
+  double t = 0;            ///< of the last one
+  double interval = 0;     ///< from the one before
+  std::int64_t count = 0;  ///< so many there were
+
+  void state(Archive& archive) { archive(event, t, interval, count); }
 };
 
 /// Watches the events from step to step. A sign change between successive points of a step (its ends and as many

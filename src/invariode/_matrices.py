@@ -283,7 +283,7 @@ def null_basis(mass: sp.csc_array) -> sp.csc_array:
     transposed = rows.toarray().T
     tolerance = roundoff(transposed)
     basis = [_exact(vector, transposed, tolerance) for vector in null_space(transposed, tolerance).vectors]
-    return sp.csc_array(np.reshape(basis, (-1, n)).T)
+    return sp.csc_array(np.reshape(basis, (len(basis), n)).T)
 
 
 def _exact(z: Array, transposed: Array, tolerance: float) -> Array:

@@ -20,7 +20,7 @@ from ._types import Numbers
 from .export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
 from .notebook import html_of_ensemble
 from .pictures.ensembles import draw as draw_ensemble
-from .result import BeforeProjection, Drift, Names, Record, Stats
+from .result import BeforeProjection, Drift, Names, Record, Stats, at_events
 from .solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used
@@ -282,7 +282,9 @@ class EnsembleSolution:
             y=y[:, reached],
             sol=None,
             t_events=[event.t[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
-            y_events=[event.y[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
+            y_events=[at_events(event.y[own]) for event, own in zip(self.events, here, strict=True)]
+            if self.events
+            else None,
             nfev=stats.nfev,
             njev=stats.njev,
             nlu=stats.nlu,

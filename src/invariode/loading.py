@@ -24,7 +24,7 @@ from .description import Description
 from .export import FORMAT, PLAIN, VERSION
 from .invariants import InvariantsLike, to_invariants
 from .plan import make_plan
-from .result import BeforeProjection, DenseSolution, Names, Stats, Steps
+from .result import BeforeProjection, DenseSolution, Names, Stats, Steps, at_events
 from .run import RunOrigin, Solved
 from .solution import Solution
 
@@ -343,12 +343,12 @@ def _outcome(arrays: dict[str, Any], about: dict[str, Any], events: int | None, 
     t_events, y_events = ([arrays[f"{what}.{e}"] for e in numbered] for what in ("t_events", "y_events"))
     for t, y in zip(t_events, y_events, strict=True):
         _require_floats(t, y.real)
-        if t.ndim != 1 or y.shape != (len(t), n):
+        if t.ndim != 1 or (y.shape != (len(t), n) and (len(t) or y.shape != (0,))):
             raise ValueError("events do not match")
     kinds = {"message": str, "success": bool}
     return {
         "t_events": None if events is None else t_events,
-        "y_events": None if events is None else y_events,
+        "y_events": None if events is None else [at_events(y) for y in y_events],
         **{name: _of_type(about[name], kinds.get(name, int)) for name in PLAIN},
         "stats": _stats(about["stats"]),
         "steps": _steps(arrays["steps"], about.get("methods", [""])) if "steps" in arrays else None,

@@ -27,11 +27,17 @@ __all__ = [
     "Stats",
     "Steps",
     "StiffnessWarning",
+    "at_events",
 ]
 
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
 #: invariant which f does not conserve.
 LIMIT_REACHED, NOT_CONSERVED = -3, -2
+
+
+def at_events(states: Array) -> Array:
+    """States at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
+    return states if len(states) else states.reshape(0)
 
 
 class Record(Mapping[str, Any]):

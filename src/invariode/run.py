@@ -47,6 +47,7 @@ from .result import (
     Stats,
     Steps,
     StiffnessWarning,
+    at_events,
 )
 from .solution import Solution
 
@@ -204,9 +205,9 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
     SolveError
         It failed, and is to raise.
     """
-    at_events = sol["y_events"]  # items are faster than attributes: see `Result`
-    if at_events is not None:  # SciPy's shape
-        sol["y_events"] = [states if len(states) else states.reshape(0) for states in at_events]
+    y_events = sol["y_events"]  # items are faster than attributes: see `Result`
+    if y_events is not None:
+        sol["y_events"] = [at_events(states) for states in y_events]
     if sol["success"] or on_failure == "return":
         return sol
     if on_failure == "warn":
