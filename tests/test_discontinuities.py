@@ -142,7 +142,7 @@ def test_where_the_smallest_step_fails_the_message_names_the_jump(method):
     )
     assert sol.status == -1
     assert sol.stats.discontinuities == (start + 3,)
-    assert "smallest" in sol.message
+    assert "below its smallest size" in sol.message
     assert "breakpoints=[1000000003]" in sol.message
     assert "singularity" not in sol.message
 

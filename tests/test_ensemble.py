@@ -337,7 +337,7 @@ def test_starts_that_singular_mass_matrices_refuse_are_told_apart():
         with pytest.raises(ValueError, match="algebraic") as refused:
             iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[i]), **about)
         assert out.messages[i] == f"ValueError: {refused.value}"
-        np.testing.assert_array_equal(out.y_end[i], y0)
+        assert np.isnan(out.y_end[i]).all()
     assert "index 1" in out.messages[1]
     assert "no consistent values" in out.messages[2]
     assert out.messages[3] == iv.solve_ivp(equations, (0, 1), y0, args=tuple(p[3]), **about).message
@@ -354,7 +354,7 @@ def test_what_the_options_warn_of_is_said_once():
 def test_states_at_times_are_not_copied():
     y0 = np.ones((1000, 2), dtype=complex)
     code = iv.compile(lambda t, y: (y[1], -y[0], y[3], -y[2]))
-    iv.solve_ensemble(code, (0, 1), y0[:1], t_eval=[1])  # imports, and compiles
+    iv.solve_ensemble(code, (0, 1), y0[:16], t_eval=[1])  # imports, and compiles, for lanes too
     tracemalloc.start()  # sees what numpy allocates, not the arrays of the core
     try:
         out = iv.solve_ensemble(code, (0, 1), y0, t_eval=np.linspace(0, 1, 200))

@@ -12,10 +12,7 @@ namespace {
 
 // The constants of the suite (Shampine & Reichelt, 1997, section 2, and the codes).
 constexpr double slowest_rate = 0.9;
-constexpr double rate_memory = 0.9;  // what remains of the last rate in the present one
-// A component that changes by so many times its size has left the region in which J holds, and f may not be defined
-// there: converging iterations have updates of 0.5 at most (stiff set, rtol ≤ 1e-4).
-constexpr double largest_update = 2;
+constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
@@ -41,7 +38,7 @@ void Convergence::begin(double rtol, double roundoff) {
 
 Convergence::Verdict Convergence::judge(double size) {
   ++iteration_;
-  if (!(size <= largest_update)) return Verdict::diverged;
+  if (!std::isfinite(size)) return Verdict::diverged;
   if (size <= roundoff_) return Verdict::converged;
   if (iteration_ == 1) {
     if (rate_known_ && size * rate_ / (1 - rate_) <= rules_.first_goal * rtol_) return Verdict::converged;
