@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from random import Random
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 
 import calls
 import exceptions
@@ -57,10 +57,11 @@ def failures(kind: str, seed: int, count: int) -> Iterator[tuple[int, str]]:
     """The cases that went wrong, with what did. A process does one after the other until it dies, hangs or is done."""
     first = 0
     while first < count:
-        with mmap.mmap(-1, 8) as at, TemporaryFile() as told:
+        with mmap.mmap(-1, 8) as at, TemporaryFile() as told, TemporaryDirectory() as place:
             at[:] = first.to_bytes(8, "little")
             child = os.fork()
             if child == 0:
+                os.chdir(place)  # where a run may leave files
                 _work(kind, seed, range(first, count), at, told.fileno())
             died = _watched(child, at)
             told.seek(0)
