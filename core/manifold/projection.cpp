@@ -559,7 +559,7 @@ void Projector::state(Archive& archive) {
   archive(idle_);
   archive.resizable(linearized_w_);
   if (!archive.reading()) return;
-  archive.require(linearized_w_.size() == w_.size() || (linearized_w_.empty() && !(linearized_ && negligible_ > 0)));
+  archive.require(linearized_w_.size() == w_.size() || (linearized_w_.empty() && (!linearized_ || negligible_ == 0)));
   idle_count_ = idle_.size() - static_cast<std::size_t>(std::ranges::count(idle_, char{0}));
 }
 
