@@ -13,8 +13,8 @@ import scipy.sparse as sp
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
 
-from .._arguments import Array
-from ..compiled import CompiledFunction, compile
+from .._base.arguments import Array
+from .._functions.compiled import CompiledFunction, compile
 
 __all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "eliminated", "functions"]
 

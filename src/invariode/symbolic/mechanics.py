@@ -9,8 +9,8 @@ import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
-from .._types import Span
-from ..problem import Problem
+from .._base.types import Span
+from .._solve.problem import Problem
 from .code import System, eliminated
 from .mechanism import Consistent, Correction
 from .noether import symmetries, vanishes

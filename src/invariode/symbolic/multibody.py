@@ -9,11 +9,11 @@ import numpy as np
 import sympy
 from sympy.physics.mechanics import KanesMethod, LagrangesMethod
 
-from .._arguments import choice, interval, warn
-from .._types import Span
-from ..failures import InvariantError
-from ..imposing import impose
-from ..problem import Problem
+from .._base.arguments import choice, interval, warn
+from .._base.failures import InvariantError
+from .._base.types import Span
+from .._laws.imposing import impose
+from .._solve.problem import Problem
 from .code import System
 from .mechanism import Consistent, Correction, Mechanism
 from .noether import vanishes

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import sympy
 
-from .._arguments import Array, choice, distinct, interval
-from .._films import HasPoints
-from .._types import Span
-from ..invariant_check import check_invariants
-from ..invariants import Invariants
-from ..problem import Problem
+from .._base.arguments import Array, choice, distinct, interval
+from .._base.types import Span
+from .._problem.invariants import Invariants
+from .._results.films import HasPoints
+from .._solve.problem import Problem
+from .._studies.check import check_invariants
 from .code import Code, Piece, System, functions
 from .mechanism import Consistent, Correction, Mechanism
 from .vocabulary import Vocabulary, parsed
