@@ -151,7 +151,7 @@ class CompiledFunction:
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
 
-    def __reduce__(self) -> str | tuple[type[CompiledFunction], tuple[Callable[..., Any], bool, str]]:
+    def __reduce__(self) -> str | tuple[Any, ...]:
         """By name where `compile` was the decorator of a function; never with the machine code."""
         try:
             named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache, reduce
+from functools import cache, partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,12 +65,8 @@ def functions(system: System, laws: Sequence[Any], compiled: bool) -> Code:
     slopes = [*map(words.node, system.explicit), *_accelerations(system, words)][:n]
     made: dict[str, Formula] = {}
     for i, law in enumerate(laws):
-        made[f"g{i}"] = Formula(f"g{i}", lambda law=law: [words.node(law)], (1,))  # type: ignore[misc]
-        made[f"dg{i}"] = Formula(
-            f"dg{i}",
-            lambda law=law: _dense([gradient(words.node(law), y)], n, words.graph),
-            (1, n),  # type: ignore[misc]
-        )
+        made[f"g{i}"] = Formula(f"g{i}", partial(_of_law, law, words), (1,))
+        made[f"dg{i}"] = Formula(f"dg{i}", partial(_of_gradient, law, words, y), (1, n))
     rows = cache(lambda: jacobian(slopes, y))
     pattern = None if system.force else _sparse(rows(), n)
     made["f"] = Formula("f", lambda: slopes, (n,))
@@ -79,6 +75,14 @@ def functions(system: System, laws: Sequence[Any], compiled: bool) -> Code:
     else:
         made["jac"] = Formula("jac", lambda: [rows()[i][j] for j in range(n) for i in _column(pattern, j)], pattern)
     return Code({name: GraphFunction(one) for name, one in made.items()} if compiled else dict(made), pattern)
+
+
+def _of_law(law: Any, words: _Words) -> list[Node]:
+    return [words.node(law)]
+
+
+def _of_gradient(law: Any, words: _Words, y: Sequence[Node]) -> list[Node]:
+    return _dense([gradient(words.node(law), y)], len(y), words.graph)
 
 
 def _dense(rows: Sequence[Row], n: int, graph: Graph) -> list[Node]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from ..compiled import CompiledFunction, Shape
@@ -31,7 +30,7 @@ class GraphFunction(CompiledFunction):
     def __init__(self, formula: Formula, elementary: str = "own") -> None:
         super().__init__(formula, inplace=False, elementary=elementary)
 
-    def __reduce__(self) -> tuple[Callable[..., GraphFunction], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         return GraphFunction, (self.fun, self.elementary)
 
     @property

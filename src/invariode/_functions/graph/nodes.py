@@ -165,7 +165,7 @@ class Graph:
         """Small integers as products, and x^½ as a root."""
         size = exponent.value if exponent.op == "number" else math.nan
         if size == 0.5:
-            return self.make("sqrt", base)
+            return self.elementary("sqrt", base)
         if not (abs(size) <= _MOST_FACTORS and size == int(size)):
             return self._folded(base, exponent, math.pow) or self.make("power", base, exponent)
         if size == 0:
