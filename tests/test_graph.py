@@ -163,7 +163,8 @@ def test_equal_nodes_are_one_and_identities_are_exact():
     x, y = graph.y(0), graph.y(1)
     once, again = (x * y + 1.0 for _ in range(2))
     assert once is again
-    assert {x * 1.0, 1.0 * x, x / 1.0, x - 0.0, -(-x)} == {x}
+    negative = -x
+    assert {x * 1.0, 1.0 * x, x / 1.0, x - 0.0, -negative} == {x}
     assert (x + 0.0).op == "add"  # -0 + 0 is 0
     assert (x * 0.0).op == "multiply"  # inf and NaN times 0
     assert graph.node(0.0) is not graph.node(-0.0)
