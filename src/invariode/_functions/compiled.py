@@ -23,23 +23,23 @@ from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from types import BuiltinFunctionType, FunctionType, MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, call_name, choice, shown, warn
+from .._base.arguments import Array, call_name, shown, warn
 
 __all__ = [
     "Compiled",
     "CompiledFunction",
     "Shape",
-    "compile",
     "complex_form",
     "event_value",
     "in_both_forms",
     "is_native",
     "made_by_compile",
+    "numba_or_say_so",
     "to_native",
 ]
 
@@ -128,6 +128,8 @@ class CompiledFunction:
         Whether it fills an output.
     elementary : {"own", "libm"}
         Whose elementary functions it calls.
+    how : str
+        How it was compiled: "trace" or "numba", and why not the other; by numba, as long as it was not.
     """
 
     def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
@@ -137,6 +139,7 @@ class CompiledFunction:
         self.__name__ = call_name(fun, "compiled")
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
+        self.how = "numba"
         self._made: dict[tuple[Any, ...], _core.Native] = {}
         self._own: set[Shape] = set()
         self._copying: set[Shape] = set()
@@ -148,6 +151,10 @@ class CompiledFunction:
     def __call__(self, *args: Any) -> Any:
         return self.fun(*args)
 
+    def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
+        """The Python function, with the arguments of the problem as numbers one after the other."""
+        return self.fun(t, *vectors, *([parameters] if len(parameters) else []))
+
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
 
@@ -157,7 +164,11 @@ class CompiledFunction:
             named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
         except (AttributeError, KeyError):
             named = None
-        return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace, self.elementary))
+        return self.__qualname__ if named is self else self.made_again()
+
+    def made_again(self) -> tuple[Any, ...]:
+        """How it is made of its function: a callable and its arguments."""
+        return CompiledFunction, (self.fun, self.inplace, self.elementary)
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
         """The machine code for n components, `size` values and that many parameters. With `second` the function takes
@@ -200,7 +211,7 @@ class CompiledFunction:
     def _make(self, shape: Shape) -> Any:
         """Its arguments are arrays that it may only read. What numba does not compile for these, because it writes to
         them or hands them to a function of a fixed signature, gets copies."""
-        refused = _numba().core.errors.NumbaError
+        refused = numba_or_say_so().core.errors.NumbaError
         try:
             code = self._code(shape, copies=False)
         except refused:
@@ -219,7 +230,7 @@ class CompiledFunction:
         """numba's code, whose arguments are read-only or copies."""
         from .given_arrays import copied, read_only
 
-        numba = _numba()
+        numba = numba_or_say_so()
         jitted = self._jit(shape.is_complex)
         names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
         names += ["p"] if shape.parameters else []
@@ -257,7 +268,7 @@ class CompiledFunction:
 
     def _jit(self, is_complex: bool) -> Any:
         """For numba; 1/0 is inf: no exceptions."""
-        numba = _numba()
+        numba = numba_or_say_so()
         if is_complex:
             if self._jitted_complex is None:
                 from .complex_code import ComplexCompiler
@@ -279,7 +290,7 @@ class CompiledFunction:
 
     def _stores(self, result: Any, size: int) -> list[str]:
         """Lines that store the result r, of numba's type `result`, in `out`."""
-        types = _numba().types
+        types = numba_or_say_so().types
         if isinstance(result, types.Array) and result.ndim > 1:
             return [
                 f"if r.size == {size}:",
@@ -316,8 +327,8 @@ class CompiledFunction:
 
     def _stores_of_rows(self, result: Any, size: int) -> list[str]:
         """The same for a tuple of tuples."""
-        lengths = [len(row) if isinstance(row, _numba().types.BaseTuple) else 1 for row in result]
-        if len(set(lengths)) > 1 or not all(isinstance(row, _numba().types.BaseTuple) for row in result):
+        lengths = [len(row) if isinstance(row, numba_or_say_so().types.BaseTuple) else 1 for row in result]
+        if len(set(lengths)) > 1 or not all(isinstance(row, numba_or_say_so().types.BaseTuple) for row in result):
             raise TypeError(
                 f"compile({self.__name__}): the function returns rows of {', '.join(map(str, lengths))} values: "
                 "return rows of one length"
@@ -330,7 +341,7 @@ class CompiledFunction:
 
     def _result(self, jitted: Any, shape: Shape, copies: bool) -> Any:
         """numba's type of what the function returns."""
-        numba = _numba()
+        numba = numba_or_say_so()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         vector, values = (numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double))
         time = number if shape.complex_time else numba.types.double
@@ -350,62 +361,6 @@ class CompiledFunction:
         return TypeError(text)
 
 
-def compile(
-    fun: Callable[..., Any], *, inplace: bool = False, elementary: Literal["own", "libm"] = "own"
-) -> CompiledFunction:
-    """A function that is compiled to machine code, by numba, when it is used in a problem.
-
-    Parameters
-    ----------
-    fun : callable
-        ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
-        compiles; it returns a number, a tuple (fast), a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or
-        with its rows one after the other.
-        If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here' (an f that
-        returns another number of values at the start is an error). If it is already compiled by numba or by this
-        function, its Python function is used. A function that writes to y or p gets copies of them in each call, which
-        takes longer.
-    inplace : bool, default False
-        ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
-    elementary : {"own", "libm"}, default "own"
-        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers it calls. Our own are inlined, also into the
-        form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and the same bits
-        on every processor. "libm": those of the platform's mathematical library, one call for each number.
-
-    Returns
-    -------
-    CompiledFunction
-        For `fun`, `jac`, invariants and their Jacobians, events and actions; still a Python function.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        numba, the extra `compiled`, is not installed.
-    ValueError
-        `elementary` is neither.
-    TypeError
-        When it is used: numba cannot compile the function, or it takes other arguments or returns another number of
-        values than it should.
-
-    Examples
-    --------
-    >>> import invariode as iv
-    >>> decay = iv.compile(lambda t, y, p: -p[0] * y[0])
-    >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,))
-    >>> bool(abs(sol.y[0, -1] - np.exp(-2)) < 1e-3)
-    True
-    """
-    if not callable(fun):
-        raise TypeError(f"compile takes a function f(t, y), got {shown(fun)}")
-    numba = _numba()
-    choice("elementary", elementary, ("own", "libm"))
-    if isinstance(fun, CompiledFunction):
-        inplace, elementary, fun = inplace or fun.inplace, "libm" if fun.elementary == "libm" else elementary, fun.fun
-    elif isinstance(fun, numba.core.dispatcher.Dispatcher):
-        fun = fun.py_func
-    return CompiledFunction(fun, inplace, elementary)
-
-
 _warned = False
 
 
@@ -423,7 +378,7 @@ def _with_own_functions(code: Any) -> Any | None:
         return None
 
 
-def _numba() -> Any:
+def numba_or_say_so() -> Any:
     try:
         import numba
     except ImportError:
@@ -477,7 +432,7 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
         return fun
     wanted = _EVENT if event else _VECTOR
     if _is_cfunc(fun):
-        numba = _numba()
+        numba = numba_or_say_so()
         pointer, double = numba.types.CPointer(numba.types.double), numba.types.double
         expected = (double, (double, pointer, pointer)) if event else (numba.void, (double, pointer, pointer, pointer))
         if (fun._sig.return_type, tuple(fun._sig.args)) != expected:

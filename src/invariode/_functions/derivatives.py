@@ -184,7 +184,7 @@ def _count_values(
 ) -> int:
     """How many values the function has."""
     if isinstance(function, CompiledFunction) and not function.inplace:
-        returned = np.asarray(function(t, *(part.copy() for part in parts), *([parameters] if len(parameters) else [])))
+        returned = np.asarray(function.at(t, *(part.copy() for part in parts), parameters=parameters))
     elif is_native(function):
         raise ValueError(
             f"{name} is native, so the number of its values is unknown: give it as "

@@ -44,7 +44,7 @@ def require_values(problem: Description) -> None:
     p = [*(np.ravel(one(t0)) for one in problem.inputs), native_parameters(problem.args, [fun])]
     parameters = np.concatenate(p)
     try:
-        returned = np.size(fun.jitted(t0, problem.y0.view(float), *([parameters] if len(parameters) else [])))
+        returned = np.size(fun.at(t0, problem.y0.view(float), parameters=parameters))
     except Exception:  # whatever the user's code raises: there NaN is right
         return
     if returned != n:

@@ -203,6 +203,9 @@ _RULES: dict[str, Callable[..., list[Slope]]] = {
     "expm1": lambda v, a: [_times(v + 1.0)],
     "log1p": lambda v, a: [_over(a + 1.0)],
     "log10": lambda v, a: [_over(a * math.log(10))],
+    "log2": lambda v, a: [_over(a * math.log(2))],
+    "exp2": lambda v, a: [_times(v * math.log(2))],
+    "cbrt": lambda v, a: [_over(v * v * 3.0)],
     "erf": lambda v, a: [_times(2 / math.sqrt(math.pi) * _exp(-(a * a)))],
     "erfc": lambda v, a: [_times(-2 / math.sqrt(math.pi) * _exp(-(a * a)))],
 }

@@ -12,7 +12,7 @@ __all__ = ["ARITHMETIC", "COMPARISONS", "ELEMENTARY", "Graph", "Node", "in_order
 ELEMENTARY: dict[str, Callable[[float], float]] = {
     **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")},
     **{name: getattr(math, name) for name in ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")},
-    **{name: getattr(math, name) for name in ("expm1", "log1p", "log10", "erf", "erfc")},
+    **{name: getattr(math, name) for name in ("expm1", "log1p", "log10", "log2", "exp2", "cbrt", "erf", "erfc")},
 }
 ARITHMETIC = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
 COMPARISONS = {"less": "<", "less_equal": "<=", "equal": "==", "not_equal": "!="}
