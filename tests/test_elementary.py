@@ -277,16 +277,16 @@ def test_calls_that_are_not_inlined_have_the_same_bits(monkeypatch):
 
 
 def test_an_unknown_numba_is_one_warning_and_the_librarys_functions(monkeypatch):
-    monkeypatch.setattr(iv.compiled, "_warned", False)
+    monkeypatch.setattr("invariode._functions.compiled._warned", False)
     monkeypatch.setattr(lanes, "FEWEST", 1)
     y0 = np.random.default_rng(3).uniform(-1, 1, (20, 2))
     with monkeypatch.context() as changed:
         changed.setattr(machine_code, "linked", lambda text: text.has_gone)
-        fun = iv.compile(far_pendulum)
+        fun = iv.compile(far_pendulum, by="numba")
         with pytest.warns(UserWarning, match=r"does not take other elementary functions.*libm's are used"):
             found = iv.solve_ensemble(fun, (0, 3), y0, args=(1.5,), workers=1)
-        iv.compile(far_pendulum).native(2, 2, 1, False)  # without a second warning
-    expected = iv.solve_ensemble(iv.compile(far_pendulum, elementary="libm"), (0, 3), y0, args=(1.5,), workers=1)
+        iv.compile(far_pendulum, by="numba").native(2, 2, 1, False)  # without a second warning
+    expected = iv.solve_ensemble(iv.compile(far_pendulum, by="numba", elementary="libm"), (0, 3), y0, args=(1.5,), workers=1)
     np.testing.assert_array_equal(found.y_end, expected.y_end)
     assert "lanes," in found.stats.lanes  # which then have the library's too
     assert found.stats.lanes == expected.stats.lanes

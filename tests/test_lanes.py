@@ -272,7 +272,7 @@ def array_made(t, y, p):
 
 @pytest.mark.parametrize("fun", [growing, array_made])
 def test_functions_without_a_form_for_lanes_say_why(fun):
-    found = solve(iv.compile(fun))
+    found = solve(iv.compile(fun, by="numba"))
     assert found.stats.lanes.startswith("one at a time: ")
     assert "return a tuple" in found.stats.lanes
     assert found.success.all()
@@ -287,10 +287,10 @@ def test_an_unknown_numba_is_one_warning_and_the_same_result(monkeypatch):
     monkeypatch.setattr(lanes, "_warned", False)
     monkeypatch.setattr(machine_code, "declarations", lambda *functions: numba.has_gone)
     with pytest.warns(UserWarning, match="this version of numba has no lanes"):
-        found = solve(iv.compile(lotka_volterra))
+        found = solve(iv.compile(lotka_volterra, by="numba"))
     assert "not known" in found.stats.lanes
     same(found, solve(COMPILED["polynomials"], lanes=1))
-    assert "not known" in solve(iv.compile(lotka_volterra)).stats.lanes  # without a second warning
+    assert "not known" in solve(iv.compile(lotka_volterra, by="numba")).stats.lanes  # without a second warning
 
 
 @pytest.mark.parametrize("wrong", [2, True, "all", None])

@@ -21,7 +21,9 @@ __all__ = ["GraphFunction", "OnGraph", "TracedFunction"]
 class OnGraph(CompiledFunction):
     """A function that is compiled from a graph, by LLVM alone.
 
-    Its complex form is its derivative: the imaginary parts of y are a direction, and those of the values f_y times it.
+    Its form for complex y is its derivative: the imaginary parts of y are a direction, and those of the values f_y
+    times it. That is no analytic continuation, which the mechanics of constraints needs in t and y: there numba compiles
+    the function.
     """
 
     def graph(self, shape: Shape) -> list[Node] | None:
@@ -29,15 +31,14 @@ class OnGraph(CompiledFunction):
         raise NotImplementedError
 
     def _make(self, shape: Shape) -> Any:
-        outputs = self.graph(shape)
+        outputs = None if shape.complex_time else self.graph(shape)
         if outputs is None:
             return super()._make(shape)
         from .machine import Form, machine_code  # needs llvmlite
 
         if shape.is_complex:
             outputs = [*outputs, *tangent(outputs)]
-        own = self.elementary == "own"
-        return machine_code(outputs, Form(shape.event, 1, shape.is_complex, shape.complex_time, own))
+        return machine_code(outputs, Form(shape.event, 1, shape.is_complex, self.elementary == "own"))
 
     def lane_code(self, shape: Shape, lanes: int) -> Any:
         """The code for this many points side by side; or why the function {f} has none; None: it has no graph."""
@@ -107,8 +108,13 @@ class TracedFunction(OnGraph):
     def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
         """The Python function, with the arguments of the problem as numbers one after the other."""
         count = len(parameters)
-        if self._one_by_one.get(count, self._takes(vectors, count)):
-            return self.fun(t, *vectors, *parameters.tolist())
+        known = self._one_by_one.get(count)
+        if known or (known is None and self._takes(vectors, count)):
+            try:
+                return self.fun(t, *vectors, *parameters.tolist())
+            except (TypeError, IndexError):  # of a number: it takes all of them as one array
+                if known:
+                    raise
         return super().at(t, *vectors, parameters=parameters)
 
     def _takes(self, vectors: tuple[Any, ...], count: int) -> bool:
@@ -178,6 +184,6 @@ class TracedFunction(OnGraph):
             if expected.shape != values.shape or (wrong & np.isfinite(values)).any():
                 i = int(np.argmax(wrong)) if expected.shape == values.shape else 0
                 raise TraceError(
-                    f"{self.__name__} cannot be traced: at t = {t:.6g} its value {i} is {expected[i]:.17g}, that of the "
-                    f"graph {values[i]:.17g}. It may be random, remember calls, or use what tracing does not see"
+                    f"{self.__name__} cannot be traced: at t = {t:.6g} its value {i} is {expected[i]:.17g}, that of "
+                    f"the graph {values[i]:.17g}. It may be random, remember calls, or use what tracing does not see"
                 )

@@ -41,8 +41,6 @@ class Form(NamedTuple):
     is_complex : bool
         Complex y and values: the imaginary parts are a direction and the derivatives along it, which are the last half
         of the outputs.
-    complex_time : bool
-        t is complex too, the first of y.
     own : bool
         Whether our elementary functions are called, not the mathematical library's.
     """
@@ -50,7 +48,6 @@ class Form(NamedTuple):
     returns: bool = False
     lanes: int = 1
     is_complex: bool = False
-    complex_time: bool = False
     own: bool = True
 
 
@@ -85,8 +82,6 @@ class _Writer:
         self._module, self._form = module, form
         self._kind = _DOUBLE if form.lanes == 1 else ir.VectorType(_DOUBLE, form.lanes)
         given = [_POINTER, *[_POINTER] * 4] if form.lanes > 1 else [_DOUBLE, *[_POINTER] * (2 if form.returns else 3)]
-        if form.complex_time:
-            given[0] = _POINTER
         self._function = ir.Function(module, ir.FunctionType(_DOUBLE if form.returns else ir.VoidType(), given), _NAME)
         self._function.attributes.add("nounwind")
         names = ["unused"] * (form.lanes > 1) + ["t", "y"] + ["out"] * (not form.returns) + ["p"]
@@ -138,10 +133,8 @@ class _Writer:
                 return self._load("y", node.value)
             return self._given["t"] if form.lanes == 1 else self._load("t", 0)
         if op in ("t", "dt"):
-            if form.complex_time:
-                return self._load("y", int(op == "dt"))
             return self._given["t"] if op == "t" else self._constant(0.0)
-        return self._load("y", 2 * (node.value + form.complex_time) + (op == "dy"))
+        return self._load("y", 2 * node.value + (op == "dy"))
 
     def _value(self, node: Node, a: list[Any]) -> Any:
         build, op = self._build, node.op
