@@ -1,0 +1,304 @@
+"""Tracing: the graph of a function has its values, whatever way it is written; what cannot be traced says where and why."""
+
+from __future__ import annotations
+
+import functools
+import math
+import random
+import re
+from math import cos, sin
+
+import numpy as np
+import pytest
+
+import invariode as iv
+from invariode._functions.graph.python import Formula
+from invariode._functions.graph.trace import Limits, trace
+from invariode._functions.graph.traced import TraceError
+
+pytest.importorskip("llvmlite")
+
+K = np.array([[1.0, 2.0], [3.0, -4.0]])
+LOG: list[float] = []
+calls = 0
+
+
+def lotka_volterra(t, z, a, b, c, d):
+    x, y = z
+    return [a * x - b * x * y, -c * y + d * x * y]
+
+
+def branching(t, y):
+    if y[0] > 0 and t < 0.5:
+        a = y[1]
+    elif y[1] > 1:
+        a = -y[0]
+    else:
+        a = abs(y[0])
+    slopes = np.zeros(2)
+    slopes[0] = a
+    slopes[1] = max(y[0], y[1], 0.1) + (1.0 if 0 < y[1] <= 2 else y[0])
+    return slopes
+
+
+def heat(t, u):
+    n = len(u)
+    slopes = np.zeros_like(u)
+    slopes[1:-1] = u[2:] - 2 * u[1:-1] + u[:-2]
+    slopes[0] = slopes[-1] = 0
+    return slopes * (n - 1) ** 2
+
+
+def bodies(t, y):
+    r, v = y[:6].reshape(3, 2), y[6:].reshape(3, 2)
+    a = np.zeros((3, 2))
+    for i in range(3):
+        for j in range(3):
+            if i != j:
+                d = r[j] - r[i]
+                a[i] += d / (np.sum(d**2) + 0.1) ** 1.5
+    return np.concatenate([v.ravel(), a.ravel()])
+
+
+def switched(t, y):
+    """Seven independent decisions, and a loop with an end that is known."""
+    slopes = []
+    for one in y:
+        if one > 0:
+            slopes.append(-one)
+        else:
+            slopes.append(one**2)
+    return np.array(slopes)
+
+
+def elementwise(t, y):
+    smooth = np.where(y > 0, y, -y) * np.exp(-t) + np.roll(y, 1) - np.mean(y) + np.sum([y[0], y[1]])
+    return smooth + np.clip(y, -1, 1) + np.maximum(y, 0.2) + (y > 0.5) * y + np.sign(y) * np.hypot(y, 1)
+
+
+def with_tables(t, y):
+    return [np.heaviside(y[0], 0.5) * y[1], np.clip(y[1], -1, 1) + np.interp(y[0], [0, 1, 2], [1, 3, 2])]
+
+
+def solved(t, y):
+    matrix = np.array([[2.0 + sin(y[0]), 1.0], [1.0, 3.0]])
+    return np.linalg.solve(matrix, [y[1], np.linalg.norm(y)])
+
+
+def by_math(t, y):
+    r = math.sqrt(y[0] ** 2 + y[1] ** 2)
+    return math.atan2(y[1], y[0]) + r, math.exp(-r) * cos(t) + math.log1p(r) + math.pow(r, 1.5) + math.floor(y[0])
+
+
+def not_everywhere(t, y):
+    """The branch that is taken where the root is not defined raises in Python."""
+    return [math.sqrt(y[0]) if y[0] > 0 else -y[1], y[1]]
+
+
+def filling(t, y, out):
+    out[0] = y[1]
+    out[1] = -sin(y[0])
+
+
+class System:
+    def __init__(self):
+        self.k, self.A = 2.0, np.eye(2) + 0.1
+
+    def force(self, x):
+        out = np.zeros(2)
+        out[0] = math.sin(x[0])
+        out[1] = cos(x[1])
+        return out * self.k
+
+    def __call__(self, t, y):
+        return self.A.dot(self.force(y))
+
+    def method(self, t, y):
+        return helper(self.force(y))
+
+
+def helper(x):
+    return [x[1], np.where(x[0] > 0, x[0], -x[0])]
+
+
+def closure(k):
+    rates = {"a": k, "b": np.array([1.0, 2.0])}
+    return lambda t, y: rates["a"] * rates["b"] * y[::-1]
+
+
+FUNCTIONS = {
+    "arguments": (lotka_volterra, 2, (1.5, 1.0, 3.0, 1.0)),
+    "partial": (functools.partial(lotka_volterra, a=1.0, b=2.0, c=3.0, d=4.0), 2, ()),
+    "array argument": (lambda t, y, p: [p[0] * y[1], -p[1] * y[0]], 2, (np.array([2.0, 3.0]),)),
+    "one argument": (lambda t, y, mu: np.array([y[1], mu * (1 - y[0] ** 2) * y[1] - y[0]]), 2, (3.0,)),
+    "branches": (branching, 2, ()),
+    "slices": (heat, 10, ()),
+    "loops": (bodies, 12, ()),
+    "seven decisions": (switched, 7, ()),
+    "arrays": (elementwise, 7, ()),
+    "tables": (with_tables, 2, ()),
+    "matrices": (lambda t, y: K @ y + np.sin(t) * np.dot(K, y) + np.linalg.norm(y) * np.ones(2), 2, ()),
+    "linear systems": (solved, 2, ()),
+    "math": (by_math, 2, ()),
+    "undefined branch": (not_everywhere, 2, ()),
+    "callable object": (System(), 2, ()),
+    "method": (System().method, 2, ()),
+    "closure": (closure(2.0), 2, ()),
+    "number": (lambda t, y: -2 * y[0] + t, 1, ()),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_compiled_function_has_the_values_of_the_function(name):
+    fun, n, args = FUNCTIONS[name]
+    code = iv.compile(fun, by="trace")
+    parameters = np.concatenate([np.zeros(0), *map(np.ravel, args)])
+    native = code.native(n, n, len(parameters), False)
+    assert code.how == "trace"
+    assert native.address
+    formula = Formula("f", lambda: trace(fun, n, [np.shape(one) for one in args]).outputs, (n,))
+    rng = np.random.default_rng(27)
+    for _ in range(10):
+        t, y = rng.random(), rng.standard_normal(n)
+        np.testing.assert_allclose(formula(t, y, *args), np.ravel(fun(t, y.copy(), *args)), rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["arguments", "branches", "loops", "arrays", "callable object", "math"])
+def test_runs_are_those_of_the_function(name):
+    fun, n, args = FUNCTIONS[name]
+    y0 = np.linspace(0.4, 1.3, n)
+    options = {"args": args, "rtol": 1e-5, "atol": 1e-8}
+    plain, code = (iv.solve_ivp(f, (0, 0.5), y0, **options) for f in (fun, iv.compile(fun, by="trace")))
+    assert plain.success == code.success
+    np.testing.assert_allclose(code.y[:, -1], plain.y[:, -1], rtol=1e-7)
+
+
+def test_functions_that_fill_an_output_and_take_two_vectors():
+    out = np.zeros(2)
+    filling(0.3, [0.5, 0.7], out)
+    found = Formula("f", lambda: trace(filling, 2, inplace=2).outputs, (2,))
+    np.testing.assert_array_equal(found(0.3, [0.5, 0.7]), out)
+    two = trace(lambda t, q, v, k: [k * q[0] + v[1], q[1] * v[0]], 4, [()], second=2)
+    np.testing.assert_array_equal(Formula("f", lambda: two.outputs, (2,))(0.0, [1, 2, 3, 4], 0.5), [4.5, 6.0])
+
+
+def test_derivatives_of_a_traced_function_are_exact():
+    """The Jacobian that an implicit method uses, against the one written by hand: the same steps."""
+    mu = 50.0
+    code = iv.compile(lambda t, y, mu: [y[1], mu * (1 - y[0] ** 2) * y[1] - y[0]], by="trace")
+
+    def jac(t, y, mu):
+        return [[0, 1], [-2 * mu * y[0] * y[1] - 1, mu * (1 - y[0] ** 2)]]
+
+    runs = [iv.solve_ivp(code, (0, 60), [2.0, 0.0], "radau", args=(mu,), jac=j, rtol=1e-6) for j in (None, jac)]
+    assert runs[0].stats.jacobian == "complex step"
+    assert runs[0].stats.steps == runs[1].stats.steps
+    np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=1e-7, atol=1e-9)
+
+
+def counted(t, y):
+    global calls
+    calls += 1
+    return -y
+
+
+def logged(t, y):
+    LOG.append(t)
+    return -y
+
+
+class Counter:
+    def __init__(self):
+        self.count = 0
+
+    def __call__(self, t, y):
+        self.count += 1
+        return -y
+
+
+def newton(t, y):
+    x = y[0]
+    while abs(x * x - y[1]) > 1e-12:
+        x = (x + y[1] / x) / 2
+    return [x, -y[1]]
+
+
+def overwriting(t, y):
+    K[0, 0] = t
+    return K @ y
+
+
+REFUSED = {
+    "a loop that ends where values do": (newton, r"more than 60 decisions on one path.*"),
+    "a count of calls": (counted, "writes to calls, which is not its own"),
+    "an outer list": (logged, "writes to a list that it does not make"),
+    "an attribute": (Counter(), "writes to attributes of Counter"),
+    "an outer array": (overwriting, "writes to an array that it does not make"),
+    "print": (lambda t, y: print(t) or -y, r"print\(\)"),
+    "numpy.random": (lambda t, y: -y * np.random.random(), r"numpy\.random"),
+    "random": (lambda t, y: -y * random.random(), "It may be random"),
+    "complex numbers": (lambda t, y: y * 1j, "complex"),
+    "an index that depends on values": (lambda t, y: [K[int(y[0]), 0], y[1]], r"int\(\)|a value"),
+    "fft": (lambda t, y: np.fft.fft(y).real, "numpy.fft"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_traced_says_at_which_line_and_why(what):
+    fun, why = REFUSED[what]
+    with pytest.raises(TypeError, match=why) as refused:
+        iv.compile(fun, by="trace").native(2, 2, 0, False)
+    if what not in ("a count of calls", "random"):
+        assert re.search(rf"at line \d+ of .*{re.escape('test_trace.py')}", str(refused.value))
+    assert 'leave by="trace" out' in str(refused.value)
+    assert LOG == []
+
+
+def test_numba_compiles_what_cannot_be_traced():
+    pytest.importorskip("numba")
+    code = iv.compile(newton)
+    sol = iv.solve_ivp(code, (0, 1), [1.0, 2.0], rtol=1e-6)
+    assert sol.success
+    assert code.how.startswith("numba, as newton cannot be traced")
+    assert iv.compile(newton, by="numba").how == "numba"
+
+
+@pytest.mark.parametrize(
+    ("limits", "why"),
+    [
+        (Limits(paths=3), "more than 3 paths"),
+        (Limits(decisions=2), "more than 2 decisions"),
+        (Limits(nodes=10), "or 10 operations"),
+        (Limits(seconds=0.0), r"more than 0.0 s"),
+    ],
+)
+def test_each_limit_is_named(limits, why):
+    with pytest.raises(TraceError, match=why):
+        trace(switched, 7, limits=limits)
+
+
+def wrong_in_one_branch(t, y):
+    """The trace sees a constant: `kind` is read where tracing does not look."""
+    return [-y[0] * hidden.value if y[0] > 0 else y[0], y[1]]
+
+
+class hidden:  # noqa: N801 - a namespace
+    value = 1.0
+
+
+def test_a_graph_that_is_wrong_in_one_branch_is_found(monkeypatch):
+    fun = iv.compile(wrong_in_one_branch, by="trace")
+    found = trace(wrong_in_one_branch, 2)
+    monkeypatch.setattr(hidden, "value", 2.0)
+    monkeypatch.setattr("invariode._functions.graph.function.trace", lambda *args, **options: found)
+    with pytest.raises(TypeError, match="cannot be traced: at t = .* its value 0 is"):
+        fun.native(2, 2, 0, False)
+
+
+def test_ensembles_vary_the_arguments_without_compiling_again():
+    code = iv.compile(lotka_volterra, by="trace")
+    args = np.linspace([1.0, 1.0, 2.0, 0.8], [1.5, 1.2, 3.0, 1.0], 5)
+    found = iv.solve_ensemble(code, (0, 2), [[1.0, 2.0]] * 5, args=args, rtol=1e-6)
+    for row, end in zip(args, found.y_end, strict=True):
+        expected = iv.solve_ivp(lotka_volterra, (0, 2), [1.0, 2.0], args=tuple(row), rtol=1e-6)
+        np.testing.assert_allclose(end, expected.y[:, -1], rtol=1e-10)
