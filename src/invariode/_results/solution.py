@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol, Unpack
+from typing import Protocol, Unpack
 
 from .._base.arguments import Array, unknown_option, warn
 from .._base.notebook import html_of_solution
@@ -12,12 +12,17 @@ from .export import Exports
 from .pictures.thumbnail import thumbnail
 from .plots import Plots
 from .result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
+from .saving import Saved
 
 __all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
 
 
 class Origin(Protocol):
     """What a solution was made from: what is needed to continue it."""
+
+    @property
+    def imposed(self) -> bool:
+        """Whether its extension will be projected to roundoff."""
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
@@ -28,8 +33,11 @@ class Origin(Protocol):
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
 
-    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """The same for a file: in JSON's types, and arrays by name."""
+    def identity(self) -> Saved:
+        """The identity of the run, for a file."""
+
+    def end(self) -> Saved:
+        """The memory of the run, for a file."""
 
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""
