@@ -449,7 +449,7 @@ def changed(path, to, **changes):
 def test_another_version_is_refused_by_kind_number_and_writer(tmp_path, number, remedy):
     KEPLER.solve("ode45").save(tmp_path / "a.npz")
     changed(tmp_path / "a.npz", tmp_path / "b.npz", about={"version": number, "invariode": "9.1"})
-    refused = rf"b\.npz holds a solution in version {number} of the format, written by invariode 9\.1; .* {remedy}"
+    refused = rf"b\.npz is of kind 'solution' in version {number} of the format, written by invariode 9\.1; .* {remedy}"
     with pytest.raises(ValueError, match=refused):
         iv.load(tmp_path / "b.npz")
 

@@ -15,12 +15,13 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import Array, shown
+from . import arguments
+from .arguments import Array
 
 if TYPE_CHECKING:  # needs a tenth of the time of our own import
     from zipfile import ZipFile, ZipInfo
 
-__all__ = ["ABOUT", "TEMPORARY", "PathLike", "arrays_in", "damage_of", "named", "path_of"]
+__all__ = ["ABOUT", "TEMPORARY", "PathLike", "arrays_in", "damage_of", "named"]
 __all__ += ["read_arrays", "take_mode", "unreadable", "write_arrays"]
 
 PathLike = str | os.PathLike[str]
@@ -30,16 +31,6 @@ ABOUT = "about"
 
 #: How the names of files end that are being written.
 TEMPORARY = ".invariode-part"
-
-
-def path_of(given: Any) -> str:
-    """The name of a file. A number would be the file that happens to be open under it."""
-    if not isinstance(given, (str, os.PathLike)):
-        raise TypeError(f"path must be a str or path-like, got {shown(given)}")
-    path = os.fspath(given)
-    if not isinstance(path, str):
-        raise TypeError(f"path must be a str or path-like, got {shown(given)}: decode it, os.fsdecode(path)")
-    return path
 
 
 def named(path: Any) -> str:
@@ -68,32 +59,18 @@ def damage_of(path: PathLike) -> Iterator[None]:
 def write_arrays(path: PathLike, arrays: Mapping[str, Any], durable: bool = False) -> None:
     """Writes an archive of arrays, which takes the place of an existing file when it is complete; `durable`: when it
     is on the disk."""
-    path = path_of(path)
+    path = arguments.path("path", path)
     try:
         there = os.stat(path)
     except FileNotFoundError:
         there = None
     if there is None or stat.S_ISREG(there.st_mode):
-        target = Path(os.path.realpath(path))
-        _replace(target, there, arrays, durable)
-        if durable:
-            _write_through(target.parent)
+        _replace(Path(os.path.realpath(path)), there, arrays, durable)
     else:  # a pipe, a device, where an archive cannot go back; of a directory this says what it is
         with open(path, "wb") as file:
             whole = io.BytesIO()
             np.savez(whole, **arrays)
             file.write(whole.getbuffer())
-
-
-def _write_through(folder: Path) -> None:
-    """Waits until the names in a folder are on the disk, where the system can say so."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _replace(target: Path, there: os.stat_result | None, arrays: Mapping[str, Any], durable: bool) -> None:
@@ -114,6 +91,12 @@ def _replace(target: Path, there: os.stat_result | None, arrays: Mapping[str, An
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    if durable and os.name == "posix":  # the names in the folder too
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def _nameless(folder: Path) -> Any:
@@ -142,7 +125,7 @@ def take_mode(file: int, other: os.stat_result) -> None:
 
 def read_arrays(path: PathLike, only: str | None = None) -> dict[str, Array]:
     """All arrays of a file, or one; no arrays of a file that is not an archive."""
-    mode = os.stat(path_of(path)).st_mode
+    mode = os.stat(arguments.path("path", path)).st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # reading from a pipe would wait; of a folder `open` says it
         raise unreadable(path, "is not a regular file: save to one first")
     with open(path, "rb") as file:

@@ -7,13 +7,14 @@ import operator
 import os
 import pickle
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, overload
+from operator import attrgetter
+from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import numpy as np
 
 from .._base.arguments import Array, choice
 from .._base.files import damage_of
-from .._base.formats import Field, Kind, Within, read, write
+from .._base.formats import GROUP, Field, Kind, read, under, write
 from .._base.notebook import html_of_ensemble
 from .._base.types import Numbers
 from .._laws.bound import BoundInvariants
@@ -21,7 +22,7 @@ from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
 from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
-from .._results.saving import events_by_number, prefixed
+from .._results.saving import OCCURRENCES, apart, together
 from .._results.solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used
@@ -104,6 +105,11 @@ class EnsembleEvents(Record):
 
     def __repr__(self) -> str:
         return f"EnsembleEvents({len(self.t)} occurrences in {len(np.unique(self.trajectory))} trajectories)"
+
+
+def none_of(states: Array) -> dict[str, Array]:
+    """The fields of no events of trajectories with such states."""
+    return {"trajectory": np.zeros(0, dtype=np.int64), "t": np.zeros(0), "y": states[:0]}
 
 
 @dataclasses.dataclass(eq=False, repr=False)
@@ -411,13 +417,7 @@ class EnsembleSolution:
         OSError
             The file cannot be written.
         """
-        arrays = {name: self[name] for name in self.keys() if name not in ("events", "stats", "messages")}
-        arrays |= {f"stats.{name}": counts for name, counts in self.stats.items()}
-        none = {"trajectory": np.zeros(0, dtype=np.int64), "t": np.zeros(0), "y": self.y_end[:0]}
-        for name, of_none in none.items():
-            arrays |= events_by_number([event[name] for event in self.events], name, of_none)
-        messages = {str(i): text for i, text in self.messages.items()}
-        write(path, _ENSEMBLE, {"messages": messages, "events": len(self.events), "final": self._final}, arrays)
+        write(path, _ENSEMBLE, _ENSEMBLE.taken(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EnsembleSolution:
@@ -430,28 +430,15 @@ class EnsembleSolution:
         OSError
             It cannot be read.
         """
-        _, about, arrays = read(path, _ENSEMBLE)
+        _, found = read(path, _ENSEMBLE)
         with damage_of(path):
-            number, found = arrays["events.number"], prefixed(arrays, "events.")
-            del found["number"]
-            return cls(
-                **{name: one for name, one in arrays.items() if "." not in name},
-                stats=EnsembleStats(**prefixed(arrays, "stats.")),
-                events=[
-                    EnsembleEvents(**{name: one[number == e] for name, one in found.items()})
-                    for e in range(about["events"])
-                ],
-                messages={int(i): text for i, text in about["messages"].items()},
-                _final=about["final"],
-            )
-
-
-class _AboutEnsemble(TypedDict):
-    """What a file says of an ensemble besides its arrays."""
-
-    messages: dict[str, str]
-    events: Annotated[int, "event"]
-    final: bool
+            return cls(**{
+                **{name: one for name, one in found.items() if name in cls.__annotations__},
+                "stats": EnsembleStats(**under("stats", found)),
+                "events": [EnsembleEvents(**one) for one in apart(under("events", found), found["events"])],
+                "messages": {int(i): text for i, text in found["messages"].items()},
+                "_final": found["final"],
+            })  # fmt: skip
 
 
 #: The arrays with a row for each trajectory, in files and in stores.
@@ -466,22 +453,25 @@ OF_TRAJECTORIES = {
     "correction": Field(float, "trajectory"),
     "attempt": Field(np.int8, "trajectory"),
 }
-_REAL_STATS = ("clipped_amount", "stiff_since", "discontinuity")
+
+
+def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
+    return len(m.events), together(m.events, none_of(m.y_end))
+
+
+_COUNTED = [name for name in EnsembleStats.__annotations__ if name != "_lanes"]
+_REAL = ("clipped_amount", "stiff_since", "discontinuity")
 _ENSEMBLE = Kind(
     "ensemble",
-    _AboutEnsemble,
     {
-        **OF_TRAJECTORIES,
-        **{
-            f"stats.{name}": Field(float if name in _REAL_STATS else np.int64, "trajectory")
-            for name in EnsembleStats.__annotations__
-            if not name.startswith("_")
-        },
+        "messages": Field(dict[str, str], of=lambda m: {str(i): text for i, text in m.messages.items()}),
+        "final": Field(bool, of=attrgetter("_final")),
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
-        "events.number": Field(np.int64, "occurrence", within=Within(0, "<event")),
-        "events.trajectory": Field(np.int64, "occurrence", within=Within(0, "<trajectory")),
-        "events.t": Field(float, "occurrence"),
-        "events.y": Field(None, "occurrence component"),
+        **OF_TRAJECTORIES,
+        **{f"stats.{name}": Field(float if name in _REAL else np.int64, "trajectory") for name in _COUNTED},
+        "events": Field(Annotated[int, "event"], GROUP, _events),
+        **OCCURRENCES,
+        "events.trajectory": Field(np.int64, "occurrence", within=(0, "<trajectory")),
     },
 )

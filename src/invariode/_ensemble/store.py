@@ -7,17 +7,18 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
 from .._base.files import damage_of, named
-from .._base.formats import Field, Within, header, kind_of, require_arrays, require_values
-from .._base.locks import held
+from .._base.formats import Field, Kind, header, kind_of
+from .._base.locks import Lock
+from .._results.saving import apart, together
 from .outcomes import ROWS, Outcomes, counts_by_name
-from .solution import OF_TRAJECTORIES, EnsembleEvents, EnsembleSolution, EnsembleStats, final_states
+from .solution import OF_TRAJECTORIES, EnsembleEvents, EnsembleSolution, EnsembleStats, final_states, none_of
 from .sources import Part, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used
@@ -43,37 +44,27 @@ _ROWS = {
 }
 
 
-class _AboutStore(TypedDict):
-    """What a store says of itself."""
+#: And what it says of itself.
+_STORE = Kind(
+    "store",
+    {
+        "problem": Field(dict[str, Any]),
+        "chunk": Field(int, within=(1, np.inf)),  # rows in a part
+        "size": Field(int | None, within=(0, np.inf)),
+        "seed": Field(Any),
+        "kept_times": Field(bool),
+    },
+)
 
-    problem: dict[str, Any]
-    chunk: Annotated[int, Within(1, np.inf)]  # rows in a part
-    size: Annotated[int, Within(0, np.inf)] | None
-    seed: Any
-    kept_times: bool
 
+class Layout(NamedTuple):
+    """What the arrays of a store are, and what problem they are of."""
 
-class Layout:
-    """What the arrays of a store are, and what problem they are of.
-
-    Parameters
-    ----------
-    about : dict
-        What describes the problem, its method and options, in text and numbers.
-    names : dict of str to list of str
-        The coordinates 'component', 'parameter', 'invariant' and 'event'.
-    t : ndarray, (n_t,)
-        The times of y.
-    dtype : dtype
-        Of y.
-    times : bool
-        Whether `t_eval` was given; otherwise only the final states are kept.
-    """
-
-    def __init__(
-        self, about: dict[str, Any], names: dict[str, list[str]], t: Array, dtype: np.dtype[Any], times: bool
-    ) -> None:
-        self.about, self.names, self.t, self.dtype, self.times = about, names, t, dtype, times
+    about: dict[str, Any]  # what describes the problem, its method and options, in text and numbers
+    names: dict[str, list[str]]  # the coordinates 'component', 'parameter', 'invariant' and 'event'
+    t: Array  # the times of y
+    dtype: np.dtype[Any]  # of y
+    times: bool  # `t_eval` was given; otherwise only the final states are kept
 
     def arrays(self) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any], Any]]:
         """Each array: its name, its shape without the trajectories, its type, its value for unsolved ones."""
@@ -82,7 +73,7 @@ class Layout:
             "count": len(_core.COUNTS),
         }
         for name, field in _ROWS.items():
-            shape = tuple(sizes[one] for one in field.shape.split()[1:])
+            shape = tuple(sizes[one] for one in field.dimensions[1:])
             if 0 in shape or (name == "y" and not self.times):
                 continue
             dtype = np.dtype(field.type or self.dtype)
@@ -106,7 +97,7 @@ class StoreWriter:
     ) -> None:
         self.path, self._layout = path, layout
         folder = _folder(path)
-        self._lock = None if folder is None else held(folder, "store")
+        self._lock = None if folder is None else Lock(folder, "store")
         try:
             group = _opened(path, "r+")
             if group is None or group.attrs.get("format") == _UNFINISHED:
@@ -165,7 +156,7 @@ class StoreWriter:
                 chunks=(length, *shape),
                 dtype=dtype,
                 fill_value=fill,
-                dimension_names=_ROWS[name].shape.split(),
+                dimension_names=_ROWS[name].dimensions,
             )
         coordinates: dict[str, Any] = {**self._layout.names, "count": list(_core.COUNTS), "t": self._layout.t}
         for name, values in coordinates.items():
@@ -221,16 +212,15 @@ class StoreWriter:
 
     def _write_apart(self, part: Part, found: Outcomes) -> None:
         """What only some trajectories have: messages and events, in a group of the part."""
-        happened = [(e, one) for e, one in enumerate(found.events) if len(one.t)]
-        if not found.messages and not happened:
+        happened = together(found.events, none_of(part.y0))
+        if not found.messages and not len(happened["t"]):
             return
         own = self._group.create_group(f"parts/{part.number}", overwrite=True)
         own.attrs["messages"] = {str(part.start + i): text for i, text in found.messages.items()}
-        for e, one in happened:
-            for name, values in (("trajectory", part.start + one.trajectory), ("t", one.t), ("y", one.y)):
-                dtype = np.dtype(values.dtype.str)  # Zarr knows one of the two C types of 8 bytes
-                array = own.create_array(f"event{e}_{name}", shape=values.shape, dtype=dtype)
-                array[...] = values
+        happened["trajectory"] += part.start
+        for name, values in happened.items():
+            dtype = np.dtype(values.dtype.str)  # Zarr knows one of the two C types of 8 bytes
+            own.create_array(name, shape=values.shape, dtype=dtype)[...] = values
 
     def _grow(self, rows: int) -> None:
         for array in self._arrays.values():
@@ -314,22 +304,16 @@ class EnsembleStore:
     @property
     def events(self) -> list[EnsembleEvents]:
         """The events, as those of `EnsembleSolution`."""
-        names = self._group["event"][:] if "event" in self._group else []
-        return [self._event(e) for e in range(len(names))]
+        each = [{name: part[name][:] for name in part.array_keys()} for part in self._parts()]
+        empty = {"number": np.zeros(0, dtype=np.int64), **none_of(self._group["y_end"])}
+        whole = {name: np.concatenate([none, *(one[name] for one in each)]) for name, none in empty.items()}
+        size = self._group["event"].shape[0] if "event" in self._group else 0
+        return [EnsembleEvents(**one) for one in apart(whole, size)]
 
     def _parts(self) -> list[Any]:
         if "parts" not in self._group:
             return []
         return [part for _, part in sorted(self._group["parts"].groups(), key=lambda named: int(named[0]))]
-
-    def _event(self, e: int) -> EnsembleEvents:
-        parts = [part for part in self._parts() if f"event{e}_t" in part]
-        y = self._group["y_end"]
-        return EnsembleEvents(
-            np.concatenate([np.zeros(0, dtype=np.int64), *(part[f"event{e}_trajectory"][:] for part in parts)]),
-            np.concatenate([np.zeros(0), *(part[f"event{e}_t"][:] for part in parts)]),
-            np.concatenate([np.zeros((0, y.shape[1]), y.dtype), *(part[f"event{e}_y"][:] for part in parts)]),
-        )
 
     def to_xarray(self) -> xarray.Dataset:
         """The store as a data set of xarray, which reads only what is used.
@@ -369,9 +353,10 @@ class EnsembleStore:
             raise ValueError(f"{missing} trajectories are not solved yet: solve them with resume=True")
         size, group = len(self), self._group
         with damage_of(self.path):
-            there = {name: group[name] for name in _ROWS if name in group}
-            lacking = {name: field._replace(optional=True) for name, field in _ROWS.items()}
-            require_arrays(there, lacking, {"count": len(_core.COUNTS), "t": group["t"].shape[0]})
+            sizes = {name: group[name].shape[0] for name in ("component", "invariant", "t") if name in group}
+            for name in _ROWS.keys() & set(group.array_keys()):
+                if not _ROWS[name].fits(group[name], sizes | {"count": len(_core.COUNTS)}):
+                    raise ValueError(f"{name} is of {group[name].dtype} and shape {group[name].shape}")
         m = group["invariant"].shape[0] if "invariant" in group else 0
         times = bool(self.attributes["kept_times"])
         held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
@@ -389,10 +374,10 @@ class EnsembleStore:
 
 def _about(path: Any, group: Any) -> dict[str, Any]:
     """What a store says of itself. A ValueError, if there is none, or something else."""
-    about = None if group is None else dict(group.attrs)
+    about = {} if group is None else dict(group.attrs)
     kind_of(path, about, "store")
     with damage_of(path):
-        require_values(about, _AboutStore)
+        _STORE.require(about)
     return about
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
+from .._base.formats import write
 from .result import Result, default_labels
-from .saving import save
+from .saving import SOLUTION
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import pandas
@@ -80,7 +81,7 @@ class Exports(Result):
         OSError
             The file cannot be written.
         """
-        save(self, path)
+        write(path, SOLUTION, SOLUTION.taken(self))
 
 
 # ----------------------------------------------------------------------------------------------------------------------

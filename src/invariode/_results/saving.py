@@ -1,44 +1,30 @@
-"""Solutions in files: what they hold, and how it is taken from a `Solution`."""
+"""Solutions in files: what they hold, and where in a `Solution` it is."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated, Any, NamedTuple, TypedDict
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
 from .._base.arguments import Array, shown, warn
-from .._base.files import PathLike
-from .._base.formats import Field, Kind, Within, write
-from .result import Result, Stats
+from .._base.formats import GROUP, Field, Kind
+from .result import Names, Result, Stats
 
-__all__ = ["OUTCOME", "SOLUTION", "Saved", "end_of", "output_of", "prefixed", "run_of", "save"]
-__all__ += ["END", "OUTPUT", "RUN", "AboutEnd", "AboutOutput", "AboutRun", "events_by_number"]
+__all__ = ["END", "OCCURRENCES", "OUTCOME", "OUTPUT", "RUN", "SOLUTION", "apart", "together"]
 
 #: How deep lists and dicts may be nested in fields that the user adds.
 _DEEPEST = 50
 
-#: The fields of a Solution that JSON takes as they are.
-OUTCOME = ("nfev", "njev", "nlu", "status", "message", "success", "t_end")
-
-_NOT_NEGATIVE = Within(0, math.inf)
-_FINITE = Within(0, np.finfo(float).max)
+#: The fields of a Solution that JSON takes as they are, and their types.
+OUTCOME = {"nfev": int, "njev": int, "nlu": int, "status": int, "message": str, "success": bool, "t_end": float}
 
 
-class Saved(NamedTuple):
-    """Fields of a file."""
-
-    about: dict[str, Any]
-    arrays: dict[str, Any]
-
-
-# ----------------------------------------------------------------------------------------------------------------------
-# What a file holds. `law` counts the invariants of the run, of which a projected solution keeps those with values
-
-
-class AboutIdentity(TypedDict):
-    """What tells a run from another: see `identity_of_run`."""
+class _Identity(TypedDict):
+    """What tells a run from another: see `identity_of_run`. There are arrays too."""
 
     method: str
     options: dict[str, Any]
@@ -49,35 +35,7 @@ class AboutIdentity(TypedDict):
     code: dict[str, str]
 
 
-class AboutRun(TypedDict):
-    """What stays the same in a run."""
-
-    name: str
-    title: str | None
-    labels: Annotated[list[str], "component"] | None
-    events: Annotated[list[str], "event"] | None
-    invariants: Annotated[list[str], "invariant"]
-    identity: AboutIdentity | None  # None: there is nothing to go on with
-
-
-class AboutEnd(TypedDict):
-    """Where a run has come to."""
-
-    nfev: int
-    njev: int
-    nlu: int
-    status: int
-    message: str
-    success: bool
-    t_end: float
-    stats: Stats
-    methods: list[str]  # of the steps
-    forward: float
-    next_h: Annotated[float, _NOT_NEGATIVE] | None
-    memory_version: int | None
-
-
-class AboutDense(TypedDict):
+class _Dense(TypedDict):
     """Of a continuous solution, what is not an array."""
 
     m: int
@@ -87,159 +45,113 @@ class AboutDense(TypedDict):
     complex: bool
 
 
-class AboutOutput(TypedDict):
-    """What a run has left behind."""
-
-    dense: AboutDense | None
-
-
-class AboutSolution(AboutRun, AboutEnd, AboutOutput):
-    """All of it."""
-
-    imposed: bool
-    added: dict[str, Any]
+def _of_origin(name: str) -> Any:
+    """A field of the origin, None without one."""
+    return lambda sol: None if sol._origin is None else getattr(sol._origin, name)
 
 
-RUN = {"rtol": Field(float, "component?", within=_FINITE), "atol": Field(float, "component?", within=_FINITE)}
-END = {
-    "invariants.value": Field(float, "invariant"),
-    "drift.residual": Field(float, "law"),
-    "drift.distance": Field(float, "law"),
-    "drift.correction": Field(float),
-    "y_end": Field(None, "component", optional=True),
-    "memory": Field(np.uint8, "byte", optional=True),
+def _identity(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
+    return (None, {}) if sol._origin is None else sol._origin.identity()
+
+
+def _memory(sol: Result) -> Array | None:
+    return None if sol._origin is None else np.frombuffer(sol._origin.memory, dtype=np.uint8)
+
+
+def _dense(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
+    parts = {} if sol.sol is None else sol.sol._dense.parts()
+    arrays = {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
+    return {name: parts[name] for name in _Dense.__annotations__ if parts} or None, arrays
+
+
+def together(each: Sequence[Mapping[str, Array]], none: Mapping[str, Array]) -> dict[str, Array]:
+    """The occurrences of all events in one array for each field, after `none` of them, with the numbers of the
+    events."""
+    numbered = [{"number": np.full(len(one["t"]), e), **one} for e, one in enumerate(each)]
+    empty = {"number": np.zeros(0, dtype=np.int64), **none}
+    return {name: np.concatenate([first, *(one[name] for one in numbered)]) for name, first in empty.items()}
+
+
+def apart(whole: Mapping[str, Array], size: int) -> list[dict[str, Array]]:
+    """The reverse, for this many events."""
+    own = [whole["number"] == e for e in range(size)]
+    return [{name: one[here] for name, one in whole.items() if name != "number"} for here in own]
+
+
+def _events(sol: Result) -> tuple[int | None, dict[str, Array]]:
+    pairs = zip(sol.t_events or (), sol.y_events or (), strict=True)
+    each = [{"t": t, "y": y.reshape(len(t), len(sol.y))} for t, y in pairs]
+    return None if sol.t_events is None else len(each), together(each, {"t": np.zeros(0), "y": sol.y.T[:0]})
+
+
+def _values_after(sol: Result) -> Array:
+    """The values of the invariants after each jump."""
+    g = sol._invariants
+    return np.array([jump.value[: len(g)] for jump in g.jumps]).reshape(len(g.jumps), len(g))
+
+
+def _distances(sol: Result) -> Array:
+    g = sol._invariants
+    return g.distance(sol.t, sol.y, sol._rtol, sol._atol, g.pieces_of_output(len(sol.t)))
+
+
+def _imposed(sol: Result) -> bool:
+    return (sol._origin is not None and sol._origin.imposed) or (sol.sol is not None and sol.sol._imposed is not None)
+
+
+#: The occurrences of events, together.
+OCCURRENCES = {
+    "events.number": Field(np.int64, "occurrence", within=(0, "<event")),
+    "events.t": Field(float, "occurrence"),
+    "events.y": Field(None, "occurrence component"),
 }
+#: What stays the same in a run,
+RUN = {
+    "names": Field(Names, of=lambda sol: vars(sol._names)),
+    "invariants": Field(Annotated[list[str], "invariant"], of=lambda sol: sol._invariants.names),
+    "identity": Field(_Identity | None, GROUP, _identity),  # None: there is nothing to go on with
+    "rtol": Field(float, "component?", attrgetter("_rtol"), within=(0, np.finfo(float).max)),
+    "atol": Field(float, "component?", attrgetter("_atol"), within=(0, np.finfo(float).max)),
+}
+#: where it has come to,
+END = {
+    **{name: Field(kind) for name, kind in OUTCOME.items()},
+    "stats": Field(Stats, of=lambda sol: dict(sol.stats)),
+    "methods": Field(list[str], of=lambda sol: list(sol.steps._methods) if sol.steps else []),
+    "forward": Field(float, of=lambda sol: sol._invariants.forward),
+    "invariants.value": Field(float, "invariant", lambda sol: sol._invariants.value),
+    "drift.residual": Field(float, "law", attrgetter("_drift.residual")),
+    "drift.distance": Field(float, "law", attrgetter("_drift.distance")),
+    "drift.correction": Field(float, "", attrgetter("_drift.correction")),
+    "next_h": Field(float | None, of=_of_origin("next_h"), within=(0, math.inf)),
+    "memory_version": Field(int | None, of=_of_origin("memory_version")),
+    "y_end": Field(None, "component", _of_origin("y"), optional=True),
+    "memory": Field(np.uint8, "byte", _memory, optional=True),
+}
+#: and what it has left behind.
 OUTPUT = {
     "t": Field(float, "t"),
     "y": Field(None, "component t"),
-    "steps": Field(float, "step 6", optional=True),
-    "events.number": Field(np.int64, "occurrence", within=Within(0, "<event")),
-    "events.t": Field(float, "occurrence"),
-    "events.y": Field(None, "occurrence component"),
-    "jumps.row": Field(np.int64, "jump", within=Within(0, "t")),
-    "jumps.t": Field(float, "jump"),
-    "jumps.value": Field(float, "jump invariant"),
-    "dense.t": Field(float, "knot", optional=True),
-    "dense.y": Field(float, "knot real", optional=True),
-    "dense.end": Field(float, "segment", optional=True),
-    "dense.offset": Field(np.int64, "segment", optional=True),
-    "dense.data": Field(float, "datum", optional=True),
-    **{f"dense.{name}": Field(float, "real", optional=True) for name in ("threshold", "scale", "lower", "upper")},
+    "steps": Field(float, "step 6", lambda sol: sol.steps and sol.steps._rows, optional=True),
+    "events": Field(Annotated[int, "event"] | None, GROUP, _events),
+    **OCCURRENCES,
+    "jumps.row": Field(np.int64, "jump", lambda sol: [jump.row for jump in sol._invariants.jumps], within=(0, "t")),
+    "jumps.t": Field(float, "jump", lambda sol: [jump.t for jump in sol._invariants.jumps]),
+    "jumps.value": Field(float, "jump invariant", _values_after),
+    "dense": Field(_Dense | None, GROUP, _dense),  # the core checks its arrays
 }
-SOLUTION = Kind(
-    "solution",
-    AboutSolution,
-    RUN
-    | END
-    | OUTPUT
-    | {f"invariants.{name}": Field(float, "invariant t", optional=True) for name in ("residual", "distance")},
-    others=("identity.", "added."),
-)
 
 
-# ----------------------------------------------------------------------------------------------------------------------
-# From a solution
-
-
-def save(solution: Result, path: PathLike) -> None:
-    """See `Solution.save`."""
-    g, origin, dense = solution._invariants, solution._origin, solution.sol
-    pieces = g.pieces_of_output(len(solution.t))
-    added, arrays = _added(solution)
-    arrays["invariants.residual"] = solution.residual
-    arrays["invariants.distance"] = g.distance(solution.t, solution.y, solution._rtol, solution._atol, pieces)
-    imposed = (origin is not None and origin.imposed) or (dense is not None and dense._imposed is not None)
-    parts = (
-        run_of(solution),
-        end_of(solution),
-        output_of(solution),
-        Saved({"imposed": imposed, "added": added}, arrays),
-    )
-    about = {name: value for part in parts for name, value in part.about.items()}
-    write(path, SOLUTION, about, {name: one for part in parts for name, one in part.arrays.items()})
-
-
-def run_of(solution: Result) -> Saved:
-    """What stays the same in its run."""
-    names, origin = solution._names, solution._origin
-    identity = Saved({"identity": None}, {}) if origin is None else origin.identity()
-    about = {
-        "name": names.problem,
-        "title": names.title,
-        "labels": None if names.labels is None else [str(label) for label in names.labels],
-        "events": None if solution.t_events is None else list(names.events),
-        "invariants": list(solution._invariants.names),
-    }
-    rtol, atol = np.asarray(solution._rtol, dtype=float), np.asarray(solution._atol, dtype=float)
-    return Saved(about | identity.about, identity.arrays | {"rtol": rtol, "atol": atol})
-
-
-def end_of(solution: Result) -> Saved:
-    """Where its run has come to."""
-    g, drift, steps, origin = solution._invariants, solution._drift, solution.steps, solution._origin
-    memory = Saved({"next_h": None, "memory_version": None}, {}) if origin is None else origin.end()
-    about = {
-        **{name: solution[name] for name in OUTCOME},
-        "stats": dict(solution.stats),
-        "methods": [] if steps is None else list(steps._methods),
-        "forward": g.forward,
-    }
-    arrays = {
-        "invariants.value": g.value,
-        "drift.residual": drift.residual,
-        "drift.distance": drift.distance,
-        "drift.correction": np.asarray(drift.correction),
-    }
-    return Saved(about | memory.about, arrays | memory.arrays)
-
-
-def output_of(solution: Result) -> Saved:
-    """What it has come by."""
-    t, y, g = solution.t, solution.y, solution._invariants
-    dense = {} if solution.sol is None else solution.sol._dense.parts()
-    arrays = {
-        "t": t,
-        "y": y,
-        "jumps.row": np.array([jump.row for jump in g.jumps], dtype=np.int64),
-        "jumps.t": np.array([jump.t for jump in g.jumps], dtype=float),
-        "jumps.value": np.array([jump.value[: len(g)] for jump in g.jumps]).reshape(len(g.jumps), len(g)),
-        **events_by_number(solution.t_events or (), "t", np.zeros(0)),
-        **events_by_number(solution.y_events or (), "y", np.zeros((0, len(y)), y.dtype)),
-        **{f"dense.{name}": one for name, one in dense.items() if isinstance(one, np.ndarray)},
-    }
-    if solution.steps is not None:
-        arrays["steps"] = solution.steps._rows
-    about = {name: one for name, one in dense.items() if name in AboutDense.__annotations__}
-    return Saved({"dense": about or None}, arrays)
-
-
-def events_by_number(each: Any, name: str, none: Array) -> dict[str, Array]:
-    """An array of each event in one, after `none` of them; and the numbers of the events."""
-    numbers = [np.full(len(one), e) for e, one in enumerate(each)]
-    return {
-        "events.number": np.concatenate([np.zeros(0, dtype=np.int64), *numbers]),
-        f"events.{name}": np.concatenate([none, *(one.reshape(len(one), *none.shape[1:]) for one in each)]),
-    }
-
-
-def prefixed(arrays: dict[str, Array], prefix: str) -> dict[str, Array]:
-    """Those whose names begin so, by the rest of their names."""
-    return {name.removeprefix(prefix): one for name, one in arrays.items() if name.startswith(prefix)}
-
-
-def _added(solution: Result) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The fields that the user has added: by name, values in JSON's types or the names of arrays."""
-    own = {field.name for field in dataclasses.fields(Result)}
+def _added(sol: Result) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The fields that the user has added, by name: the value in JSON's types, or the number of an array."""
     added: dict[str, Any] = {}
     arrays: dict[str, Array] = {}
     left_out: list[str] = []
-    for name, value in solution.items():
-        if name in own:
-            continue
+    for name in sol.keys() - {field.name for field in dataclasses.fields(Result)}:
+        value = sol[name]
         if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biufc":
-            array = f"added.{len(arrays)}"
-            arrays[array] = np.asarray(value)
-            added[name] = {"array": array}
+            added[name] = {"array": str(len(arrays))}
+            arrays[str(len(arrays))] = np.asarray(value)
         elif _is_plain(name) and _is_plain(value):
             added[name] = {"value": value}
         else:
@@ -258,3 +170,17 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
     if type(value) is dict:
         return all(type(name) is str and _is_plain(one, depth + 1) for name, one in value.items())
     return type(value) is list and all(_is_plain(one, depth + 1) for one in value)
+
+
+SOLUTION = Kind(
+    "solution",
+    RUN
+    | END
+    | OUTPUT
+    | {
+        "invariants.residual": Field(float, "invariant t", attrgetter("residual")),
+        "invariants.distance": Field(float, "invariant t", _distances),
+        "imposed": Field(bool, of=_imposed),
+        "added": Field(dict[str, Any], GROUP, _added),
+    },
+)

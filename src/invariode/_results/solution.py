@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol, Unpack
+from typing import Any, Protocol, Unpack
 
 from .._base.arguments import Array, unknown_option, warn
 from .._base.notebook import html_of_solution
@@ -12,7 +12,6 @@ from .export import Exports
 from .pictures.thumbnail import thumbnail
 from .plots import Plots
 from .result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
-from .saving import Saved
 
 __all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
 
@@ -24,6 +23,22 @@ class Origin(Protocol):
     def imposed(self) -> bool:
         """Whether its extension will be projected to roundoff."""
 
+    @property
+    def y(self) -> Array:
+        """Where it ended."""
+
+    @property
+    def next_h(self) -> float | None:
+        """The step to go on with; None: the method chooses one."""
+
+    @property
+    def memory(self) -> bytes:
+        """What the method remembers,"""
+
+    @property
+    def memory_version(self) -> int:
+        """in this version."""
+
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
@@ -33,11 +48,8 @@ class Origin(Protocol):
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
 
-    def identity(self) -> Saved:
-        """The identity of the run, for a file."""
-
-    def end(self) -> Saved:
-        """The memory of the run, for a file."""
+    def identity(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """What tells its run from another, in JSON's types, and arrays by name."""
 
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""

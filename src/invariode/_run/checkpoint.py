@@ -10,28 +10,17 @@ import secrets
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._base.files import TEMPORARY, PathLike, damage_of, path_of, take_mode, unreadable
-from .._base.formats import Contents, Kind, Within, packed, read, read_about, unpacked, write
-from .._base.locks import Lock, held
+from .._base.files import TEMPORARY, PathLike, damage_of, take_mode, unreadable
+from .._base.formats import Field, Kind, packed, read, read_values, unpacked, write
+from .._base.locks import Lock
 from .._results.result import Result
-from .._results.saving import (
-    END,
-    OUTPUT,
-    RUN,
-    SOLUTION,
-    AboutEnd,
-    AboutOutput,
-    AboutRun,
-    Saved,
-    end_of,
-    output_of,
-    run_of,
-)
+from .._results.saving import END, OUTPUT, RUN, SOLUTION
 
 __all__ = ["CHECKPOINT", "Checkpoint", "Stored", "read_checkpoint"]
 
@@ -47,36 +36,24 @@ _HEAD = struct.Struct("<QI")
 _READINGS = 10
 
 
-class _AboutCheckpoint(AboutEnd):
-    """What the state file says."""
-
-    token: str  # of the run, in both files
-    length: Annotated[int, Within(0, math.inf)]  # of the output that counts
-    sequence: int  # number of this state file
-    writer: str  # the process
-    running: bool
-
-
-class _AboutPart(AboutOutput):
-    """What each part of the output says."""
-
-    token: str
-
-
-class _AboutFirstPart(AboutRun, _AboutPart):
-    """And the first one."""
-
-
-CHECKPOINT = Kind("checkpoint", _AboutCheckpoint, END)
-_PART = Kind("output", _AboutPart, OUTPUT)
-_FIRST_PART = Kind("output", _AboutFirstPart, RUN | OUTPUT, others=("identity.",))
+_OF_THE_FILES = {
+    "token": Field(str),  # of the run, in both files
+    "length": Field(int, within=(0, math.inf)),  # of the output that counts
+    "sequence": Field(int),  # number of this state file
+    "writer": Field(str),  # the process
+    "running": Field(bool),
+}
+CHECKPOINT = Kind("checkpoint", END | _OF_THE_FILES)
+_PART = Kind("output", OUTPUT | {"token": Field(str)})
+_FIRST_PART = Kind("output", RUN | _PART.fields)
+_WHOLE = Kind("checkpoint", RUN | END | OUTPUT | {name: SOLUTION.fields[name] for name in ("imposed", "added")})
 
 
 class Stored(NamedTuple):
     """A run as its files have it."""
 
-    contents: Contents  # as those of a solution, without its continuous output,
-    parts: list[Contents]  # which is in the parts
+    fields: dict[str, Any]  # as those of a solution, without its continuous output,
+    parts: list[dict[str, Any]]  # which is in the parts
     checkpoint: Checkpoint
 
 
@@ -90,7 +67,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: PathLike, token: str, length: int = 0, sequence: int = 0) -> None:
-        self._path = Path(os.path.realpath(path_of(path)))
+        self._path = Path(os.path.realpath(path))
         self._token = token  # of the run, in both files
         self._length = length  # of the output that counts
         self._sequence = sequence  # number of the state file that was written last
@@ -105,15 +82,16 @@ class Checkpoint:
 
     def go_on(self, mechanics: dict[str, Any] | None) -> None:
         """The run is extended: the files must still be its own, and as it left them. Takes the lock."""
-
-        def objection(left: dict[str, Any] | None) -> str | None:
+        with self._taking() as left:
             if left is None or left["token"] != self._token:
-                return f"{self._path} holds another run by now: load it, or solve with another file"
+                raise ValueError(
+                    f"checkpoint: {self._path} holds another run by now: load it, or solve with another file"
+                )
             if left["sequence"] != self._sequence and left["writer"] != _writer():
-                return f"another process has gone on with {self._path}, to t = {left['t_end']!r}: load it again"
-            return None
-
-        self._take(objection)
+                raise ValueError(
+                    f"checkpoint: another process has gone on with {self._path}, to t = {left['t_end']!r}: load it "
+                    "again"
+                )
         self.mechanics = mechanics
 
     @classmethod
@@ -126,26 +104,22 @@ class Checkpoint:
             raise FileNotFoundError(
                 f"checkpoint: there is no folder {self._path.parent}: make it, or give another file"
             )
-
-        def objection(left: dict[str, Any] | None) -> str | None:
-            if left is None or not left["running"]:
-                return None
-            return (
-                f"{os.fspath(path)} holds a run that has come to t = {left['t_end']!r} and has not ended: go on with "
-                "load(path, problem).extend(tf), or delete it"
-            )
-
-        self._take(objection)
+        with self._taking() as left:
+            if left is not None and left["running"]:
+                raise ValueError(
+                    f"checkpoint: {os.fspath(path)} holds a run that has come to t = {left['t_end']!r} and has not "
+                    "ended: go on with load(path, problem).extend(tf), or delete it"
+                )
         self._begin = begin
         return self
 
-    def _take(self, objection: Callable[[dict[str, Any] | None], str | None]) -> None:
-        """Takes the lock, unless there is an objection to what the state file says."""
-        self._lock = held(self._path, "checkpoint")
+    @contextmanager
+    def _taking(self) -> Iterator[dict[str, Any] | None]:
+        """Takes the lock, unless what the state file says is refused inside."""
+        self._lock = Lock(self._path, "checkpoint")
         try:
             self._left = _about(self._path)
-            if wrong := objection(self._left):
-                raise ValueError(f"checkpoint: {wrong}")
+            yield self._left
             self._remove_remains()
         except BaseException:
             self.release()
@@ -160,23 +134,16 @@ class Checkpoint:
         """Adds the output of a part of the run, and what it takes to go on behind it."""
         self._require_untouched()
         if self._begin is None:
-            self._append(_PART, output_of(part))
+            self._append(_PART, part)
         else:
             self._create()
-            self._append(_FIRST_PART, run_of(part), output_of(self._begin(part)))
+            self._append(_FIRST_PART, self._begin(part))
             self._begin = None
         self._sequence += 1
-        end = end_of(part)
-        stored = {
-            "token": self._token,
-            "length": self._length,
-            "sequence": self._sequence,
-            "writer": _writer(),
-            "running": running,
-            **end.about,
-        }
-        write(self._path, CHECKPOINT, stored, end.arrays, durable=True)
-        replaced, self._left = self._left, stored
+        own = {"token": self._token, "sequence": self._sequence, "writer": _writer()}
+        state = CHECKPOINT.taken(part, **own, length=self._length, running=running)
+        write(self._path, CHECKPOINT, state, durable=True)
+        replaced, self._left = self._left, own
         if replaced is None or replaced["token"] != self._token:
             self._remove_remains()
 
@@ -209,10 +176,8 @@ class Checkpoint:
             if temporary.fullmatch(one.name) or (found and found[1] not in mine and _carries(one, found[1])):
                 one.unlink(missing_ok=True)
 
-    def _append(self, kind: Kind, *fields: Saved) -> None:
-        about = {name: value for one in fields for name, value in one.about.items()}
-        arrays = {name: array for one in fields for name, array in one.arrays.items()}
-        data = packed(kind, {"token": self._token, **about}, arrays)
+    def _append(self, kind: Kind, part: Result) -> None:
+        data = packed(kind, kind.taken(part, token=self._token))
         with open(self._output, "r+b") as file:
             file.truncate(self._length)  # what a process has left that was killed
             file.seek(self._length)
@@ -247,7 +212,7 @@ def _carries(path: Path, token: str) -> bool:
 def _about(path: Path) -> dict[str, Any] | None:
     """What the state file says, or None without one. A ValueError, if something else is there."""
     try:
-        return read_about(path, CHECKPOINT)
+        return read_values(path, CHECKPOINT)
     except FileNotFoundError:
         return None
 
@@ -256,23 +221,23 @@ def _about(path: Path) -> dict[str, Any] | None:
 # Read again
 
 
-def read_checkpoint(path: PathLike, state: Contents) -> Stored:
+def read_checkpoint(path: PathLike, state: dict[str, Any]) -> Stored:
     """The run of a checkpoint, of which the state file has been read. A running process may replace it meanwhile."""
     for _ in range(_READINGS):
         try:
             return _read(path, state)
         except ValueError:
-            before, state = state, read(path, CHECKPOINT)
-            if all(state.about[name] == before.about[name] for name in ("token", "sequence", "writer")):
+            before, (_, state) = state, read(path, CHECKPOINT)
+            if all(state[name] == before[name] for name in ("token", "sequence", "writer")):
                 raise
     raise unreadable(path, "is replaced again and again while it is read: try again")
 
 
-def _read(path: PathLike, state: Contents) -> Stored:
-    token, length, sequence = (state.about[name] for name in ("token", "length", "sequence"))
+def _read(path: PathLike, state: dict[str, Any]) -> Stored:
+    token, length = state["token"], state["length"]
     if not re.fullmatch(rf"[0-9a-f]{{{2 * _TOKEN}}}", token):
         raise unreadable(path, "is damaged: it has no token of a run")
-    checkpoint = Checkpoint(path, token, length, sequence)
+    checkpoint = Checkpoint(path, token, length, state["sequence"])
     place, start = checkpoint._output, _head_of(token)
     try:
         file = open(place, "rb")  # noqa: SIM115 - the with statement is below: only this line may miss the file
@@ -285,14 +250,14 @@ def _read(path: PathLike, state: Contents) -> Stored:
             raise unreadable(place, "belongs to another run than its checkpoint")
         parts = list(_parts(place, file.read(max(0, length - file.tell()))))
     with damage_of(place):
-        if any(part.about.pop("token") != token for part in parts):
+        if any(part.pop("token") != token for part in parts):
             raise ValueError("it has parts of another run")
-        contents = _joined(state, parts)
-        contents.kind.require(contents.about, contents.arrays)
-    return Stored(contents, parts, checkpoint)
+        whole = _joined(state, parts)
+        _WHOLE.require(whole)
+    return Stored(whole, parts, checkpoint)
 
 
-def _parts(place: Path, contents: bytes) -> Iterator[Contents]:
+def _parts(place: Path, contents: bytes) -> Iterator[dict[str, Any]]:
     at = 0
     while at < len(contents):
         if len(contents) - at < _HEAD.size:
@@ -305,18 +270,14 @@ def _parts(place: Path, contents: bytes) -> Iterator[Contents]:
         at += _HEAD.size + size
 
 
-def _joined(state: Contents, parts: list[Contents]) -> Contents:
-    """The whole run as one solution has it."""
-    first = parts[0]
-    end = {name: state.about[name] for name in AboutEnd.__annotations__}
-    about = {"imposed": False, "added": {}, **end, **first.about}
-    own = [name for name in first.arrays if name in OUTPUT and not name.startswith("dense.")]
-    output = {name: np.concatenate([part.arrays[name] for part in parts], axis=int(name == "y")) for name in own}
-    rows = np.cumsum([0, *(len(part.arrays["t"]) for part in parts)])
-    jumps = [len(part.arrays["jumps.row"]) for part in parts]
-    output["jumps.row"] += np.repeat(rows[:-1], jumps)
-    options = about["identity"]["options"]
+def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """The fields of the whole run as one solution has them, but for its continuous output."""
+    whole = {name: one for name, one in parts[0].items() if not name.startswith("dense.")}
+    for name in whole.keys() & OUTPUT.keys() - {"dense", "events"}:
+        whole[name] = np.concatenate([part[name] for part in parts], axis=int(name == "y"))
+    rows = np.cumsum([0, *(len(part["t"]) for part in parts)])
+    whole["jumps.row"] += np.repeat(rows[:-1], [len(part["jumps.row"]) for part in parts])
+    options = whole["identity"]["options"]
     if "end" in (options.get("keep"), options.get("save")):
-        output |= {"t": np.array([about["t_end"]]), "y": state.arrays["y_end"][:, None]}
-    constant = {name: one for name, one in first.arrays.items() if name not in OUTPUT}
-    return Contents(SOLUTION, about, {**constant, **state.arrays, **output})
+        whole |= {"t": np.array([state["t_end"]]), "y": state["y_end"][:, None]}
+    return {**whole, **{name: state[name] for name in END}, "imposed": False, "added": {}}

@@ -43,12 +43,11 @@ from .._results.result import (
     StiffnessWarning,
     at_events,
 )
-from .._results.saving import Saved
 from .._results.solution import Solution
 from .calls import explain, require_values
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .identity import identity_of_run
+from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
 
@@ -97,6 +96,7 @@ class RunOrigin:
     memory: bytes
     imposed: bool = False
     checkpoint: Checkpoint | None = None
+    memory_version: int = _core.MEMORY_VERSION
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         return type(None), ()  # functions do not travel with a pickled solution
@@ -107,13 +107,8 @@ class RunOrigin:
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         return _extended(self, sol, t_end, options)
 
-    def identity(self) -> Saved:
-        about, arrays = identity_of_run(self.source.problem, self.source.method, self.source.options)
-        return Saved({"identity": about}, {f"identity.{name}": one for name, one in arrays.items()})
-
-    def end(self) -> Saved:
-        about = {"next_h": self.next_h, "memory_version": _core.MEMORY_VERSION}
-        return Saved(about, {"y_end": self.y, "memory": np.frombuffer(self.memory, dtype=np.uint8)})
+    def identity(self) -> Identity:
+        return identity_of_run(self.source.problem, self.source.method, self.source.options)
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
         problem, options = self.source.problem, self.source.options

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, tolerances, warn
 from .._base.files import PathLike, damage_of, unreadable
-from .._base.formats import Contents, read
+from .._base.formats import read, under
 from .._core import MEMORY_VERSION, Dense
 from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.description import Description
@@ -22,10 +22,10 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, checked
 from .._results.result import BeforeProjection, DenseSolution, Names, Stats, Steps, at_events
-from .._results.saving import OUTCOME, SOLUTION, Saved, prefixed
+from .._results.saving import OUTCOME, SOLUTION, apart
 from .._results.solution import Solution
-from .._run.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint
-from .._run.identity import known_identity, options_of, require_same
+from .._run.checkpoint import CHECKPOINT, read_checkpoint
+from .._run.identity import Identity, known_identity, options_of, require_same
 from .._run.run import RunOrigin, Solved
 
 __all__ = ["load"]
@@ -115,80 +115,74 @@ def load(
         listed, extra = problem.invariants, problem.args
     if trust is not None:
         choice("trust", trust, ["code"])
-    contents = read(path, SOLUTION, CHECKPOINT)
-    if contents.kind is SOLUTION:
-        parts, checkpoint = [contents], None
-    elif problem is None:
-        raise unreadable(path, "is a checkpoint, which needs its problem: load(path, problem)")
-    else:
-        contents, parts, checkpoint = read_checkpoint(path, contents)
+    kind, fields = read(path, SOLUTION, CHECKPOINT)
+    parts, checkpoint = [fields], None
+    if kind is CHECKPOINT:
+        if problem is None:
+            raise unreadable(path, "is a checkpoint, which needs its problem: load(path, problem)")
+        fields, parts, checkpoint = read_checkpoint(path, fields)
     with damage_of(path):
-        dense = _dense(parts, reals(contents.arrays["y"]))
-        solution = _solution(contents)
+        dense = _dense(parts, reals(fields["y"]))
+        origin = None if fields["identity"] is None else _origin(fields)
+        solution = _solution(fields).changed(_origin=origin)
     if problem is not None:
-        solution = solution.changed(_origin=_origin(path, contents, problem, options, trust, checkpoint))
-    elif contents.about["identity"] is not None:
-        solution = solution.changed(_origin=_OriginInFile(contents))
+        if origin is None:
+            raise unreadable(path, "does not hold the memory of its run, which had no functions: leave out the problem")
+        source = _source(path, origin, problem, options, trust)
+        if kind is CHECKPOINT:
+            source.options["checkpoint"] = os.fspath(path)
+        whole = RunOrigin(source, solution.t_end, origin.y, origin.next_h, origin.memory, origin.imposed, checkpoint)
+        solution = solution.changed(_origin=whole)
     if problem is not None or listed:
         start = _start(path, solution, dense) if problem is None else (problem.t_span[0], problem.y0)
         solution = solution.changed(_invariants=_bind_again(path, solution, listed, start, extra))
     if dense is None:
         return solution
-    imposed = {"rtol": solution._rtol, "atol": solution._atol} if contents.about["imposed"] else None
-    projects = contents.about["dense"]["interpolation"] == "projected" and len(solution._invariants) > 0
-    kind = _Unprojected if (imposed or projects) and not listed else DenseSolution
-    return solution.changed(sol=kind(dense, solution.y.dtype, solution._invariants, imposed))
+    imposed = {"rtol": solution._rtol, "atol": solution._atol} if fields["imposed"] else None
+    projects = fields["dense"]["interpolation"] == "projected" and len(solution._invariants) > 0
+    kind_of_sol = _Unprojected if (imposed or projects) and not listed else DenseSolution
+    return solution.changed(sol=kind_of_sol(dense, solution.y.dtype, solution._invariants, imposed))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
 # What it takes to go on
 
 
-def _origin(
-    path: PathLike,
-    contents: Contents,
-    problem: Description,
-    options: Options,
-    trust: str | None,
-    checkpoint: Checkpoint | None,
-) -> RunOrigin:
-    """What it takes to go on, with the functions of the problem."""
-    about, arrays = contents.about, contents.arrays
-    if about["identity"] is None:
-        raise unreadable(
-            path, "does not hold the memory of its run: a solution without functions wrote it. Leave out the problem"
-        )
-    with damage_of(path):
-        who = known_identity(about["identity"], prefixed(arrays, "identity."))
-        memory, y_end = arrays["memory"].tobytes(), arrays["y_end"]
-    if about["memory_version"] != MEMORY_VERSION:
+def _origin(fields: dict[str, Any]) -> _OriginInFile:
+    who = known_identity(fields["identity"], under("identity", fields))
+    memory = fields["memory"].tobytes(), fields["memory_version"]
+    return _OriginInFile(who, fields["y_end"], fields["next_h"], *memory, fields["imposed"])
+
+
+def _source(path: PathLike, origin: _OriginInFile, problem: Description, options: Options, trust: str | None) -> Solved:
+    """The run of a file, which the problem and the options are seen to belong to."""
+    if origin.memory_version != MEMORY_VERSION:
         raise unreadable(
             path,
-            f"has version {about['memory_version']} of the memory of a run; this is invariode {version('invariode')}, "
+            f"has version {origin.memory_version} of the memory of a run; this is invariode {version('invariode')}, "
             f"which goes on from version {MEMORY_VERSION}: use the invariode that wrote it",
         )
+    who, method = origin.known, origin.known.about["method"]
     try:
         require_same(who, problem, options, trust)
         whole = options_of(who, options)
         with quietly():
-            checked(whole, find_method(who.about["method"])[0])
+            checked(whole, find_method(method)[0])
     except (TypeError, ValueError) as wrong:
         raise unreadable(path, f"cannot go on here: {wrong}") from None
-    if checkpoint is not None:
-        whole["checkpoint"] = os.fspath(path)
-    source = Solved(problem, who.about["method"], whole)
-    return RunOrigin(source, about["t_end"], y_end, about["next_h"], memory, about["imposed"], checkpoint)
+    return Solved(problem, method, whole)
 
 
 class _OriginInFile(NamedTuple):
     """What a solution was made from, without the functions: to be saved again."""
 
-    contents: Contents
-    projected: bool = False  # since it was read
-
-    @property
-    def imposed(self) -> bool:
-        return self.projected or self.contents.about["imposed"]
+    known: Identity
+    y: Array
+    next_h: float | None
+    memory: bytes
+    memory_version: int
+    imposed: bool
+    source: None = None
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> NoReturn:
         raise ValueError(
@@ -202,64 +196,56 @@ class _OriginInFile(NamedTuple):
     def field(self, y: Array) -> None:
         return None
 
-    def identity(self) -> Saved:
-        arrays = self.contents.arrays
-        of_run = {name: one for name, one in arrays.items() if name.startswith("identity.")}
-        return Saved({"identity": self.contents.about["identity"]}, of_run)
-
-    def end(self) -> Saved:
-        about, arrays = self.contents.about, self.contents.arrays
-        return Saved(
-            {name: about[name] for name in ("next_h", "memory_version")},
-            {name: arrays[name] for name in ("y_end", "memory")},
-        )
+    def identity(self) -> Identity:
+        return self.known
 
     def imposing(self) -> _OriginInFile:
-        return self._replace(projected=True)
+        return self._replace(imposed=True)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
 # From the fields of a file, each of which is right by itself
 
 
-def _solution(contents: Contents) -> Solution:
+def _solution(fields: dict[str, Any]) -> Solution:
     """The solution without `sol`."""
-    about, arrays = contents.about, contents.arrays
-    t, y, names, events = arrays["t"], arrays["y"], about["invariants"], about["events"]
-    if len(arrays["drift.residual"]) < len(names):
+    y, names, stats = fields["y"], fields["invariants"], fields["stats"]
+    if len(fields["drift.residual"]) < len(names):
         raise ValueError("drifts do not match")
-    number, stats = arrays["events.number"], about["stats"]
-    jumps = zip(arrays["jumps.row"].tolist(), arrays["jumps.t"].tolist(), arrays["jumps.value"], strict=True)
-    found = [[arrays[f"events.{what}"][number == e] for e in range(len(events or ()))] for what in "ty"]
+    each = None if fields["events"] is None else apart(under("events", fields), fields["events"])
+    at_outputs = None
+    if "invariants.residual" in fields:  # unless it is a checkpoint
+        at_outputs = fields["invariants.residual"], fields["invariants.distance"]
+    jumps = zip(fields["jumps.row"].tolist(), fields["jumps.t"].tolist(), fields["jumps.value"], strict=True)
     g = _StoredInvariants(
         [],
-        arrays["invariants.value"],
+        fields["invariants.value"],
         names,
         (),
         np.zeros(0),
         None,
         jumps=tuple(Jump(*jump) for jump in jumps),
-        forward=about["forward"],
-        at_outputs=(arrays.get("invariants.residual"), arrays.get("invariants.distance")),
+        forward=fields["forward"],
+        at_outputs=at_outputs,
         outputs=y,
     )
     solution = Solution(
-        t=t,
+        t=fields["t"],
         y=y,
         sol=None,
-        t_events=None if events is None else found[0],
-        y_events=None if events is None else [at_events(y) for y in found[1]],
-        **{name: about[name] for name in OUTCOME},
-        stats=Stats(**stats | {"discontinuities": tuple(stats["discontinuities"])}),
-        steps=_steps(arrays["steps"], about["methods"]) if "steps" in arrays else None,
+        t_events=None if each is None else [one["t"] for one in each],
+        y_events=None if each is None else [at_events(one["y"]) for one in each],
+        **{name: fields[name] for name in OUTCOME},
+        stats=Stats(**{**stats, "discontinuities": tuple(stats["discontinuities"])}),
+        steps=_steps(fields["steps"], fields["methods"]) if "steps" in fields else None,
         _invariants=g,
-        _rtol=arrays["rtol"].tolist(),
-        _atol=arrays["atol"].tolist(),
-        _drift=BeforeProjection(arrays["drift.residual"], arrays["drift.distance"], float(arrays["drift.correction"])),
-        _names=Names(about["name"], about["title"], about["labels"], len(y), events or []),
+        _rtol=fields["rtol"].tolist(),
+        _atol=fields["atol"].tolist(),
+        _drift=BeforeProjection(fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])),
+        _names=Names(**fields["names"]),
     )
-    for name, held in about["added"].items():
-        solution[name] = arrays[held["array"]] if "array" in held else held["value"]
+    for name, held in fields["added"].items():
+        solution[name] = fields[f"added.{held['array']}"] if "array" in held else held["value"]
     return solution
 
 
@@ -269,23 +255,23 @@ def _steps(rows: Array, methods: list[str]) -> Steps:
     return Steps(rows, methods)
 
 
-def _dense(parts: list[Contents], n: int) -> Dense | None:
+def _dense(parts: list[dict[str, Any]], n: int) -> Dense | None:
     """The continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few times."""
-    wholes = [_dense_part(part, n) for part in parts if part.about["dense"] is not None]
+    wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
     while len(wholes) > 1:
         pairs = itertools.zip_longest(wholes[::2], wholes[1::2])
         wholes = [first if then is None else first.joined(then) for first, then in pairs]
     return wholes[0] if wholes else None
 
 
-def _dense_part(part: Contents, n: int) -> Dense:
-    arrays = prefixed(part.arrays, "dense.")
-    if part.about["dense"]["m"] != part.arrays["jumps.value"].shape[1]:
+def _dense_part(part: dict[str, Any], n: int) -> Dense:
+    arrays = under("dense", part)
+    if part["dense"]["m"] != part["jumps.value"].shape[1]:
         raise ValueError("invariants do not match")
     if arrays["y"].shape[1:] != (n,):
         raise ValueError("components do not match")
     try:
-        return Dense.from_parts(**{"scale": None, **arrays, **part.about["dense"]})
+        return Dense.from_parts(**{"scale": None, **arrays, **part["dense"]})
     except TypeError:  # its text would be the signature of the binding
         raise ValueError("the parts of the continuous solution do not match") from None
 
@@ -294,23 +280,24 @@ def _dense_part(part: Contents, n: int) -> Dense:
 class _StoredInvariants(BoundInvariants):
     """The invariants of a file, without functions: at its outputs, what was computed when it was saved."""
 
-    at_outputs: tuple[Any, Any] = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t), or None
+    at_outputs: tuple[Array, Array] | None = dataclasses.field(kw_only=True)  # residuals and distances, (m, n_t)
     outputs: Array = dataclasses.field(kw_only=True)  # y of the file
 
     def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
-        self._require_outputs(y)
-        return self.at_outputs[0]
+        return self._at(y)[0]
 
     def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
-        self._require_outputs(y)
-        return self.at_outputs[1]
+        return self._at(y)[1]
 
-    def _require_outputs(self, y: Array) -> None:
-        if len(self) and y is not self.outputs and not np.array_equal(y, self.outputs, equal_nan=True):
+    def _at(self, y: Array) -> tuple[Array, Array]:
+        if self.at_outputs is None or not (
+            len(self) == 0 or y is self.outputs or np.array_equal(y, self.outputs, equal_nan=True)
+        ):
             raise ValueError(
                 f"the functions of the invariants {', '.join(self.names)} are not in the file, which has their "
                 "residuals only at its outputs, and y has changed: give them, invariode.load(path, invariants=...)"
             )
+        return self.at_outputs
 
     def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> NoReturn:
         raise ValueError(
@@ -362,10 +349,8 @@ def _bind_again(
             f"the invariants given are named {', '.join(bound.names)}, those of the run in {os.fspath(path)} "
             f"{', '.join(stored.names)}"
         )
-    bound = dataclasses.replace(bound, value=stored.value, jumps=stored.jumps, forward=stored.forward, evaluations=0)
-    if (
-        not isinstance(stored, _StoredInvariants) or stored.at_outputs[1] is None
-    ):  # of a checkpoint, whose code is that of the run
+    bound = dataclasses.replace(bound, value=stored.value, jumps=stored.jumps, forward=stored.forward)
+    if not isinstance(stored, _StoredInvariants) or stored.at_outputs is None:
         return bound
     some = np.unique(np.linspace(0, len(t) - 1, min(_COMPARED, len(t))).astype(int))
     pieces = stored.pieces_of_output(len(t))
