@@ -243,6 +243,27 @@ def test_damaged_files_are_refused(tmp_path):
         iv.load(path, problem())
 
 
+@pytest.mark.parametrize(("dense_output", "order"), [
+    (False, [0, 2, 3]), (False, [0, 1, 1, 2, 3]), (True, [0, 1, 3, 2]), (True, [0, 1, 1, 3]),
+], ids=str)  # fmt: skip
+def test_the_parts_of_the_output_are_all_there_and_those_of_continuous_output_in_order(dense_output, order, tmp_path):
+    """Behind right checksums."""
+    path = tmp_path / "run.checkpoint"
+    problem().solve(checkpoint=path, checkpoint_every=1e-9, dense_output=dense_output, max_steps=4)
+    (output,) = tmp_path.glob("run.checkpoint.output-*")
+    whole, parts = output.read_bytes(), []
+    start = at = whole.index(b"\n") + 1
+    while at < len(whole):
+        size = 12 + int.from_bytes(whole[at : at + 8], "little")
+        parts.append(whole[at : at + size])
+        at += size
+    assert len(parts) >= 4
+    output.write_bytes(whole[:start] + b"".join(parts[i] for i in [*order, *range(4, len(parts))]))
+    changed(path, length=output.stat().st_size)
+    with pytest.raises(ValueError, match=r"is damaged: ValueError: (it has \d+ parts, and|the parts of the contin)"):
+        iv.load(path, problem())
+
+
 @pytest.mark.parametrize(("options", "error", "message"), [
     ({"checkpoint": 3}, TypeError, "checkpoint must be a str or path-like, got 3"),
     ({"checkpoint_every": 0}, ValueError, "checkpoint_every must be positive"),

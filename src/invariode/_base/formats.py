@@ -156,9 +156,14 @@ def _fits(value: Any, hint: Any, sizes: dict[str, Any]) -> bool:
 # Headers
 
 
+@cache
+def _ours() -> str:
+    return version("invariode")
+
+
 def header(kind: str) -> dict[str, Any]:
     """What stands first in every file and store."""
-    return {"format": _FORMAT + kind, "version": VERSION, "invariode": version("invariode")}
+    return {"format": _FORMAT + kind, "version": VERSION, "invariode": _ours()}
 
 
 def kind_of(path: Any, about: Any, *expected: str) -> str:
@@ -175,7 +180,7 @@ def kind_of(path: Any, about: Any, *expected: str) -> str:
     if number != VERSION:
         newer = isinstance(number, int) and number > VERSION
         remedy = "upgrade it" if newer else "use the invariode that wrote it, or solve the problem again"
-        this = f"this is invariode {version('invariode')}, which reads version {VERSION}"
+        this = f"this is invariode {_ours()}, which reads version {VERSION}"
         raise unreadable(path, f"{what}; {this}: {remedy}")
     return kind
 

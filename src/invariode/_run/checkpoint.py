@@ -159,8 +159,9 @@ class Checkpoint:
             )
 
     def _create(self) -> None:
-        with open(self._output, "xb") as file:
-            if self._left is not None:  # of a former run, which others may not be allowed to read
+        mode = 0o666 if self._left is None else 0o600  # the file of a former run may be private: from the beginning
+        with open(self._output, "xb", opener=lambda path, flags: os.open(path, flags, mode)) as file:
+            if self._left is not None:
                 take_mode(file.fileno(), os.stat(self._path))
             file.write(_head_of(self._token))
             self._length = file.tell()
@@ -252,6 +253,8 @@ def _read(path: PathLike, state: dict[str, Any]) -> Stored:
     with damage_of(place):
         if any(part.pop("token") != token for part in parts):
             raise ValueError("it has parts of another run")
+        if len(parts) != state["sequence"]:
+            raise ValueError(f"it has {len(parts)} parts, and its checkpoint says {state['sequence']}")
         whole = _joined(state, parts)
         _WHOLE.require(whole)
     return Stored(whole, parts, checkpoint)

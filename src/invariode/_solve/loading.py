@@ -258,6 +258,8 @@ def _steps(rows: Array, methods: list[str]) -> Steps:
 def _dense(parts: list[dict[str, Any]], n: int) -> Dense | None:
     """The continuous solution of n reals, if there is one, joined in pairs, so that each part is copied few times."""
     wholes = [_dense_part(part, n) for part in parts if part["dense"] is not None]
+    if any(first.knots()[-1] != then.knots()[0] for first, then in itertools.pairwise(wholes)):
+        raise ValueError("the parts of the continuous solution do not follow one another")
     while len(wholes) > 1:
         pairs = itertools.zip_longest(wholes[::2], wholes[1::2])
         wholes = [first if then is None else first.joined(then) for first, then in pairs]
@@ -268,7 +270,7 @@ def _dense_part(part: dict[str, Any], n: int) -> Dense:
     arrays = under("dense", part)
     if part["dense"]["m"] != part["jumps.value"].shape[1]:
         raise ValueError("invariants do not match")
-    if arrays["y"].shape[1:] != (n,):
+    if arrays["y"].shape[1:] != (n,) or part["dense"]["complex"] != (part["y"].dtype.kind == "c"):
         raise ValueError("components do not match")
     try:
         return Dense.from_parts(**{"scale": None, **arrays, **part["dense"]})
