@@ -77,7 +77,7 @@ def load(
     Raises
     ------
     ValueError
-        The file was not written by invariode, is damaged, or comes from a newer version; it belongs to another problem,
+        The file was not written by invariode, is damaged, or of another version; it belongs to another problem,
         by its sizes, events, arguments, y0, the value of `fun` at the start or the code of its functions, or to a run
         with other options, which the error names; or the invariants differ from the run's in their names or values.
     TypeError
