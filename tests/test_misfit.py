@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+import stiff_ends
 from problems import implicit, switching
 
 IMPLICIT = [name for name in filter(implicit, iv.METHODS) if not switching(name)]
@@ -166,3 +167,17 @@ def test_evaluations_that_test_jacobians_are_counted_apart(method_code):
     sol = iv.solve_ivp(fun, (0, 1), [1.0, 0.0], method_code)
     assert len(calls) == sol.nfev + sol.stats.nfev_check
     assert 1 <= sol.stats.nfev_check <= 1 + math.log2(sol.njev)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Iterates far away
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3])
+@pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass == "any"])
+def test_iterates_stay_where_an_exponential_can_be_evaluated(method, rtol, monkeypatch):
+    """The transistor amplifier with math.exp as it is, which raises from 18 V on; its supply is 6 V."""
+    monkeypatch.setattr(stiff_ends, "transistor", lambda v: stiff_ends.SATURATION * math.exp(v / stiff_ends.THERMAL))
+    mass, y0 = stiff_ends.AMPLIFIER_MASS, stiff_ends.AMPLIFIER_START
+    sol = iv.solve_ivp(stiff_ends.amplifier, (0, 0.2), y0, method, mass=mass, rtol=rtol, atol=rtol, keep="end")
+    assert sol.success
