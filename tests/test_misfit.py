@@ -181,3 +181,16 @@ def test_iterates_stay_where_an_exponential_can_be_evaluated(method, rtol, monke
     mass, y0 = stiff_ends.AMPLIFIER_MASS, stiff_ends.AMPLIFIER_START
     sol = iv.solve_ivp(stiff_ends.amplifier, (0, 0.2), y0, method, mass=mass, rtol=rtol, atol=rtol, keep="end")
     assert sol.success
+
+
+def test_a_jacobian_whose_stiffness_has_gone_is_renewed():
+    """A catalyst decays; the J from before makes Newton's updates in y0 - y1 far too small."""
+
+    def reaction(t, y):
+        rate = 1e6 * y[2] * (y[0] - y[1])
+        return [-rate, rate - y[1] + 0.2 * math.sin(3 * t), -40 * y[2]]
+
+    rtol = 1e-4
+    sol = iv.solve_ivp(reaction, (0, 4), [1.0, 1.0, 1.0], "ode15s", rtol=rtol, atol=rtol)
+    end = iv.solve_ivp(reaction, (0, 4), [1.0, 1.0, 1.0], "radau", rtol=1e-10, atol=1e-12)
+    assert np.abs(sol.y[:, -1] - end.y[:, -1]).max() <= 100 * rtol  # 5e7 without a look at J
