@@ -239,7 +239,7 @@ class Newton : public AgingJacobian {
   Convergence convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
-  double before_ = 0;  // the residual before the last update, in the norm
+  double before_ = 0;             // the residual before the last update, in the norm
   std::vector<double> f_value_, residual_, sum_;
 };
 
