@@ -9,6 +9,7 @@
 #include <new>
 #include <string>
 
+#include "linear/index.hpp"
 #include "linear/narrow_band.hpp"
 #include "weights.hpp"
 
@@ -18,8 +19,6 @@ namespace {
 constexpr std::size_t dense_by_lapack = 64;  // from this n on LAPACK's blocked LU is the faster one
 constexpr std::size_t narrow_band = 24;      // lower + upper, up to which LAPACK's banded LU is slower than ours
 constexpr double least_diagonal = 0.1;       // of the largest entry in its column, to be taken as a sparse pivot
-
-Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
 bool finite(const std::vector<double>& v) { return all_finite(v.data(), v.size()); }
 bool finite(const std::vector<std::complex<double>>& v) {

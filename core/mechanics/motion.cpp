@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "linear/index.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -23,8 +24,6 @@ constexpr double densest = 0.25;
 constexpr double nearly_singular = 0.05;
 constexpr int most_corrections = 6;       // Newton's iteration, which starts near, squares its errors
 constexpr double last_correction = 1e-8;  // of q: its square is roundoff
-
-Index index(std::size_t i) { return static_cast<Index>(i); }
 
 SparseMatrix columns_from(const SparseMatrix& A, std::size_t first) { return A.rightCols(A.cols() - index(first)); }
 

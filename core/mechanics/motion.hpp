@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/rows.hpp"
 #include "linear/saddle.hpp"
 #include "linear/sparse_saddle.hpp"
-#include "manifold/rows.hpp"
 #include "mechanics/differentiable.hpp"
 
 namespace invariode {
