@@ -58,16 +58,19 @@ class PivotedBasis {
     return added;
   }
 
-  /// Calls use(j, z_j) for the basis from its vector `first` on, as equations before have no residual: right(i) is that
-  /// of the equation with vector i.
+  /// Component of vector i along the basis vector in the place of vector q.
+  [[nodiscard]] double R(std::size_t q, std::size_t i) const { return R_(index(q), index(i)); }
+
+  /// Rᵀ z = r in the part of the basis from its member `first` on: calls use(i, z) with each z in the order of the
+  /// members, where i is the vector whose residual is right(i).
   template <class Right, class Use>
   void solve(std::size_t first, Right right, Use use) {
     for (std::size_t k = first; k < members_.size(); ++k) {
       const std::size_t i = members_[k];
       double sum = right(i);
-      for (std::size_t l = first; l < k; ++l) sum -= R_(index(members_[l]), index(i)) * z_[l];
-      z_[k] = sum / R_(index(i), index(i));
-      use(vector(i), z_[k]);
+      for (std::size_t l = first; l < k; ++l) sum -= R(members_[l], i) * z_[l];
+      z_[k] = sum / R(i, i);
+      use(i, z_[k]);
     }
   }
 

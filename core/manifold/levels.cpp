@@ -181,7 +181,8 @@ void Levels::correct(Level& level, std::size_t first, const double* J, const dou
     layout_.row(i, J).for_each([&](std::size_t j, double value) { left -= value * delta[j]; });
     return left / norm_[i];
   };
-  basis_.solve(first, rest, [&](const auto& q, double z) {
+  basis_.solve(first, rest, [&](std::size_t i, double z) {
+    const auto q = basis_.vector(i);
     for (std::size_t j = 0; j < n_; ++j) delta_l_[j] += (by_metric ? 1 : w[j]) * q[index(j)] * z;
   });
   if (by_metric) level.metric->divide_transposed(delta_l_.data());

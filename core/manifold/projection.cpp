@@ -430,7 +430,8 @@ std::size_t Projector::solve_several(double t) {
     if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
   std::fill(delta_.begin(), delta_.end(), 0);
   const auto right = [this](std::size_t i) { return preference(i) * r_[i] / norm_[i]; };
-  basis_.solve(0, right, [this](const auto& q, double z) {
+  basis_.solve(0, right, [this](std::size_t i, double z) {
+    const auto q = basis_.vector(i);
     for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] += w_[j] * (q[index(j)] * z);
   });
   return rank;
