@@ -8,7 +8,7 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(shell find core binding -ty
   $(shell find src -name '*.py' -o -name '*.pyi' -o -name '*.jinja' -o -name '*.json')
 CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o -name '*.cpp')
 # What `make stubs` makes, and `make lint` compares.
-STUBS := _core.pyi ode_functions.pyi scipy.pyi
+STUBS := _core.pyi _solve/ode_functions.pyi scipy.pyi
 PIP := $(BIN)/python -m pip -q --disable-pip-version-check
 CTEST := $(BIN)/ctest --output-on-failure -j 2
 WHEEL := build/wheel
@@ -24,8 +24,8 @@ LOWEST := .venv-lowest
 
 .PHONY: paper test test-lowest test-kernels native native-clang native-aarch64 sanitize fuzz fuzz-sanitize lint format stubs bench docs dist clean
 
-paper: $(VENV)/.installed-cli-plot  ## the paper's experiments: a table, and paper-report.html
-	$(BIN)/invariode paper --output paper-report.html
+paper: $(VENV)/.installed-paper  ## the paper's experiments: a table, and paper-report.html
+	$(BIN)/python -m paper --output paper-report.html
 
 # Each worker starts with half of the files, and takes over from the other at the end: what tests of one file share,
 # such as compiled functions, is made once.
@@ -109,7 +109,7 @@ lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, dri
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 	$(CMAKE) -S . -B $(NATIVE)-lint
 	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint
-	cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
+	mkdir -p build/_solve && cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
 	$(BIN)/python .ci/stubs.py build
 	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
 

@@ -13,9 +13,9 @@ from typing import Unpack
 
 from numpy.typing import ArrayLike
 
-from ._options import AllOptions
-from ._types import Function, Span
-from .solution import Solution
+from .._base.types import Function, Span
+from .._problem.options import AllOptions
+from .._results.solution import Solution
 
 __all__ = {names}
 
@@ -24,7 +24,7 @@ __all__ = {names}
 
 CLASSES = '''"""Generated from METHODS: `make stubs`."""
 
-from .stepper import Stepper
+from ._solve.stepper import Stepper
 
 __all__ = {names}
 
@@ -49,7 +49,7 @@ def stubs() -> dict[str, str]:
     }
     classes = "\n".join([*ours.values(), "", *theirs.values()])
     return {
-        "ode_functions.pyi": FUNCTIONS.format(names=listed([*METHODS]), functions=functions),
+        "_solve/ode_functions.pyi": FUNCTIONS.format(names=listed([*METHODS]), functions=functions),
         "scipy.pyi": CLASSES.format(names=listed([*ours, *theirs]), classes=classes),
     }
 

@@ -20,7 +20,8 @@ from measure import interleaved, machine, ratio, run, table
 from numpy.typing import NDArray
 
 import invariode as iv
-from invariode import _core, lanes
+from invariode import _core
+from invariode._functions import lanes
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6

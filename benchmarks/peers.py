@@ -40,7 +40,7 @@ from nonstiff import PROBLEMS, Function, Problem
 from numpy.typing import NDArray
 
 import invariode as iv
-from invariode._style import COLOURS, MUTED
+from invariode._base.style import COLOURS, MUTED
 
 Array = NDArray[np.float64]
 Run = Callable[[], Any]  # solves, and returns the final state

@@ -14,8 +14,7 @@ from numpydoc.validate import validate
 #: What users import from; each lists its names in `__all__`.
 MODULES = (
     "invariode",
-    "invariode.paper",
-    "invariode.plotting",
+    "invariode._results.plots",
     "invariode.problems",
     "invariode.scipy",
     "invariode.symbolic",

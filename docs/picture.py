@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 
 from invariode import problems
-from invariode._style import LOOK, PLAIN, PROJECTED
+from invariode._base.style import LOOK, PLAIN, PROJECTED
 
 FILE = Path(__file__).parent / "pendulum.svg"
 

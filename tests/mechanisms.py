@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from invariode import Problem
-from invariode.mechanics import MechanicalSystem
+from invariode._mechanics.system import MechanicalSystem
 
 Array = NDArray[np.float64]
 

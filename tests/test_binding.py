@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from invariode import METHODS, Event, _core, compile, solve_ivp
-from invariode.description import Description
-from invariode.plan import make_plan
-from invariode.plan import solver as planned_solver
+from invariode._problem.description import Description
+from invariode._run.plan import make_plan
+from invariode._run.plan import solver as planned_solver
 
 n, m = 2, 1
 NOTHING = np.zeros(0)
@@ -156,7 +156,7 @@ def test_settings_are_what_they_were_set_to() -> None:
 
 
 def test_a_plan_hands_over_every_setting_in_its_place() -> None:
-    from invariode.plan import Settings
+    from invariode._run.plan import Settings
 
     assert Settings._fields == _core.Settings.FIELDS
     with pytest.raises(ValueError, match="not one value for each"):

@@ -17,10 +17,10 @@ import typer
 from typer.testing import CliRunner
 
 import invariode as iv
+from invariode._studies.precision import power
 from invariode.cli.app import app
 from invariode.cli.session import clock, count, guarded
 from invariode.cli.solve import OUTPUTS
-from invariode.precision import power
 
 FILES = {
     "pendulum.py": """
@@ -549,7 +549,7 @@ def test_compare_answers_in_a_sentence(price, verdict, monkeypatch):
     counted = counted.replace("return [x * x", f"clock.now += {price}\n    return [x * x")
     Path("counted.py").write_text(f"from clocks import clock\n{counted}", encoding="utf-8")
     monkeypatch.setitem(sys.modules, "clocks", types.SimpleNamespace(clock=clock))
-    monkeypatch.setattr("invariode.precision.perf_counter", lambda: clock.now / 1e6)
+    monkeypatch.setattr("invariode._studies.precision.perf_counter", lambda: clock.now / 1e6)
     outcome = invariode("compare", "counted.py", "--decades", "3-6", "-m", "ode45")
     assert outcome.exit_code == 0, outcome.output
     assert f"Projection {verdict}" in flat(outcome.output)
@@ -567,7 +567,7 @@ def test_compare_without_invariants_says_so_and_compares_plain():
 
 def test_compare_gives_up_explicit_methods_on_stiff_problems(monkeypatch):
     """The limit is one of time, which here is the number of steps: ode15s takes 200, ode45 many millions."""
-    monkeypatch.setattr("invariode.precision.perf_counter", Counter())
+    monkeypatch.setattr("invariode._studies.precision.perf_counter", Counter())
     outcome = invariode("compare", "stiff.py", "--decades", "3-4", "--limit", "2000", "-m", "ode45", "-m", "ode15s")
     assert outcome.exit_code == 0, outcome.output
     assert "Reference: ode15s and ode15s as BDF" in outcome.output
@@ -653,7 +653,7 @@ def test_numbers_are_short(shown, text):
     assert shown == text
 
 
-@pytest.mark.parametrize("command", ["solve", "compare", "check", "paper"])
+@pytest.mark.parametrize("command", ["solve", "compare", "check"])
 def test_help_has_examples_and_fits(command):
     outcome = invariode(command, "--help")
     assert outcome.exit_code == 0

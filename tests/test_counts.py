@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode.paper.published import PUBLISHED, matlab
+from paper.published import PUBLISHED, matlab
 from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
 

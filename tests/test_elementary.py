@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode import _core, lanes
-from invariode.compiled import Compiled
+from invariode import _core
+from invariode._functions import lanes
+from invariode._functions.compiled import Compiled
 
 mpmath = pytest.importorskip("mpmath")
 pytest.importorskip("numba")
-_machine_code = pytest.importorskip("invariode._machine_code")
+machine_code = pytest.importorskip("invariode._functions.machine_code")
 
 POINTS = 40_000  # a fourth of them in each range of arguments
 BITS = 90  # of reference values
@@ -271,7 +272,7 @@ def test_helpers_get_them_too():
 def test_calls_that_are_not_inlined_have_the_same_bits(monkeypatch):
     x = np.linspace(-3, 3, 50)
     inlined = values("cos", x)
-    monkeypatch.setattr(_machine_code, "MOST_INLINED", 0)
+    monkeypatch.setattr(machine_code, "MOST_INLINED", 0)
     np.testing.assert_array_equal(values("cos", x, native.__wrapped__), inlined)
 
 
@@ -280,7 +281,7 @@ def test_an_unknown_numba_is_one_warning_and_the_librarys_functions(monkeypatch)
     monkeypatch.setattr(lanes, "FEWEST", 1)
     y0 = np.random.default_rng(3).uniform(-1, 1, (20, 2))
     with monkeypatch.context() as changed:
-        changed.setattr(_machine_code, "linked", lambda text: text.has_gone)
+        changed.setattr(machine_code, "linked", lambda text: text.has_gone)
         fun = iv.compile(far_pendulum)
         with pytest.warns(UserWarning, match=r"does not take other elementary functions.*libm's are used"):
             found = iv.solve_ensemble(fun, (0, 3), y0, args=(1.5,), workers=1)

@@ -193,7 +193,7 @@ def test_pattern_with_a_jacobian_is_warned_of():
 
 
 def test_dense_jacobian_of_very_many_components_is_warned_of(monkeypatch):
-    monkeypatch.setattr("invariode._matrices._DENSE_LIMIT", 1000)
+    monkeypatch.setattr("invariode._linear.matrices._DENSE_LIMIT", 1000)
     with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* lband and uband"):
         iv.ode15s(lambda t, y: -y, (0, 1), np.ones(12))
 
@@ -555,7 +555,7 @@ def test_a_mass_matrix_that_there_is_no_memory_for_is_not_called_singular(monkey
     def splu(matrix):
         raise RuntimeError("Not enough memory to perform factorization.")
 
-    monkeypatch.setattr("invariode._matrices.splu", splu)
+    monkeypatch.setattr("invariode._linear.matrices.splu", splu)
     with pytest.raises(MemoryError, match="no memory for the LU factors of mass"):
         iv.ode15s(lambda t, y: -y, (0, 1), np.ones(80), mass=sparse.csc_array(np.eye(80)))
 

@@ -10,7 +10,7 @@ from scipy import sparse
 
 import invariode as iv
 from invariode import _core
-from invariode.plan import make_plan
+from invariode._run.plan import make_plan
 from problems import implicit, switching
 from stiff import PROBLEMS
 

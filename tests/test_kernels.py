@@ -16,7 +16,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
-from invariode import _elimination, _matrices
+from invariode._linear import matrices, null_space
 from kernels import loaded, runnable
 from problems import implicit
 from stiff_ends import PROBLEMS as ENDS
@@ -126,7 +126,7 @@ def test_the_null_space_of_a_circuit_is_the_sums_over_its_floating_groups(n):
     rng = np.random.default_rng(n)
     for _ in range(5):
         M = _nodes(n, rng)
-        Z = _matrices.null_basis(sparse.csc_array(M)).toarray()
+        Z = matrices.null_basis(sparse.csc_array(M)).toarray()
         groups, label = sparse.csgraph.connected_components(sparse.csr_array(M))
         expected = {tuple(label == k) for k in range(groups)}
         assert {tuple(z == 1) for z in Z.T} == expected
@@ -140,19 +140,19 @@ def test_the_null_space_of_any_matrix_is_found_in_any_units(n):
     rank = n - n // 3
     M = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, n))
     M *= 10.0 ** rng.integers(-8, 9, n) * 10.0 ** rng.integers(-8, 9, n)[:, None]
-    Z = _matrices.null_basis(sparse.csc_array(M)).toarray()
+    Z = matrices.null_basis(sparse.csc_array(M)).toarray()
     assert Z.shape == (n, n - rank)
     assert np.all(np.abs(Z.T @ M) <= 1e3 * n * np.finfo(float).eps * (np.abs(Z.T) @ np.abs(M)))
 
 
 def test_elimination_counts_pivots_and_says_what_is_left():
     A = np.array([[1.0, 2, 3], [2, 4, 6 + 1e-9], [3, 6, 9]])
-    exact, crude = (_elimination.null_space(A, tolerance) for tolerance in (1e-12, 1e-6))
+    exact, crude = (null_space.null_space(A, tolerance) for tolerance in (1e-12, 1e-6))
     assert (len(exact.pivots), len(crude.pivots)) == (2, 1)
     assert exact.left <= 1e-15
     assert 1e-10 < crude.left < 1e-8
     np.testing.assert_allclose(A @ exact.vectors.T, 0, atol=1e-14)
-    everything = _elimination.null_space(np.zeros((0, 3)), 1e-12).vectors
+    everything = null_space.null_space(np.zeros((0, 3)), 1e-12).vectors
     np.testing.assert_array_equal(everything, np.eye(3))
 
 
@@ -160,14 +160,14 @@ def test_elimination_counts_pivots_and_says_what_is_left():
 def test_a_null_space_with_noise_in_its_last_bits_serves_as_well(monkeypatch, seed):
     """What another processor's linear algebra would make of it: no run of the amplifier fails, in either form."""
     rng = np.random.default_rng(seed)
-    exact = _matrices.null_basis
+    exact = matrices.null_basis
 
     def noisy(mass: sparse.csc_array) -> sparse.csc_array:
         Z = exact(mass)
         Z.data = Z.data * (1 + np.finfo(float).eps * rng.choice([-1, 0, 1], len(Z.data)))
         return Z
 
-    monkeypatch.setattr(_matrices, "null_basis", noisy)
+    monkeypatch.setattr(matrices, "null_basis", noisy)
     problem = ENDS["transistor amplifier"]
     for jacobian in (problem.jac, None):
         for bdf in (False, True):

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode import _core, lanes
+from invariode import _core
+from invariode._functions import lanes
 from problems import PROBLEMS
 
 numba = pytest.importorskip("numba")
-from invariode import _machine_code  # noqa: E402
+from invariode._functions import machine_code  # noqa: E402
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
 pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
@@ -284,7 +285,7 @@ def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
 
 def test_an_unknown_numba_is_one_warning_and_the_same_result(monkeypatch):
     monkeypatch.setattr(lanes, "_warned", False)
-    monkeypatch.setattr(_machine_code, "declarations", lambda *functions: numba.has_gone)
+    monkeypatch.setattr(machine_code, "declarations", lambda *functions: numba.has_gone)
     with pytest.warns(UserWarning, match="this version of numba has no lanes"):
         found = solve(iv.compile(lotka_volterra))
     assert "not known" in found.stats.lanes

@@ -9,8 +9,8 @@ import pytest
 import scipy.sparse
 
 import invariode as iv
-from invariode._derivatives import Derivatives
-from invariode.mechanics import MechanicalSystem
+from invariode._functions.derivatives import Derivatives
+from invariode._mechanics.system import MechanicalSystem
 from invariode.problems import pendulum
 from mechanisms import circle, gravity, swing
 from problems import slack

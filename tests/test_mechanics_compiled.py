@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode.mechanics import MechanicalSystem
+from invariode._mechanics.system import MechanicalSystem
 from mechanisms import circle, gravity, swing
 from test_mechanics import BAD, INERTIA
 

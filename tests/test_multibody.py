@@ -10,7 +10,7 @@ from sympy.physics.mechanics import dynamicsymbols
 import invariode as iv
 import multibody
 from invariode import symbolic
-from invariode.mechanics import MechanicalSystem
+from invariode._mechanics.system import MechanicalSystem
 
 MECHANISMS = {  # how long they run, and how many tolerances they may be off: errors grow with the motion's own rates
     "spatial_slider_crank": (0.5, 20),

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
-from invariode.notebook import latex_of_polynomial
+from invariode._base.notebook import latex_of_polynomial
 
 
 class Parsed(HTMLParser):

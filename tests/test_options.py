@@ -12,9 +12,10 @@ import pytest
 
 import invariode as iv
 import invariode.scipy as plugin
-from invariode import _options, plan
-from invariode._options import TABLE
-from invariode.methods import METHODS
+from invariode._problem import options
+from invariode._problem.methods import METHODS
+from invariode._problem.options import TABLE
+from invariode._run import plan
 
 #: Who solves an ensemble, and where its results go.
 OF_PARTS = ("executor", "store", "resume", "retry", "chunk", "seed")
@@ -104,13 +105,13 @@ def test_defaults_of_the_signature_are_those_of_the_table(way):
             own = METHODS[way].refine if name == "refine" and way in METHODS else TABLE[name].default
             if (way, name) == ("solve_ensemble", "on_failure"):
                 own = "warn"  # it fails in some trajectories of many
-            assert parameter.default == own, f"default of {name}: change the row of _options.py"
+            assert parameter.default == own, f"default of {name}: change the row of options.py"
 
 
 def test_a_wrong_value_of_each_checked_option_is_refused():
     wrong = object()
-    for name, row in _options.table_of(_options.Options).items():
-        if row.check is not _options.as_given:
+    for name, row in options.table_of(options.Options).items():
+        if row.check is not options.as_given:
             with pytest.raises((TypeError, ValueError), match=f"^{name} must be"):
                 iv.Problem(decay, (0, 1), [1.0]).solve("ode15s", **{name: wrong})
 
@@ -123,7 +124,7 @@ def test_no_option_is_accepted_and_ignored():
         for node in ast.walk(tree)
         if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "options"
     }
-    assert read == set(_options.table_of(_options.Options)) - {"save", "min_step"}, "unused rows of _options.py"
+    assert read == set(options.table_of(options.Options)) - {"save", "min_step"}, "unused rows of options.py"
     with pytest.warns(UserWarning, match="option 'min_step' has no effect"):
         iv.ode45(decay, (0, 1), [1.0], min_step=0.1)
 
@@ -131,17 +132,17 @@ def test_no_option_is_accepted_and_ignored():
 def test_methods_name_options_that_the_table_knows():
     named = {name for method in METHODS.values() for name in method.options}
     of_some = {name for name, row in TABLE.items() if not row.every_method}
-    assert of_some == named | {"min_step"}, "every_method of these rows in _options.py"
+    assert of_some == named | {"min_step"}, "every_method of these rows in options.py"
 
 
 def test_every_class_of_options_says_the_same_of_a_name():
     """The classes that no row stands in repeat types: they are compared with the rows."""
-    for name, hint in get_type_hints(_options.ExtensionOptions).items():
-        assert hint == TABLE[name].type, f"type of {name} in ExtensionOptions: that of its row in _options.py"
-    for name, hint in get_type_hints(_options.ProblemArguments, include_extras=True).items():
+    for name, hint in get_type_hints(options.ExtensionOptions).items():
+        assert hint == TABLE[name].type, f"type of {name} in ExtensionOptions: that of its row in options.py"
+    for name, hint in get_type_hints(options.ProblemArguments, include_extras=True).items():
         assert (get_origin(hint) is Annotated) == (name in TABLE)
     constructor = set(inspect.signature(iv.Problem).parameters)
-    assert set(_options.ProblemArguments.__annotations__) == constructor, "arguments of Problem in _options.py"
+    assert set(options.ProblemArguments.__annotations__) == constructor, "arguments of Problem in options.py"
 
 
 def test_the_command_has_the_flags_of_the_table():

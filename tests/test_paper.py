@@ -15,11 +15,12 @@ from typer.testing import CliRunner
 
 import invariode as iv
 from invariode.cli.app import app
-from invariode.paper import Results, Row, experiments, lotka_volterra, pendulum, report, run, three_body
-from invariode.paper.matlab import clenshaw_curtis
-from invariode.paper.plots import FIGURES
-from invariode.paper.published import PAPER
-from invariode.paper.rows import LAST_DIGIT, SIZE, at_digits_of
+from paper import Results, Row, experiments, lotka_volterra, pendulum, report, run, three_body
+from paper.command import app as papers
+from paper.matlab import clenshaw_curtis
+from paper.plots import FIGURES
+from paper.published import PAPER
+from paper.rows import LAST_DIGIT, SIZE, at_digits_of
 
 
 @functools.cache
@@ -188,7 +189,7 @@ def test_report_shows_every_figure_and_every_row():
 
 
 def test_report_says_how_it_was_made():
-    for text in ("invariode paper", iv.__version__, np.__version__, "All codes", "Robertson", "ode113"):
+    for text in ("make paper", iv.__version__, np.__version__, "All codes", "Robertson", "ode113"):
         assert text in page()
 
 
@@ -204,9 +205,9 @@ def test_report_shows_what_differs():
     assert f"{compared - 1} of {compared} published values are met" in wrong
 
 
-def test_command_paper_prints_the_table_and_writes_the_report(tmp_path):
+def test_the_command_prints_the_table_and_writes_the_report(tmp_path):
     output = tmp_path / "paper.html"
-    outcome = CliRunner().invoke(app, ["paper", "--output", str(output)], env={"COLUMNS": "120"})
+    outcome = CliRunner().invoke(papers, ["--output", str(output)], env={"COLUMNS": "120"})
     assert outcome.exit_code == 0, outcome.output
     assert "8.80e-5" in outcome.output
     assert outcome.output.index("paper") < outcome.output.index("plain → projected") < outcome.output.index("MATLAB")
@@ -222,7 +223,7 @@ def test_command_paper_prints_the_table_and_writes_the_report(tmp_path):
 @pytest.mark.parametrize("columns", [80, 120])
 def test_table_fits_the_terminal(columns, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    outcome = CliRunner().invoke(app, ["paper", "--no-report"], env={"COLUMNS": str(columns)})
+    outcome = CliRunner().invoke(papers, ["--no-report"], env={"COLUMNS": str(columns)})
     assert outcome.exit_code == 0, outcome.output
     assert "…" not in outcome.output
     assert max(map(len, outcome.output.splitlines())) <= columns
@@ -230,34 +231,34 @@ def test_table_fits_the_terminal(columns, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_command_paper_fails_when_a_number_differs(monkeypatch):
-    monkeypatch.setattr("invariode.cli.paper.run", with_a_wrong_row)
-    outcome = CliRunner().invoke(app, ["paper", "--no-report"])
+def test_the_command_fails_when_a_number_differs(monkeypatch):
+    monkeypatch.setattr("paper.command.run", with_a_wrong_row)
+    outcome = CliRunner().invoke(papers, ["--no-report"])
     assert outcome.exit_code == 1
     assert "1 of" in outcome.output
 
 
-def test_ctrl_c_ends_the_command_paper_with_130(monkeypatch):
+def test_ctrl_c_ends_the_command_with_130(monkeypatch):
     def interrupted():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("invariode.cli.paper.run", interrupted)
-    outcome = CliRunner().invoke(app, ["paper", "--no-report"])
+    monkeypatch.setattr("paper.command.run", interrupted)
+    outcome = CliRunner().invoke(papers, ["--no-report"])
     assert (outcome.exit_code, outcome.output) == (130, "Interrupted.\n")
 
 
-def test_command_paper_needs_a_directory(tmp_path):
-    outcome = CliRunner().invoke(app, ["paper", "--output", str(tmp_path / "none" / "paper.html")])
+def test_the_command_needs_a_directory(tmp_path):
+    outcome = CliRunner().invoke(papers, ["--output", str(tmp_path / "none" / "paper.html")])
     assert outcome.exit_code == 2
     assert "no such directory" in outcome.output
 
 
-def test_command_paper_without_matplotlib_says_what_to_install(monkeypatch):
+def test_the_command_without_matplotlib_says_what_to_install(monkeypatch):
     monkeypatch.setattr("invariode.cli.session.find_spec", lambda name: None)
-    outcome = CliRunner().invoke(app, ["paper"])
+    outcome = CliRunner().invoke(papers, [])
     assert outcome.exit_code == 1
     assert "--no-report" in outcome.output
-    assert 'pip install "invariode[plot]"' in outcome.output
+    assert 'pip install "invariode[paper]"' in outcome.output
 
 
 def test_command_methods_lists_the_registry():
@@ -282,7 +283,7 @@ def test_entry_point():
     assert command("--version").stdout.strip() == f"invariode {iv.__version__}"
     help_text = command("--help")
     assert help_text.returncode == 0
-    assert "Example: invariode paper" in help_text.stdout
+    assert "Example: invariode solve" in help_text.stdout
     assert command("papers").returncode == 2
 
 
@@ -303,7 +304,7 @@ def test_missing_extra_is_named(missing):
 
 def test_library_and_table_need_no_extra():
     blocked = "import sys; sys.modules.update(matplotlib=None, typer=None, rich=None)"
-    code = f"{blocked}\nfrom invariode.paper import run\nassert run().agree"
+    code = f"{blocked}\nfrom paper import run\nassert run().agree"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

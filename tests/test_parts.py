@@ -15,8 +15,8 @@ import pytest
 
 import invariode as iv
 from ensembles import same
-from invariode._parts import GivenRows, StreamedRows, digest, packed
-from invariode.ensemble import _rows
+from invariode._ensemble.ensemble import _rows
+from invariode._ensemble.sources import GivenRows, StreamedRows, digest, packed
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
 pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")

@@ -14,10 +14,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
-from invariode import plotting
-from invariode.pictures import precision
-from invariode.pictures.canvas import log_axis
-from invariode.precision import Row, Run
+from invariode._results import plots
+from invariode._results.pictures.canvas import log_axis
+from invariode._studies import work_precision
+from invariode._studies.precision import Row, Run
 from problems import PROBLEMS
 
 DRAWINGS = {
@@ -596,17 +596,17 @@ def test_runs_on_the_same_axes_have_different_colours():
 def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch):
     sol = PROBLEMS["pendulum"].solve("ode45")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "invariode.plotting")
-    monkeypatch.delattr(iv, "plotting")
+    monkeypatch.delitem(sys.modules, "invariode._results.plots")
+    monkeypatch.delattr(iv, "plots")
     for draw in DRAWINGS.values():
         with pytest.raises(ModuleNotFoundError, match=r'pip install "invariode\[plot\]"'):
             draw(sol)
     subprocess.run([sys.executable, "-c", "import invariode, sys; assert 'matplotlib' not in sys.modules"], check=True)
 
 
-@pytest.mark.parametrize("name", plotting.__all__)
+@pytest.mark.parametrize("name", plots.__all__)
 def test_every_function_is_a_method(name):
-    assert getattr(plotting, name) is getattr(iv.Solution, name)
+    assert getattr(plots, name) is getattr(iv.Solution, name)
 
 
 def test_axes_by_position_are_warned_of():
@@ -619,7 +619,7 @@ def test_axes_by_position_are_warned_of():
     assert told[0].filename == __file__
     assert old.get_ylabel() == sol.plot(ax=new, components=[1]).get_ylabel() == "north"
     with pytest.warns(DeprecationWarning, match="write ax="):
-        assert plotting.plot_phase(sol, 0, 1, old) is old
+        assert plots.plot_phase(sol, 0, 1, old) is old
     with pytest.raises(TypeError, match="plot_drift takes ax, invariants by keyword, got 3 by position"):
         sol.plot_drift(old, None, 3)
     with pytest.raises(TypeError, match="several values for ax"), pytest.warns(DeprecationWarning):
@@ -676,7 +676,7 @@ class TestWorkAndPrecision:
             "ode45", "dop853", "plain", "projected"]  # fmt: skip
 
     def test_every_method_has_a_look_of_its_own(self):
-        looks = [precision._style(name, "plain") for name in (*iv.METHODS, "BDF")]
+        looks = [work_precision._style(name, "plain") for name in (*iv.METHODS, "BDF")]
         assert len({(look["color"], look["marker"]) for look in looks}) == len(looks)
 
     def test_names_of_scipy_run_what_they_mean(self):
@@ -692,7 +692,7 @@ class TestWorkAndPrecision:
     def test_a_method_without_a_point_is_not_in_the_legend(self):
         reached, failed = Run(1e-5, 100, 0, 0, 0.01), Run(np.inf, 100, 0, 0, 0.01, "takes too long")
         figure = Figure()
-        precision._finish(figure, [Row("ode45", 1e-3, reached, None), Row("ode23", 1e-3, failed, None)], "decay")
+        work_precision._finish(figure, [Row("ode45", 1e-3, reached, None), Row("ode23", 1e-3, failed, None)], "decay")
         assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ode45"]
 
     def test_a_reference_of_ones_own(self):

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
+from invariode._studies.precision import Judgement, Row, Run, best, judge, judgements
 from invariode.cli.compare import answer
-from invariode.precision import Judgement, Row, Run, best, judge, judgements
 
 
 def rows_of_order(p: int, ratio: float, method: str = "ode45", gain: float = 10.0, price: float = 1e-6) -> list[Row]:

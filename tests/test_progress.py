@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode import _progress
+from invariode._base import progress
 from problems import PROBLEMS
 
 pytest.importorskip("rich")
@@ -95,7 +95,7 @@ class Clock:
 
     def __init__(self, monkeypatch) -> None:
         self.now = 0.0
-        monkeypatch.setattr(_progress, "perf_counter", lambda: self.now)
+        monkeypatch.setattr(progress, "perf_counter", lambda: self.now)
 
 
 def on_a_terminal(monkeypatch) -> io.StringIO:
@@ -127,18 +127,18 @@ def test_bars_are_drawn_at_most_ten_times_a_second_and_in_passing_not_at_first(m
     on_a_terminal(monkeypatch)
     clock = Clock(monkeypatch)
     drawn = pictures(monkeypatch, clock)
-    with _progress.in_passing() if passing else nullcontext(), _progress.bar(True, "trajectories", 2000) as told:
+    with progress.in_passing() if passing else nullcontext(), progress.bar(True, "trajectories", 2000) as told:
         for done in range(2000):
             clock.now = done / 1000
             told(done)
-    assert min(np.diff(drawn)) >= _progress.INTERVAL - 1e-9
+    assert min(np.diff(drawn)) >= progress.INTERVAL - 1e-9
     assert len(drawn) > 10
-    assert drawn[0] == (_progress.PATIENCE if passing else 0)
+    assert drawn[0] == (progress.PATIENCE if passing else 0)
 
 
 def test_a_bar_in_passing_leaves_the_screen_as_it_was(monkeypatch):
     screen, clock = on_a_terminal(monkeypatch), Clock(monkeypatch)
-    with _progress.in_passing(), _progress.run_bar("pendulum", 0, 10) as told:
+    with progress.in_passing(), progress.run_bar("pendulum", 0, 10) as told:
         told(1.0, 0.1)
         assert screen.getvalue() == ""
         clock.now = 1.0
@@ -286,8 +286,8 @@ def notebook(monkeypatch):
 
 
 def test_in_a_notebook_the_bar_is_html(notebook, monkeypatch):
-    monkeypatch.setattr(_progress, "INTERVAL", 0.0)
-    with _progress.run_bar("a < b", 0, 20) as report:
+    monkeypatch.setattr(progress, "INTERVAL", 0.0)
+    with progress.run_bar("a < b", 0, 20) as report:
         report(5.0, 0.125)
     first, underway, last = notebook.shown
     assert 'value="0.0000"' in first
@@ -297,7 +297,7 @@ def test_in_a_notebook_the_bar_is_html(notebook, monkeypatch):
 
 
 def test_in_a_notebook_a_bar_needs_no_rich(notebook, monkeypatch, capsys):
-    monkeypatch.setattr(_progress, "_rich", None)
+    monkeypatch.setattr(progress, "_rich", None)
     iv.solve_ivp(lambda t, y: -y, (0, 20), [1.0], progress=True)
     assert capsys.readouterr() == ("", "")
     assert "100%" in notebook.shown[-1]

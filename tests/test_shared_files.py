@@ -208,7 +208,7 @@ def test_a_child_does_not_hold_the_lock_of_its_parent(tmp_path):
 
 
 def test_where_there_are_no_locks_a_run_stops_before_it_writes_over_another(tmp_path, monkeypatch):
-    monkeypatch.setattr("invariode._locks._locked", lambda file: False)
+    monkeypatch.setattr("invariode._base.locks._locked", lambda file: False)
     path = tmp_path / "sim"
 
     def meddles(t, y):
@@ -228,7 +228,7 @@ def test_where_there_are_no_locks_a_run_stops_before_it_writes_over_another(tmp_
 def test_what_another_process_has_added_is_not_undone(tmp_path, monkeypatch):
     path = tmp_path / "sim"
     half = problem().solve(checkpoint=path, max_steps=4)
-    monkeypatch.setattr("invariode.checkpoint._SESSION", "another one")
+    monkeypatch.setattr("invariode._run.checkpoint._SESSION", "another one")
     iv.load(path, problem()).extend(3, max_steps=None)
     monkeypatch.undo()
     with pytest.raises(ValueError, match=r"another process has gone on with .*, to t = 3\.0: load it again"):
@@ -298,7 +298,7 @@ def test_a_store_that_was_growing_goes_on(tmp_path):
 
 def test_a_second_process_is_told_who_fills_the_store(tmp_path):
     pytest.importorskip("zarr")
-    from invariode._locks import held
+    from invariode._base.locks import held
 
     lock = held(tmp_path / "store", "store")
     with pytest.raises(ValueError, match=r"store: .*store is in use by process \d+ \(this process\) on"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode.pictures.curves import curve
+from invariode._results.pictures.curves import curve
 
 #: y₀' = u(t) r and y₁' = -u(t) r, with u = 1 in (2, 3): y₀ rises by r in that second, and y₀ + y₁ stays.
 RATE = 2.0

@@ -10,7 +10,7 @@ import pytest
 
 import invariode as iv
 from invariode import scipy as classes
-from invariode.methods import METHODS
+from invariode._problem.methods import METHODS
 from problems import PROBLEMS
 
 EXPLICIT = [name for name, method in METHODS.items() if "jac" not in method.options]

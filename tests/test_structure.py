@@ -1,4 +1,4 @@
-"""How the package is put together: imports go one way, generated names are there, names that moved still work."""
+"""How the package is put together: imports go one way, generated names are there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode._moved import MOVED
 
 PACKAGE = Path(iv.__file__).parent
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,11 +47,43 @@ def test_no_module_imports_itself_by_a_detour():
     graph = {name: set() for name in MODULES}
     for name, path in SOURCES:
         graph[name] |= set(imported(name, path)) - {name}
-    assert "invariode.run" in graph["invariode.problem"]  # imports are seen at all
+    assert "invariode._run.run" in graph["invariode._solve.problem"]  # imports are seen at all
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as circle:
         pytest.fail(f"a circle of imports: {' <- '.join(circle.args[1])}")
+
+
+#: The rooms from top to bottom: each imports only those below it. What stands at the top of the package is above all.
+ROOMS = [
+    "cli",
+    "symbolic",
+    "_studies",
+    "_mechanics",
+    "_solve",
+    "_ensemble",
+    "_run",
+    "_results",
+    "_linear",
+    "_laws",
+    "_problem",
+    "_functions",
+    "_base",
+    "_core",
+]
+
+
+def room_of(name):
+    """0 for the top of the package, then the floors downwards."""
+    parts = name.split(".")
+    return 1 + ROOMS.index(parts[1]) if len(parts) > 1 and parts[1] in ROOMS else 0
+
+
+def test_rooms_import_downwards_only():
+    climbs = {(name, used) for name, path in SOURCES for used in imported(name, path) if room_of(used) < room_of(name)}
+    assert climbs == set()
+    assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} == {*ROOMS} - {"_core"}
+    assert all(ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text())) for room in ROOMS[:-1])
 
 
 LONGEST = 60  # lines of a function, without its docstring
@@ -61,7 +92,7 @@ LONGEST = 60  # lines of a function, without its docstring
 def test_no_function_is_longer_than_a_screen():
     """Python's by their syntax; those of the core and the binding from the line at the margin that opens them."""
     found = {}
-    for path in sorted((ROOT / "src").rglob("*.py")):
+    for path in sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "paper").glob("*.py")]):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef):
                 first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
@@ -95,41 +126,6 @@ class TestFunctionsOfTheMethods:
         assert module.__all__ == [*dict.fromkeys(names)]
         for name in module.__all__:
             assert pickle.loads(pickle.dumps(getattr(module, name))) is getattr(module, name)
-
-
-class TestMovedNames:
-    @pytest.mark.parametrize(
-        ("module", "name"),
-        [
-            ("suite", "solve_ivp"),
-            ("suite", "ode45"),
-            ("discovery", "find_invariants"),
-            ("check", "CheckReport"),
-            ("export", "load"),
-        ],
-    )
-    def test_they_work_with_a_warning_that_says_the_new_one(self, module, name):
-        new = MOVED[f"invariode.{module}"]
-        old = importlib.import_module(f"invariode.{module}")
-        with pytest.warns(DeprecationWarning, match=rf"invariode.{module}.{name} has moved.*use {new}.{name}$") as told:
-            found = getattr(old, name)
-        assert found is getattr(importlib.import_module(new), name) is getattr(iv, name)
-        assert told[0].filename == __file__
-
-    def test_as_in_an_import(self):
-        with pytest.warns(DeprecationWarning, match="invariode.suite.ode23 has moved"):
-            from invariode.suite import ode23
-        assert ode23 is iv.ode23
-
-    def test_as_an_expression(self):
-        with pytest.warns(DeprecationWarning, match="invariode.discovery.find_invariants has moved"):
-            assert iv.discovery.find_invariants is iv.find_invariants
-
-    def test_what_never_was_is_an_error(self):
-        with pytest.raises(AttributeError, match=r"module 'invariode.suite' has no attribute 'ode46'"):
-            _ = importlib.import_module("invariode.suite").ode46
-        with pytest.raises(AttributeError, match="module 'invariode' has no attribute 'sweet'"):
-            _ = iv.sweet
 
 
 class TestReplace:

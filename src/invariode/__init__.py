@@ -4,33 +4,32 @@ The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto
 Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
-from importlib.metadata import version
+from importlib.metadata import version as _version
+from types import FunctionType as _FunctionType
 
-from . import ode_functions
-from ._moved import announce_moves
-from .compiled import CompiledFunction, compile
-from .dissipation import Dissipated
-from .ensemble import solve_ensemble
-from .ensemble_solution import EnsembleEvents, EnsembleSolution, EnsembleStats
-from .ensemble_store import EnsembleStore
-from .events import Event
-from .failures import FailureWarning, InvariantError, SolveError
-from .imposing import ImposeResult, impose
-from .inputs import Input
-from .invariant_check import CheckReport, check_invariants
-from .invariant_search import PolynomialInvariant, find_invariants
-from .invariants import AccuracyWarning, Invariants
-from .ivp import solve_ivp
-from .loading import load
-from .manifolds import RotationMatrix, UnitQuaternion, UnitVector
-from .mechanics import MechanicalSystem
-from .methods import METHODS, Method
-from .ode_functions import *  # noqa: F403 - the registry says what is in it
-from .odepack import odeint
-from .pictures.precision import plot_work_precision
-from .prepared import PreparedSolver
-from .problem import Problem
-from .solution import DenseSolution, DiscontinuityWarning, Drift, Solution, Stats, Steps, StiffnessWarning
+from ._base.failures import FailureWarning, InvariantError, SolveError
+from ._ensemble.ensemble import solve_ensemble
+from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
+from ._ensemble.store import EnsembleStore
+from ._functions.compiled import CompiledFunction, compile
+from ._laws.imposing import ImposeResult, impose
+from ._mechanics.system import MechanicalSystem
+from ._problem.dissipation import Dissipated
+from ._problem.events import Event
+from ._problem.inputs import Input
+from ._problem.invariants import AccuracyWarning, Invariants
+from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
+from ._problem.methods import METHODS, Method
+from ._results.solution import DenseSolution, DiscontinuityWarning, Drift, Solution, Stats, Steps, StiffnessWarning
+from ._solve.ivp import solve_ivp
+from ._solve.loading import load
+from ._solve.ode_functions import *  # noqa: F403 - the registry says what is in it
+from ._solve.odepack import odeint
+from ._solve.prepared import PreparedSolver
+from ._solve.problem import Problem
+from ._studies.check import CheckReport, check_invariants
+from ._studies.search import PolynomialInvariant, find_invariants
+from ._studies.work_precision import plot_work_precision
 
 __all__ = [
     "METHODS",
@@ -74,8 +73,10 @@ __all__ = [
     "solve_ensemble",
     "solve_ivp",
 ]
-__all__ += ode_functions.__all__
+__all__ += METHODS
 
-__version__ = version("invariode")
+__version__ = _version("invariode")
 
-announce_moves()
+for _name in __all__:  # the rooms are private: pickles, tracebacks and documentation name what users import
+    if isinstance(_public := globals()[_name], (type, _FunctionType)):
+        _public.__module__ = __name__

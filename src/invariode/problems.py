@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from ._arguments import Array
-from .invariants import Invariants
-from .problem import Problem
+from ._base.arguments import Array
+from ._problem.invariants import Invariants
+from ._solve.problem import Problem
 
 __all__ = [
     "henon_heiles",

@@ -21,8 +21,8 @@ True
 
 from __future__ import annotations
 
-from .methods import METHODS, Method
-from .stepper import Stepper
+from ._problem.methods import METHODS, Method
+from ._solve.stepper import Stepper
 
 
 def _class_of(method: Method, name: str, stands_for: str) -> type[Stepper]:

@@ -1,6 +1,6 @@
 """Generated from METHODS: `make stubs`."""
 
-from .stepper import Stepper
+from ._solve.stepper import Stepper
 
 __all__ = ["ODE23", "ODE45", "DOP853", "ODE78", "ODE89", "ODE113", "ODE15S", "ODE23S", "ODE23T", "ODE23TB", "RADAU", "AUTO", "RK23", "RK45", "BDF", "Radau", "LSODA"]
 

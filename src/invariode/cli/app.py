@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version as installed
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from .. import __version__
-from . import check, compare, methods, paper, solve
+from . import check, compare, methods, solve
 from .session import paragraphs
 
 __all__ = ["app"]
@@ -20,18 +20,18 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for module in (solve, compare, check, methods, paper):  # a command is the function with the name of its module
+for module in (solve, compare, check, methods):  # a command is the function with the name of its module
     command = getattr(module, module.__name__.rpartition(".")[2])
     app.command(help=paragraphs(command), epilog=getattr(module, "EXAMPLES", None))(command)
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        Console(highlight=False).print(f"invariode {__version__}")
+        Console(highlight=False).print(f"invariode {installed('invariode')}")
         raise typer.Exit
 
 
-@app.callback(epilog="Example: [bold]invariode paper --output paper-report.html[/bold]")
+@app.callback(epilog="Example: [bold]invariode solve lotka_volterra.py --invariant energy[/bold]")
 def invariode(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")

@@ -9,10 +9,10 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from .._below_zero import Lowest, below_zero
-from ..invariant_check import CheckReport, checked_at
-from ..precision import unprojected
-from ..problem import Problem
+from .._solve.problem import Problem
+from .._studies.below_zero import Lowest, below_zero
+from .._studies.check import CheckReport, checked_at
+from .._studies.precision import unprojected
 from .load import File, load
 from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop
 

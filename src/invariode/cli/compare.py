@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .._progress import bar, in_passing
-from ..methods import Method
-from ..precision import (
+from .._base.progress import bar, in_passing
+from .._problem.methods import Method
+from .._solve.problem import Problem
+from .._studies.precision import (
     WAYS,
     Judgement,
     NoReferenceError,
@@ -33,7 +34,6 @@ from ..precision import (
     power,
     reference,
 )
-from ..problem import Problem
 from .load import File, load
 from .session import INTERRUPTED, PICTURES, clock, complete_method, count, examples, guarded, method_of, stop, writable
 
@@ -136,7 +136,7 @@ def _answer(problem: Problem, rows: list[Row], truth: Reference) -> str:
 
 
 def _draw(rows: list[Row], truth: Reference, problem: Problem, path: Path) -> None:
-    from ..pictures.precision import draw
+    from .._studies.work_precision import draw
 
     try:
         draw(rows, truth, problem.name, path)

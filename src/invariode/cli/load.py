@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..problem import Problem
+from .._solve.problem import Problem
 from .session import print_traceback, stop
 
 __all__ = ["File", "load"]

@@ -6,7 +6,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from ..methods import METHODS, Method
+from .._problem.methods import METHODS, Method
 
 __all__ = ["methods"]
 

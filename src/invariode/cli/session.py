@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .._arguments import PACKAGE
-from .._options import TABLE
-from ..failures import InvariantError
-from ..methods import METHODS, Method, find_method
+from .._base.arguments import PACKAGE
+from .._base.failures import InvariantError
+from .._problem.methods import METHODS, Method, find_method
+from .._problem.options import TABLE
 
 __all__ = [
     "ATOL",

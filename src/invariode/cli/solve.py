@@ -13,16 +13,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .._arguments import Array, tolerances
-from .._bound_invariants import bind
-from .._options import ExtensionOptions
-from .._progress import in_passing
-from ..compiled import is_native
-from ..loading import load as load_solution
-from ..pictures.canvas import component, listed
-from ..precision import unprojected
-from ..problem import Problem
-from ..solution import Solution
+from .._base.arguments import Array, tolerances
+from .._base.progress import in_passing
+from .._base.style import STYLE
+from .._functions.compiled import is_native
+from .._laws.bound import bind
+from .._problem.options import ExtensionOptions
+from .._results.pictures.canvas import component, listed
+from .._results.solution import Solution
+from .._solve.loading import load as load_solution
+from .._solve.problem import Problem
+from .._studies.precision import unprojected
 from .load import File, load
 from .session import (
     ATOL,
@@ -339,8 +340,7 @@ def _draw(sol: Any, name: str, drawn: list[int] | None, log: bool, path: Path) -
     with without_collector():
         import matplotlib as mpl
 
-        from ..paper.plots import STYLE
-        from ..pictures.whole_run import draw
+        from .._results.pictures.whole_run import draw
 
         with mpl.rc_context(STYLE):
             draw(sol, name, drawn, log).savefig(path, dpi=150)

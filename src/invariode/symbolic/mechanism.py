@@ -9,10 +9,10 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 import sympy
 
-from .._arguments import Array, choice
-from .._motion import Motion
-from .._types import Span
-from ..mechanics import MechanicalSystem
+from .._base.arguments import Array, choice
+from .._base.types import Span
+from .._mechanics.motion import Motion
+from .._mechanics.system import MechanicalSystem
 from .vocabulary import Vocabulary
 
 __all__ = ["Consistent", "Correction", "Mechanism"]

@@ -9,11 +9,11 @@ import numpy as np
 import sympy
 from sympy.physics.mechanics import KanesMethod, LagrangesMethod
 
-from .._arguments import choice, interval, warn
-from .._types import Span
-from ..failures import InvariantError
-from ..imposing import impose
-from ..problem import Problem
+from .._base.arguments import choice, interval, warn
+from .._base.failures import InvariantError
+from .._base.types import Span
+from .._laws.imposing import impose
+from .._solve.problem import Problem
 from .code import System
 from .mechanism import Consistent, Correction, Mechanism
 from .noether import vanishes
@@ -58,7 +58,7 @@ class Multibody(SymbolicSystem):
             both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
             laws either.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
+            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
         name : str, optional
             For tables and plots.
 

@@ -16,8 +16,8 @@ import mpmath
 import numpy as np
 import sympy
 
-from .._arguments import Array
-from .._elimination import echelon, null_space
+from .._base.arguments import Array
+from .._linear.null_space import echelon, null_space
 
 __all__ = ["symmetries", "vanishes"]
 

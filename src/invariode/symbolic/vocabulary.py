@@ -9,7 +9,7 @@ import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
-from .._arguments import number
+from .._base.arguments import number
 
 __all__ = ["Vocabulary", "parsed"]
 

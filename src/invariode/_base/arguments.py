@@ -1,0 +1,331 @@
+"""Checks of arguments. Every error names the argument, the value, and what was expected."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import operator
+import os
+import reprlib
+import sys
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from copy import copy
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[Any]
+EPS = float(np.finfo(float).eps)
+
+#: The largest number that the core's `int` holds.
+LARGEST_INT = 2**31 - 1
+
+#: The same for its counts.
+LARGEST_COUNT = 2**63 - 1
+
+#: The kinds of NumPy's types that are numbers; objects may be, which is tested.
+_NUMERIC = "biufcO"
+
+_Value = TypeVar("_Value")
+
+_quiet = ContextVar("quiet", default=False)
+
+#: What the paths of our own files start with.
+PACKAGE = os.path.dirname(os.path.dirname(__file__)) + os.sep
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """A warning that points at the line of the caller of this package."""
+    if _quiet.get():
+        return
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Without this package's warnings, which have been given already."""
+    token = _quiet.set(True)
+    try:
+        yield
+    finally:
+        _quiet.reset(token)
+
+
+def call_name(fun: object, default: str) -> str:
+    """A name for messages: the function's own, if it is informative."""
+    name = getattr(fun, "__name__", None)
+    if name == LAMBDIFIED:
+        return _expression(fun) or default
+    return name if isinstance(name, str) and name != "<lambda>" else default
+
+
+#: What SymPy's `lambdify` calls every function that it makes.
+LAMBDIFIED = "_lambdifygenerated"
+
+
+def _expression(fun: object) -> str | None:
+    """The formula that `lambdify` was given, which stands in the docstring that it writes."""
+    _, found, rest = (getattr(fun, "__doc__", None) or "").partition("Expression:\n\n")
+    text = rest.partition("\n\n")[0]
+    text = text.removeprefix("Matrix([[").removesuffix("]])") if text.count("[") == 2 else text
+    return " ".join(text.split()) if found and text else None
+
+
+def distinct(names: list[str]) -> list[str]:
+    """The names, numbered where they repeat: tables and columns tell things apart by them."""
+    if len(set(names)) == len(names):
+        return names
+    numbered = [f"{one}_{names[:i].count(one)}" if names.count(one) > 1 else one for i, one in enumerate(names)]
+    return numbered if len(set(numbered)) == len(names) else [f"{one}_{i}" for i, one in enumerate(names)]
+
+
+class _Shown(reprlib.Repr):
+    """What users gave, for messages: short, and without the errors that a repr can raise."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlist = self.maxtuple = self.maxset = self.maxfrozenset = self.maxdict = self.maxdeque = 8
+        self.maxlong, self.maxstring, self.maxother = 40, 80, 400
+
+    def repr_int(self, x: int, level: int) -> str:
+        """Python refuses to write out integers of thousands of digits."""
+        return super().repr_int(x, level) if x.bit_length() < 4096 else f"an integer of {x.bit_length()} bits"
+
+
+shown = _Shown().repr
+
+
+def function(name: str, value: object, signature: str) -> Any:
+    if not callable(value):
+        raise TypeError(f"{name} must be a function {signature}, got {shown(value)}")
+    return value
+
+
+def number(name: str, value: object) -> float:
+    """A real number, and not NaN."""
+    if isinstance(value, (str, bytes, bytearray)) or (isinstance(value, np.ndarray) and value.ndim):
+        raise TypeError(f"{name} must be a real number, got {shown(value)}")
+    try:
+        result = float(value)  # type: ignore[arg-type]  # what has no float() is told apart right here
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a real number, got {shown(value)}") from None
+    except OverflowError:
+        raise _too_large(name, value) from None
+    if math.isnan(result):
+        raise ValueError(f"{name} must not be NaN")
+    return result
+
+
+def positive(name: str, value: object) -> float:
+    result = number(name, value)
+    if result <= 0:
+        raise ValueError(f"{name} must be positive, got {shown(value)}")
+    return result
+
+
+def path(name: str, value: object) -> str:
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a str or path-like, got {shown(value)}")
+    return os.fspath(value)
+
+
+def positive_integer(name: str, value: object) -> int:
+    try:
+        result = operator.index(value)  # type: ignore[arg-type]  # the same
+    except TypeError:
+        raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
+    if not 1 <= result <= LARGEST_INT:
+        what = "a positive integer" if result < 1 else f"at most {LARGEST_INT}"
+        raise ValueError(f"{name} must be {what}, got {shown(value)}")
+    return result
+
+
+def count(name: str, value: object) -> int:
+    """A positive integer that may be large."""
+    try:
+        result = operator.index(value)  # type: ignore[arg-type]  # the same
+    except TypeError:
+        raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
+    if not 1 <= result <= LARGEST_COUNT:
+        what = "a positive integer" if result < 1 else f"at most {LARGEST_COUNT}: leave it out"
+        raise ValueError(f"{name} must be {what}, got {shown(value)}")
+    return result
+
+
+def choice(name: str, value: object, known: Iterable[str]) -> str:
+    known = list(known)
+    if isinstance(value, str) and value in known:
+        return value
+    near = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {shown(value)}{hint}")
+
+
+def flag(name: str, value: object) -> bool:
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise TypeError(f"{name} must be True or False, got {shown(value)}")
+
+
+def items(value: object) -> list[Any] | None:
+    """The items of a list, a tuple, an array and the like; None for what has no items."""
+    if (
+        isinstance(value, (bytes, bytearray, memoryview)) or not isinstance(value, Iterable) or hasattr(value, "tocsr")
+    ):  # a sparse matrix, whose items are sparse matrices again
+        return None
+    try:
+        return list(value)
+    except TypeError:  # an array without dimensions
+        return None
+
+
+def interval(t_span: object) -> tuple[float, float]:
+    """(t0, tf): t0 finite, tf finite or infinite."""
+    ends = items(t_span) or ()
+    if len(ends) != 2:
+        raise ValueError(f"t_span must be a pair (t0, tf), got {shown(t_span)}")
+    t0, tf = number("t_span[0]", ends[0]), number("t_span[1]", ends[1])
+    if math.isinf(t0):
+        raise ValueError(f"t_span[0] must be finite, got {t0!r}")
+    return t0, tf
+
+
+def kept(value: _Value) -> _Value:
+    """A copy of what was given, which the caller could change."""
+    return value if value is None or isinstance(value, float) else copy(value)
+
+
+def _too_large(name: str, value: object) -> ValueError:
+    return ValueError(f"{name} must be within the range of a double, up to 1.8e308, got {shown(value)}")
+
+
+def as_array(name: str, value: object) -> Array:
+    """What was given as an array of any type and shape."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+        raise ValueError(f"{name} has masked entries, which have no values: give numbers for all of them")
+    try:
+        return np.asarray(value)
+    except ValueError:
+        if hasattr(value, "__array__"):  # has its own error
+            raise
+        raise ValueError(
+            f"{name} must be a number or an array of numbers, with rows of equal length, got {shown(value)}"
+        ) from None
+
+
+def numbers(name: str, value: object) -> Array:
+    """A new array of float64 or complex128."""
+    array = as_array(name, value)
+    try:
+        # NumPy makes numbers of dates and of digits in text, and NaN of None.
+        if array.dtype.kind not in _NUMERIC or (array.dtype.kind == "O" and any(one is None for one in array.flat)):
+            raise TypeError
+        return np.array(array, dtype=complex if array.dtype.kind == "c" else float)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must hold numbers, got {shown(value)}") from None
+    except OverflowError:
+        raise _too_large(name, value) from None
+
+
+def real_numbers(name: str, value: object) -> Array:
+    """A new array of float64."""
+    try:
+        array = numbers(name, value)
+    except TypeError:
+        array = None
+    if array is None or array.dtype.kind == "c":
+        raise TypeError(f"{name} must hold real numbers, got {shown(value)}")
+    return array
+
+
+def state(y0: ArrayLike) -> Array:
+    """The initial state as a new array of shape (n,)."""
+    y = as_array("y0", y0)
+    if y.ndim != 1:
+        raise ValueError(f"y0 must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
+    y = numbers("y0", y)
+    if not np.isfinite(y).all():
+        i = int(np.flatnonzero(~np.isfinite(y))[0])
+        raise ValueError(f"y0 must be finite, got y0[{i}] = {y[i]}")
+    return y
+
+
+def tolerance(name: str, value: ArrayLike, n: int) -> Array:
+    """A tolerance as an array of shape () or (n,), finite and not negative."""
+    try:
+        result = real_numbers(name, value)
+    except TypeError:
+        raise TypeError(f"{name} must be a number or {n} numbers, got {shown(value)}") from None
+    if result.ndim > 1 or (result.ndim == 1 and result.shape != (n,)):
+        raise ValueError(f"{name} must be a number or have shape ({n},), got shape {result.shape}")
+    if not np.isfinite(result).all() or (result < 0).any():
+        raise ValueError(f"{name} must be finite and not negative, got {shown(value)}")
+    return result
+
+
+def reals(y: Array) -> int:
+    """How many reals make up y, of shape (n,)."""
+    return 2 * len(y) if y.dtype.kind == "c" else len(y)
+
+
+def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, float | Array, Array | None]:
+    """(min rtol, thr, s) of the weights max(s_i |y_i|, thr_i) for the reals that make up y ('Tolerances')."""
+    if type(rtol) is float and type(atol) is float and 100 * EPS <= rtol < math.inf and 0 <= atol < math.inf:
+        return rtol, atol / rtol, None  # the common case, without arrays
+    pairs = 2 if y.dtype.kind == "c" else 1
+    relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
+    least = 100 * EPS
+    if (relative < least).any():
+        warn(f"rtol is too small: raised to {least:.3g} (100 units of roundoff)")
+        relative = np.maximum(relative, least)
+    smallest = float(relative.min()) if relative.size else 1e-3
+    threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)
+    scale = np.repeat(relative / smallest, pairs) if relative.ndim == 1 and (relative != smallest).any() else None
+    return smallest, threshold, scale
+
+
+def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
+    """t_eval as an array, inside the interval and in the order of integration."""
+    times = real_numbers("t_eval", t_eval)
+    if times.ndim != 1:
+        raise ValueError(f"t_eval must be 1-dimensional, got shape {times.shape}")
+    low, high = min(t0, tf), max(t0, tf)
+    outside = ~((times >= low) & (times <= high))
+    if outside.any():
+        raise ValueError(f"t_eval must lie within t_span = ({t0}, {tf}), got {times[outside][0]}")
+    if (np.diff(times) * (1 if tf >= t0 else -1) <= 0).any():
+        raise ValueError("t_eval must be strictly sorted in the direction of integration")
+    return times
+
+
+def extra_arguments(args: object) -> tuple[Any, ...]:
+    if args is None:
+        return ()
+    listed = items(args)
+    if listed is None:
+        raise TypeError(f"args must be a tuple of the extra arguments, for one argument args=({shown(args)},)")
+    return tuple(listed)
+
+
+def distinct_labels(labels: object, n: int) -> list[str]:
+    """Names of n components."""
+    names = None if isinstance(labels, str) else items(labels)
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"labels must be a list of {n} str, got {shown(labels)}")
+    if len(names) != n:
+        raise ValueError(f"labels must name the {n} components of y0, got {shown(labels)}")
+    if len(set(names)) < n:
+        raise ValueError(f"labels must differ from each other, got {shown(labels)}")
+    return names
+
+
+def unknown_option(name: str, known: Iterable[str]) -> TypeError:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return TypeError(f"unknown option {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))

@@ -1,0 +1,59 @@
+"""Types of arguments: wide enough for what is accepted, narrow enough that type checkers reject what is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, Protocol, TypeAlias
+
+import numpy as np
+
+from .arguments import Array
+
+__all__ = [
+    "BreakpointsLike",
+    "EventFunction",
+    "EventsLike",
+    "Fsal",
+    "Function",
+    "InputKind",
+    "Interpolation",
+    "JacobianKind",
+    "Keep",
+    "LinearSolver",
+    "LowLevelCallable",
+    "MethodName",
+    "Numbers",
+    "OnFailure",
+    "OnInterrupt",
+    "Span",
+]
+
+
+class LowLevelCallable(Protocol):
+    """SciPy's, which is not callable in Python. The other native functions are, or are untyped."""
+
+    @property
+    def function(self) -> Any: ...
+    @property
+    def signature(self) -> Any: ...
+
+
+Function: TypeAlias = Callable[..., Any] | LowLevelCallable
+EventFunction: TypeAlias = Callable[..., float] | LowLevelCallable
+EventsLike: TypeAlias = EventFunction | Sequence[EventFunction] | None
+
+#: One number or several. `ArrayLike` has strings too.
+Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array
+BreakpointsLike: TypeAlias = Sequence[float | tuple[float, Function | None]] | Array
+Span: TypeAlias = Sequence[float] | Array
+#: A name in `METHODS`, or SciPy's name or class. The registry may grow, so that names are not part of the type.
+MethodName: TypeAlias = str | type[Any]
+
+Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
+InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
+Fsal: TypeAlias = Literal["reuse", "evaluate"]
+JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
+LinearSolver: TypeAlias = Literal["direct", "gmres"]
+Keep: TypeAlias = Literal["all", "outputs", "end"]
+OnFailure: TypeAlias = Literal["return", "warn", "raise"]
+OnInterrupt: TypeAlias = Literal["raise", "return"]

@@ -1,0 +1,141 @@
+"""What an ensemble came to, as its user sees it: the result, and one warning for all trajectories."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array, call_name, warn
+from .._base.failures import FailureWarning, SolveError
+from .._base.types import OnFailure
+from .._problem.invariants import AccuracyWarning
+from .._results.messages import harmful_projection
+from .._results.result import DiscontinuityWarning, StiffnessWarning, default_labels
+from .._run.plan import Plan
+from .outcomes import Outcomes, counts_by_name
+from .solution import EnsembleSolution, EnsembleStats, Trajectories, final_states
+from .store import EnsembleStore
+from .task import Task
+
+__all__ = ["Remarks", "solution"]
+
+#: Of the counts, those that make warnings.
+_WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
+assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")
+
+
+def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> EnsembleSolution:
+    """The result, with its warnings."""
+    times = plan.settings.times
+    remarks = Remarks()
+    remarks.add(found)
+    remarks.say(plan)
+    result = EnsembleSolution(
+        t=np.array([plan.settings.tf]) if times is None else times,
+        y=final_states(found.y_end, found.status) if times is None else found.y,
+        t_end=found.t_end,
+        y_end=found.y_end,
+        status=found.status,
+        success=found.status >= 0,
+        messages=found.messages,
+        events=found.events,
+        stats=EnsembleStats(
+            **counts_by_name(found.counts),
+            clipped_amount=found.clipped_amount,
+            stiff_since=found.stiff_since,
+            discontinuity=found.discontinuity,
+            _lanes=found.lanes,
+        ),
+        value=found.value,
+        residual_before=found.residual_before,
+        residual_after=found.residual_after,
+        correction=found.correction,
+        attempt=found.attempt,
+        _trajectories=_trajectories(plan, task, found),
+        _final=times is None,
+    )
+    remarks.conclude(result, on_failure)
+    return result
+
+
+class Remarks:
+    """What is to be said of trajectories: one warning of a kind for all of them."""
+
+    def __init__(self) -> None:
+        self._dropped = self._stiff = self._discontinuous = 0
+        self._harmed: list[Array] = []
+        self._size = self._failed = 0
+        self._first: tuple[int, str] | None = None  # of those that failed: its number, and why
+        self._error: tuple[int, BaseException] | None = None
+
+    def add(self, found: Outcomes, start: int = 0) -> None:
+        """Those of some more trajectories, of which the first has the number `start`."""
+        self._size += len(found)
+        if found.messages:
+            self._failed += len(found.messages)
+            i = min(found.messages)
+            if self._first is None or start + i < self._first[0]:
+                self._first = start + i, found.messages[i]
+        if found.error is not None:
+            i, error = found.error
+            if self._error is None or start + i < self._error[0]:
+                self._error = start + i, error
+        jumps = ~np.isnan(found.discontinuity)
+        if jumps.any():
+            self._discontinuous += int(np.count_nonzero(jumps))
+        if not found.counts[:, _WARNINGS].any():
+            return
+        dropped, harmed, stiff = found.counts[:, _WARNINGS].T
+        self._dropped += int(np.count_nonzero(dropped))
+        self._stiff += int(np.count_nonzero(stiff))
+        self._harmed.append(harmed[(found.status >= 0) & (harmed > 0)])
+
+    def say(self, plan: Plan) -> None:
+        """Of all that were added."""
+        if self._dropped:
+            warn(f"invariants were redundant in {self._dropped} trajectories, and were left out there")
+        if self._harmed:
+            _warn_harmed(plan, np.concatenate(self._harmed))
+        if self._stiff:
+            text = f"in {self._stiff} trajectories stability, not accuracy, limits most steps"
+            warn(f"{plan.method.name}: {text} (stats['stiff'] tells in which); try ode15s", StiffnessWarning)
+        if self._discontinuous:
+            text = f"in {self._discontinuous} trajectories fun looks discontinuous, where steps fail"
+            what = "give breakpoints, or an event with an action where y decides when it jumps"
+            where = "stats['discontinuity'] tells where at first"
+            warn(f"{plan.method.name}: {text} ({where}); {what}", DiscontinuityWarning)
+
+    def conclude(self, result: EnsembleSolution | EnsembleStore, on_failure: OnFailure) -> None:
+        """Says that trajectories failed, as is asked for."""
+        if self._first is None or on_failure == "return":
+            return
+        i, message = self._first
+        text = f"{self._failed} of {self._size} trajectories failed; the first, number {i}: {message}"
+        if on_failure == "raise":
+            raise SolveError(text, result) from (self._error and self._error[1])
+        warn(f"{text} (y is NaN at times that they did not reach; `failed` and `messages` say more)", FailureWarning)
+
+
+def _warn_harmed(plan: Plan, harmed: Array) -> None:
+    """`harmed`: 1 + the component that projection harmed, of each trajectory with one that did not fail."""
+    if not harmed.size:
+        return
+    names = default_labels(len(plan.y0))
+    components = np.unique((harmed - 1) // (2 if plan.functions.complex else 1))
+    much = f"much more than estimated errors in {harmed.size} trajectories"
+    warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
+
+
+def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
+    """What the results of single trajectories need to know."""
+    acting = any(event.action is not None for event in plan.functions.events)
+    return Trajectories(
+        call_name(task.described.fun, "problem"),
+        plan.event_names,
+        plan.names[: len(plan.bound)],
+        None if acting else plan.bound,
+        task.args,
+        plan.rtol,
+        plan.atol,
+        found.error and found.error[1],
+    )

@@ -1,0 +1,136 @@
+"""What trajectories came to, as arrays with a row for each: of a whole ensemble or of a part."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array
+from .pickling import travelling
+from .solution import EnsembleEvents
+
+__all__ = ["ROWS", "Outcomes", "counts_by_name", "in_order", "joined"]
+
+
+def counts_by_name(counts: Array) -> dict[str, Any]:
+    """The statistics of trajectories from rows of counts. The last three are warnings, of which "stiff" is one more."""
+    by_name = dict(zip(_core.COUNTS, counts.T, strict=True))
+    del by_name["dropped"], by_name["harmed"]
+    return by_name
+
+
+@dataclasses.dataclass
+class Outcomes:
+    """Rows of the fields of `EnsembleSolution` of the same names, and of the counts of the core."""
+
+    y: Array
+    t_end: Array
+    y_end: Array
+    status: Array
+    counts: Array
+    clipped_amount: Array
+    stiff_since: Array  # NaN where it is not
+    discontinuity: Array  # the first one
+    value: Array
+    residual_before: Array
+    residual_after: Array
+    correction: Array
+    messages: dict[int, str]
+    events: list[EnsembleEvents]
+    lanes: str  # as `EnsembleStats` says it
+    error: tuple[int, BaseException] | None = None  # of the first trajectory that raised one
+    attempt: Array = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        self.attempt = np.zeros(len(self.status), dtype=np.int8)
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Counts are most of what travels from a worker, and small."""
+        largest = max(int(self.counts.max(initial=0)), -int(self.counts.min(initial=0)))
+        error = None if self.error is None else (self.error[0], travelling(self.error[1]))
+        return {**self.__dict__, "counts": self.counts.astype(np.min_scalar_type(-largest - 1)), "error": error}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, counts=state["counts"].astype(np.int64))
+
+    @property
+    def failed(self) -> Array:
+        """The rows that failed."""
+        return np.flatnonzero(self.status < 0)
+
+    def replace(self, rows: Array, other: Outcomes, attempt: int) -> None:
+        """Puts the outcomes of another attempt in the place of these rows if it did not fail."""
+        better = np.flatnonzero(other.status >= 0)
+        if not better.size:
+            return
+        places = rows[better]
+        for name in ROWS:
+            getattr(self, name)[places] = getattr(other, name)[better]
+        self.attempt[places] = attempt
+        for i in places.tolist():
+            self.messages.pop(i, None)
+        if self.error is not None and self.error[0] not in self.messages:  # the next one is of the other attempt
+            self.error = None if other.error is None else (int(rows[other.error[0]]), other.error[1])
+        self.events = [
+            in_order(
+                *(np.concatenate(pair) for pair in zip(_without(old, places), _only(new, rows, better), strict=True))
+            )
+            for old, new in zip(self.events, other.events, strict=True)
+        ]
+
+
+#: The arrays of `Outcomes` that every run fills.
+ROWS = tuple(
+    field.name
+    for field in dataclasses.fields(Outcomes)
+    if field.name not in ("messages", "events", "lanes", "error", "attempt")
+)
+
+
+def joined(parts: Sequence[Outcomes]) -> Outcomes:
+    """The outcomes of parts of an ensemble, one after the other."""
+    starts = np.cumsum([0, *map(len, parts)]).tolist()
+    whole = Outcomes(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ROWS},
+        messages={
+            start + i: text for start, part in zip(starts, parts, strict=False) for i, text in part.messages.items()
+        },
+        events=[
+            EnsembleEvents(
+                np.concatenate([start + one.trajectory for start, one in zip(starts, these, strict=False)]),
+                np.concatenate([one.t for one in these]),
+                np.concatenate([one.y for one in these]),
+            )
+            for these in zip(*(part.events for part in parts), strict=True)
+        ],
+        lanes="; ".join(dict.fromkeys(part.lanes for part in parts)),
+        error=next(
+            ((start + one.error[0], one.error[1]) for start, one in zip(starts, parts, strict=False) if one.error), None
+        ),
+    )
+    whole.attempt = np.concatenate([part.attempt for part in parts])
+    return whole
+
+
+def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
+    """Occurrences as trajectories ended, by trajectory; those of each one are in order."""
+    order = np.argsort(trajectory, kind="stable")
+    return EnsembleEvents(trajectory[order], t[order], y[order])
+
+
+def _without(events: EnsembleEvents, rows: Array) -> tuple[Array, Array, Array]:
+    others = ~np.isin(events.trajectory, rows)
+    return events.trajectory[others], events.t[others], events.y[others]
+
+
+def _only(events: EnsembleEvents, rows: Array, chosen: Array) -> tuple[Array, Array, Array]:
+    """Those of the chosen ones, whose numbers are those of `rows`."""
+    these = np.isin(events.trajectory, chosen)
+    return rows[events.trajectory[these]], events.t[these], events.y[these]

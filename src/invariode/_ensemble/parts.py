@@ -1,0 +1,235 @@
+"""An ensemble in parts: on executors, and into stores."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from functools import lru_cache
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array, positive_integer, quietly
+from .._base.progress import bar
+from .._problem.events import to_events
+from .._problem.options import DescribingOptions, EnsembleOptions, table_of
+from .._results.result import default_labels
+from .._run.identity import in_words
+from .._run.plan import Plan, solver
+from .conclusion import Remarks, solution
+from .outcomes import Outcomes, joined
+from .rows import attempted
+from .solution import EnsembleSolution
+from .sources import Part, Rows, on_executor, packed, places_of, rejoined, rows_of, shares_memory
+from .store import EnsembleStore, Layout, StoreWriter, parameter_names
+from .task import Ensemble, first_plan
+
+__all__ = ["Means", "Place", "in_parts", "stored"]
+
+#: Seconds that a part should take, and the seconds that it may take to find that out.
+_PART, _PILOT = 1.0, 0.1
+#: Twice the seconds that client and scheduler need for a part, one after the other (measured in benchmarks/many.py).
+_HANDLING = 0.02
+#: Trajectories that the pilot solves at most, and bytes of a part.
+_PILOTS, _LARGEST = 256, 32 * 2**20
+
+
+class Means(NamedTuple):
+    """Who solves the parts."""
+
+    executor: Any
+    workers: int  # threads for each part
+    shown: bool  # a progress bar
+    chunk: int | None  # trajectories in a part
+
+
+class Place(NamedTuple):
+    """Where results go."""
+
+    store: Any
+    resume: bool
+    seed: Any
+
+
+class _Packed(NamedTuple):
+    """An ensemble with a row that has a plan, as it travels."""
+
+    ensemble: Ensemble
+    y0: Array  # (1, n)
+    args: Any
+
+    def plans(self) -> list[Plan]:
+        return [self.ensemble.task(self.y0, self.args, k).plan(0) for k in range(len(self.ensemble.attempts))]
+
+
+class _Prepared(NamedTuple):
+    """An ensemble with a plan for each attempt."""
+
+    ensemble: Ensemble
+    plans: list[Plan]
+
+
+@lru_cache(maxsize=4)
+def _unpacked(data: bytes) -> _Prepared:
+    """What travelled, with its plans: functions are compiled once in a process."""
+    found: _Packed = pickle.loads(data)
+    with quietly():  # where it comes from has said it
+        return _Prepared(found.ensemble, found.plans())
+
+
+def _solve_part(what: bytes | _Prepared, y0: Array, args: Any, workers: int) -> Outcomes:
+    """The rows of a part, where an executor solves them."""
+    with quietly():
+        return attempted(*(_unpacked(what) if isinstance(what, bytes) else what), y0, args, workers)
+
+
+def _seconds(solve: Callable[[Array, Any], object], y0: Array, args: Any) -> float:
+    """How long one of the first trajectories takes."""
+    solve(y0[:1], rows_of(args, slice(1)))  # the first time functions are compiled
+    k = 1
+    while True:
+        start = perf_counter()
+        solve(y0[:k], rows_of(args, slice(k)))
+        seconds = perf_counter() - start
+        if seconds > _PILOT or k >= len(y0):
+            return seconds / k
+        k = min(4 * k, len(y0))
+
+
+def _seconds_of_one(what: bytes | _Prepared, y0: Array, args: Any) -> float:
+    """The same, where an executor solves them."""
+    return _seconds(lambda y0, args: _solve_part(what, y0, args, 1), y0, args)
+
+
+class _Parted:
+    """An ensemble that is solved part by part."""
+
+    def __init__(self, ensemble: Ensemble, rows: Rows, means: Means) -> None:
+        self.ensemble, self.rows, self.means = ensemble, rows, means
+        y0, args = rows.first(_PILOTS)
+        first, self.plan = first_plan(ensemble.task(y0, args))
+        one = _Packed(ensemble, y0[first : first + 1], rows_of(args, slice(first, first + 1)))
+        self._here = _Prepared(ensemble, [self.plan, *one.plans()[1:]])
+        alone = means.executor is None or shares_memory(means.executor)
+        self._sent = self._here if alone else packed(one)
+        self._pilot = y0, args
+
+    def length(self) -> int:
+        """Trajectories in a part: as many as take a second, on large clusters longer: the scheduler is to keep up."""
+        if self.means.chunk is not None:
+            return positive_integer("chunk", self.means.chunk)
+        y0, args = self._pilot
+        if self.means.executor is None:
+            alone = 1 if solver(self.plan).native else min(2, self.means.workers)  # fun may end its process
+            seconds = _seconds(lambda y0, args: self._solved_here(y0, args, alone), y0, args)
+        else:
+            rows = Part(0, 0, y0, args)
+            ((_, seconds),) = on_executor(self.means.executor, _seconds_of_one, self._arguments, [rows])
+        n, m, times = y0.shape[1], len(self.plan.bound), self.plan.settings.times
+        row = y0.itemsize * n * (2 + (0 if times is None else len(times))) + 24 * m + 136
+        most: int = max(1, _LARGEST // row)
+        size = most if self.rows.size is None else min(most, self.rows.size)
+        enough = max(_PART, _HANDLING * places_of(self.means.executor))
+        wanted = int(enough * self.means.workers / max(seconds, 1e-9))
+        return max(1, min(wanted, size))
+
+    def _arguments(self, part: Part) -> tuple[Any, ...]:
+        return self._sent, part.y0, part.args
+
+    def _solved_here(self, y0: Array, args: Any, workers: int) -> Outcomes:
+        with quietly():  # the first plan has said it
+            return attempted(*self._here, y0, args, workers)
+
+    def outcomes(self, parts: Iterator[Part]) -> Generator[tuple[Part, Outcomes]]:
+        """Those of each part, as parts are finished."""
+        means = self.means
+        if means.executor is None:
+            for part in parts:
+                yield part, self._solved_here(part.y0, part.args, means.workers)
+            return
+        yield from on_executor(means.executor, _solve_part, lambda part: (*self._arguments(part), means.workers), parts)
+
+
+def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
+    """All rows on an executor, or from an iterator, with their results in memory."""
+    run = _Parted(ensemble, rows, means)
+    done: list[tuple[Part, Outcomes]] = []
+    with (
+        bar(means.shown, "trajectories", rows.size) as report,
+        closing(run.outcomes(rows.parts(run.length()))) as found,
+    ):
+        for one in found:
+            done.append(one)
+            if report:
+                report(sum(len(part.y0) for part, _ in done))
+    done.sort(key=lambda one: one[0].number)
+    task = ensemble.task(*rejoined([part for part, _ in done]))
+    return solution(task, run.plan, joined([outcomes for _, outcomes in done]), ensemble.on_failure)
+
+
+def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:
+    """All rows, with their results in a store."""
+    run = _Parted(ensemble, rows, means)
+    writer = StoreWriter(place.store, _layout(run), run.length, rows.size, in_words(place.seed), place.resume)
+    with writer:
+        remarks = _filled(writer, run, rows, means)
+    remarks.say(run.plan)
+    result = EnsembleStore(place.store)
+    remarks.conclude(result, ensemble.on_failure)
+    return result
+
+
+def _filled(writer: StoreWriter, run: _Parted, rows: Rows, means: Means) -> Remarks:
+    """Solves the rows that the store lacks. What is remarkable about them."""
+    if means.chunk not in (None, writer.length):
+        raise ValueError(f"the store has parts of {writer.length} trajectories, got chunk={means.chunk}: leave it out")
+    remarks = Remarks()
+    size = done = 0
+
+    def counted() -> Iterator[Part]:
+        nonlocal size
+        for part in rows.parts(writer.length):
+            size = part.start + len(part.y0)
+            yield part
+
+    with (
+        bar(means.shown, "trajectories", rows.size) as report,
+        closing(run.outcomes(writer.missing(counted()))) as found,
+    ):
+        for part, outcomes in found:
+            writer.write(part, outcomes)
+            remarks.add(outcomes, part.start)
+            done += len(part.y0)
+            if report:
+                report(done)
+    writer.finish(size)
+    return remarks
+
+
+def _layout(run: _Parted) -> Layout:
+    plan, described, attempts = run.plan, run.ensemble.described, run.ensemble.attempts
+    y0, args = run.rows.first(1)
+    running = table_of(EnsembleOptions).keys() - table_of(DescribingOptions).keys() - {"on_failure"}
+    defaults = {name: row.default for name, row in table_of(EnsembleOptions).items() if name in running}
+    about = {
+        "fun": described.fun,
+        "t_span": described.t_span,
+        "size of y": y0.shape[1],
+        "method": attempts[0].method,
+        "options": {**defaults, **attempts[0].options},
+        "retry": [{"method": one.method, "options": one.options} for one in attempts[1:]],
+        "events": to_events(described.events),
+        **described.others,
+        **({"args": args} if isinstance(args, tuple) else {}),
+    }
+    times = plan.settings.times
+    names = {
+        "component": default_labels(y0.shape[1]),
+        "parameter": parameter_names(described.fun, args),
+        "invariant": plan.names[: len(plan.bound)],
+        "event": plan.event_names,
+    }
+    t = np.array([plan.settings.tf]) if times is None else times
+    return Layout(in_words(about), names, t, y0.dtype, times is not None)

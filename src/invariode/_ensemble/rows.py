@@ -1,0 +1,325 @@
+"""The rows of an ensemble, solved on this machine: on threads in the core, or in processes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array, quietly, state, warn
+from .._functions.compiled import native_parameters
+from .._functions.lanes import Lanes, choose_lanes
+from .._results.messages import inconsistent_start
+from .._results.result import LIMIT_REACHED, NOT_CONSERVED
+from .._run.plan import Plan, solver
+from .outcomes import Outcomes, in_order
+from .pickling import travelling
+from .processes import may_start, solve_rows
+from .solution import EnsembleEvents
+from .sources import rows_of
+from .task import Ensemble, Task
+
+__all__ = ["attempted"]
+
+_STATUS = {
+    "reached_end": 0,
+    "terminal_event": 1,
+    "stopped_by_callback": 2,
+    "invariant_convicted": NOT_CONSERVED,
+    "limit_reached": LIMIT_REACHED,
+}
+#: What a single solve ends with by an exception.
+_RAISED = -4
+_EXCEPTIONS = (
+    "invariant_refused",
+    "start_contradicts",
+    "start_out_of_bounds",
+    "event_undefined",
+    "action_undefined",
+    "interrupted",
+)
+#: The status for each state; states of ensembles only are negative and count from the end.
+_CODES = np.array(
+    [_STATUS.get(name, _RAISED if name in _EXCEPTIONS else -1) for name in _core.STATES] + 3 * [_RAISED], dtype=np.int8
+)
+_NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
+# States that only trajectories of an ensemble have.
+_NOT_FINITE = -1
+_INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
+
+
+def attempted(
+    ensemble: Ensemble,
+    plans: Sequence[Plan],
+    y0: Array,
+    args: Any,
+    workers: int,
+    report: Callable[[float], None] | None = None,
+) -> Outcomes:
+    """What the rows came to; those that failed are solved again as long as there are other attempts."""
+    found = _solved(ensemble.task(y0, args), plans[0], workers, report)
+    for k, plan in enumerate(plans[1:], 1):
+        failed = found.failed
+        if failed.size:
+            again = ensemble.task(y0[failed], rows_of(args, failed), k)
+            found.replace(failed, _solved(again, plan, workers), k)
+    return found
+
+
+def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None = None) -> Outcomes:
+    core, workers = solver(plan), min(workers, len(task.y0))
+    return _on_threads(task, plan, core, workers, report) if core.native else _in_processes(task, plan, workers, report)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# On threads, in the core
+
+
+def _on_threads(
+    task: Task, plan: Plan, core: _core.Solver, workers: int, report: Callable[[float], None] | None
+) -> Outcomes:
+    y0 = np.ascontiguousarray(task.y0)
+    solvers = [core, *(solver(plan) for _ in range(workers - 1))]
+    lanes = choose_lanes(core, plan.functions.in_lanes(), len(y0)) if task.in_lanes else Lanes(reason="lanes=1")
+    rows = y0.view(float).reshape(len(y0), -1)
+    run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
+    dtype = y0.dtype
+    states = run.take_states()
+    value, before, after, correction = run.take_drift()
+    stiff_since, discontinuity = run.take_remarks()
+    status, y_end = _CODES[states], run.take_end().view(dtype)
+    y_end[status == _RAISED] = np.nan
+    return Outcomes(
+        y=run.take_y().view(dtype),
+        t_end=run.take_t(),
+        y_end=y_end,
+        status=status,
+        counts=run.take_counts(),
+        clipped_amount=run.take_clipped(),
+        stiff_since=stiff_since,
+        discontinuity=discontinuity,
+        messages=_messages(task, plan, run, states),
+        events=[in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
+        value=value,
+        residual_before=before,
+        residual_after=after,
+        correction=correction,
+        lanes=lanes.described(run.alone),
+    )
+
+
+def _parameters(task: Task, plan: Plan) -> Array:
+    """The parameters of the native functions, one row for each trajectory."""
+    size, p = len(task.y0), plan.functions.parameters
+    if isinstance(task.args, tuple):
+        same = np.empty((size, len(p)))
+        same[:] = p
+        return same
+    try:
+        return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
+    except ValueError:  # arguments of different shapes
+        return np.stack([native_parameters(row, [task.described.fun]) for row in task.args])
+
+
+def _messages(task: Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
+    """Why trajectories failed, in their order."""
+    messages: dict[int, str] = {}
+    if len(states) and not (_CODES[states] < 0).any():
+        return messages
+    for i, failure in run.failures():
+        exception = plan.exception(failure)
+        messages[i] = plan.verdict(failure)[1] if exception is None else _as_text(exception)
+    for i in np.flatnonzero(states == _NOT_FINITE).tolist():
+        try:
+            state(task.y0[i])
+        except ValueError as error:
+            messages[i] = _as_text(error)
+    for code, verdict in _INCONSISTENT.items():
+        text = f"ValueError: {inconsistent_start(verdict, plan.settings.t0)}"
+        messages.update(dict.fromkeys(np.flatnonzero(states == code).tolist(), text))
+    return dict(sorted(messages.items()))
+
+
+def _as_text(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# In processes
+
+
+@dataclasses.dataclass
+class _Row:
+    """A row of the result."""
+
+    t_end: float
+    y_end: Array
+    y: Array
+    counts: Array
+    value: Array
+    before: Array
+    after: Array
+    correction: float
+    clipped_amount: float
+    stiff_since: float
+    discontinuity: float
+    events: list[tuple[Array, Array]]
+
+
+@dataclasses.dataclass
+class _Outcome:
+    trajectory: int
+    status: int
+    message: str
+    run: _Row | None
+    error: BaseException | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "error": travelling(self.error)}
+
+
+def _solve_one(task: Task, i: int) -> _Outcome:
+    """One trajectory, with whatever goes wrong in it as its status."""
+    try:
+        with quietly():  # the first plan has said it
+            plan = task.plan(i)
+        run = solver(plan).integrate(plan.y0.view(float))
+        exception = plan.exception(run)
+        status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
+        return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # sys.exit in a function too
+        return _Outcome(i, _RAISED, _as_text(error), None, error)
+
+
+def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
+    bound = plan.bound
+    if jumps := run.take_jumps():
+        bound = bound.jumped(jumps, forward=plan.settings.forward)
+    t, y, t_end, y_end = run.take_points()
+    counts = np.array(run.counts)
+    counts[_NG] += bound.evaluations  # before the run, as in a single run
+    counts[_NGDIFF] += bound.evaluations - len(bound.specs)
+    before, _, correction = run.take_drift()
+    after = np.zeros(len(bound))
+    if len(bound):
+        pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
+        after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
+    return _Row(
+        t_end=t_end,
+        y_end=y_end,
+        y=y if plan.settings.times is not None else y[:, :0],
+        counts=counts,
+        value=bound.value,
+        before=before[: len(bound)],
+        after=after,
+        correction=correction,
+        clipped_amount=run.clipped,
+        stiff_since=run.stiff_since if run.stiff else np.nan,
+        discontinuity=next(iter(run.discontinuities), np.nan),
+        events=[(times, points.view(dtype)) for times, points in run.take_events()],
+    )
+
+
+class _Rows:
+    """The rows of the result, filled as trajectories end."""
+
+    def __init__(self, task: Task, plan: Plan) -> None:
+        size, n = task.y0.shape
+        times, m = plan.settings.times, len(plan.bound)
+        self.task, self.plan = task, plan
+        self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
+        self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), np.full_like(task.y0, np.nan)
+        self.status = np.full(size, _RAISED, dtype=np.int8)
+        self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
+        self.value = np.full((size, m), np.nan)
+        self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
+        self.clipped_amount = np.zeros(size)
+        self.stiff_since, self.discontinuity = np.full(size, np.nan), np.full(size, np.nan)
+        self.messages: dict[int, str] = {}
+        self.error: tuple[int, BaseException] | None = None
+        self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
+
+    def keep(self, outcome: _Outcome) -> None:
+        """What one trajectory came to."""
+        i = outcome.trajectory
+        if outcome.status < 0:
+            self.messages[i] = outcome.message
+        self.status[i] = outcome.status
+        if outcome.error is not None and (self.error is None or i < self.error[0]):
+            self.error = i, outcome.error
+        if outcome.run is None:
+            return
+        one = outcome.run
+        self.t_end[i] = one.t_end
+        if outcome.status != _RAISED:
+            self.y_end[i] = one.y_end
+        self.y[i, :, : one.y.shape[1]] = one.y
+        self.counts[i] = one.counts
+        self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
+        self.correction[i] = one.correction
+        self.clipped_amount[i] = one.clipped_amount
+        self.stiff_since[i], self.discontinuity[i] = one.stiff_since, one.discontinuity
+        for found, (t, y) in zip(self.found, one.events, strict=True):
+            if len(t):
+                found.append((i, t, y))
+
+    def outcomes(self) -> Outcomes:
+        return Outcomes(
+            y=self.y,
+            t_end=self.t_end,
+            y_end=self.y_end,
+            status=self.status,
+            counts=self.counts,
+            clipped_amount=self.clipped_amount,
+            stiff_since=self.stiff_since,
+            discontinuity=self.discontinuity,
+            messages=dict(sorted(self.messages.items())),
+            events=[self._events(found) for found in self.found],
+            value=self.value,
+            residual_before=self.before,
+            residual_after=self.after,
+            correction=self.correction,
+            lanes=Lanes(reason="functions are in Python").described(),
+            error=self.error,
+        )
+
+    def _events(self, found: list[tuple[int, Array, Array]]) -> EnsembleEvents:
+        trajectory = np.repeat([i for i, _, _ in found], [len(t) for _, t, _ in found]).astype(np.int64)
+        t = np.concatenate([np.zeros(0), *(t for _, t, _ in found)])
+        y = np.concatenate([np.zeros((0, self.y_end.shape[1]), self.y_end.dtype), *(y for _, _, y in found)])
+        return in_order(trajectory, t, y)
+
+
+def _in_processes(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> Outcomes:
+    rows, done = _Rows(task, plan), 0
+    if workers > 1 and not may_start():
+        warn("a daemonic process cannot start workers, and solves the ensemble alone: start it with daemon=False")
+        workers = 1
+    with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
+        for outcomes in chunks:
+            for outcome in outcomes:
+                rows.keep(outcome)
+            done += len(outcomes)
+            if report:
+                report(done)
+    return rows.outcomes()
+
+
+def _here(task: Task) -> Generator[list[_Outcome]]:
+    for i in range(len(task.y0)):
+        yield [_solve_one(task, i)]
+
+
+def _elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
+    return solve_rows(partial(_solve_one, task), len(task.y0), workers, _died)
+
+
+def _died(i: int) -> _Outcome:
+    return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", None)

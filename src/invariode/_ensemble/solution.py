@@ -1,0 +1,467 @@
+"""What `solve_ensemble` returns: many trajectories, each of which is a `Solution` too."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import operator
+import os
+import pickle
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+
+from .._base.arguments import Array, choice
+from .._base.files import ENSEMBLE, ENSEMBLE_VERSION, about_of, read_arrays, unreadable
+from .._base.notebook import html_of_ensemble
+from .._base.types import Numbers
+from .._laws.bound import BoundInvariants
+from .._results.export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
+from .._results.messages import MESSAGES
+from .._results.pictures.ensembles import draw as draw_ensemble
+from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
+from .._results.solution import Solution
+
+if TYPE_CHECKING:  # extras, imported when they are used
+    import pandas
+    import xarray
+    from matplotlib.axes import Axes
+
+__all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories", "final_states"]
+
+
+@dataclasses.dataclass
+class Trajectories:
+    """What results of single trajectories need besides the numbers. Pickles leave out functions that cannot travel."""
+
+    name: str
+    events: list[str]
+    laws: list[str]  # names of the invariants
+    bound: BoundInvariants | None  # of the first trajectory; None: they jump, or there are no functions
+    args: Any  # of all, or of each
+    rtol: Numbers
+    atol: Numbers
+    error: BaseException | None = None  # of the first trajectory that raised one
+
+    @classmethod
+    def unknown(cls, events: int, invariants: int) -> Trajectories:
+        """For a result without its functions."""
+        laws = [f"g{i}" for i in range(invariants)]
+        return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), 1e-3, 1e-6)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Functions of a module travel; without the others the invariants are as those of a run with jumps: names."""
+        state = dict(self.__dict__)
+        for name, without in (("bound", {}), ("args", {"args": ()}), ("error", {"error": None})):
+            try:
+                pickle.dumps(state[name])
+            except Exception:  # of each kind of object its own
+                state |= without if name == "error" else {"bound": None, **without}
+        return state
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Trajectories:
+        return self
+
+    def invariants(self, i: int, value: Array) -> BoundInvariants:
+        """The invariants of a trajectory, at its values."""
+        if self.bound is None or not np.isfinite(value).all():
+            return BoundInvariants([], np.zeros(0), [], (), np.zeros(0), None)
+        args = self.args if isinstance(self.args, tuple) else tuple(self.args[i])
+        functions = [f for spec in self.bound.specs for f in (spec.fun, spec.jac)]
+        native = any(hasattr(f, "address") for f in functions)
+        p = (
+            np.concatenate([np.zeros(0), *(np.ravel(np.asarray(a, dtype=float)) for a in args)])
+            if native
+            else np.zeros(0)
+        )
+        return dataclasses.replace(self.bound, value=value, args=args, parameters=p)
+
+
+def final_states(y_end: Array, status: Array) -> Array:
+    """The final states (N, n, 1), NaN for trajectories that failed."""
+    return np.where((status >= 0)[:, None], y_end, np.nan)[:, :, None]
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class EnsembleEvents(Record):
+    """All occurrences of one event, those of a trajectory one after the other.
+
+    Attributes
+    ----------
+    trajectory : ndarray of int, (k,)
+        In which trajectory each occurred; sorted.
+    t : ndarray, (k,)
+        When.
+    y : ndarray, (k, n)
+        The states there.
+    """
+
+    trajectory: Array
+    t: Array
+    y: Array
+
+    def __repr__(self) -> str:
+        return f"EnsembleEvents({len(self.t)} occurrences in {len(np.unique(self.trajectory))} trajectories)"
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class EnsembleStats(Record):
+    """Counts of the trajectories, arrays of shape (N,) of what `Stats` has for one solve; and `lanes`, in words.
+
+    `stiff` is 1 where stability, not accuracy, limits the steps of an explicit method, else 0, and `stiff_since` says
+    since when, or NaN. `discontinuity` is the first time at which f looks discontinuous, or NaN.
+    """
+
+    steps: Array
+    failed: Array
+    nfev: Array
+    nfev_check: Array
+    njev: Array
+    nlu: Array
+    nsolve: Array
+    projections: Array
+    skipped: Array
+    clipped: Array
+    ng: Array
+    ngjac: Array
+    ngdiff: Array
+    stiff: Array
+    switches: Array
+    products: Array
+    linear_iterations: Array
+    clipped_amount: Array
+    stiff_since: Array
+    discontinuity: Array
+    _lanes: str = ""
+
+    @property
+    def lanes(self) -> str:
+        """How many trajectories were integrated side by side, by which instructions, or why they were not. Not in
+        files."""
+        return self._lanes
+
+    def __repr__(self) -> str:
+        """What is not 0 or NaN in all trajectories, from the least to the largest."""
+        rows = [f"EnsembleStats of {len(self.steps)} trajectories"]
+        for name, values in self.items():
+            known = values[np.isfinite(values)]
+            if known.any():
+                low, high = (
+                    f"{one:,}" if values.dtype.kind == "i" else f"{one:.6g}" for one in (known.min(), known.max())
+                )
+                rows.append(f"{name:>17}: {low}" + (f" to {high}" if low != high else ""))
+        return "\n".join([*rows, f"{'lanes':>17}: {self.lanes}"])
+
+
+@dataclasses.dataclass(eq=False, repr=False)
+class EnsembleSolution:
+    """Result of `solve_ensemble`: N trajectories of n components.
+
+    ``len(m)`` is N, ``m[i]`` is trajectory i as a `Solution`, and a loop over m goes over these. Fields are items too:
+    ``m["y"]`` is ``m.y``.
+
+    Attributes
+    ----------
+    t : ndarray, (n_t,)
+        `t_eval`; without it the end of the interval.
+    y : ndarray, (N, n, n_t)
+        The states at t, NaN at times that a trajectory did not reach. Without `t_eval` the final states, at `t_end`,
+        which is earlier where an event or the callback stopped a trajectory; NaN for those that failed.
+    t_end : ndarray, (N,)
+        Where each trajectory ended.
+    y_end : ndarray, (N, n)
+        The state there, also of trajectories that failed on their way (status -1 to -3); NaN for status -4.
+    status : ndarray of int, (N,)
+        0 reached the end, 1 a terminal event, 2 stopped by `callback`, -1 the step failed, -2 a given
+        invariant is not conserved, -3 a limit was reached, -4 what ends a single solve with an exception: the initial
+        value is off a demanded manifold, not consistent or not finite, an invariant or an event is refused, a function
+        raised.
+    success : ndarray of bool, (N,)
+        status >= 0.
+    messages : dict of int to str
+        Why, for each trajectory without success.
+    events : list of EnsembleEvents
+        One for each event function.
+    stats : EnsembleStats
+        Counts of each trajectory.
+    value : ndarray, (N, m)
+        The values at which the invariants were held (the first ones, if events with actions changed them). NaN for
+        trajectories that did not start.
+    residual_before : ndarray, (N, m)
+        Largest ``|g - value|`` of the accepted candidates before projection.
+    residual_after : ndarray, (N, m)
+        The same at the outputs and the end.
+    correction : ndarray, (N,)
+        Largest correction of a step by projection, in units of rtol.
+    attempt : ndarray of int, (N,)
+        Which attempt gave each result: 0, with the method and options given; k, with the k-th of `retry`.
+    """
+
+    t: Array
+    y: Array
+    t_end: Array
+    y_end: Array
+    status: Array
+    success: Array
+    messages: dict[int, str]
+    events: list[EnsembleEvents]
+    stats: EnsembleStats
+    value: Array
+    residual_before: Array
+    residual_after: Array
+    correction: Array
+    attempt: Array
+    _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
+    _final: bool = False  # whether y are the final states
+
+    def _repr_html_(self) -> str:
+        return html_of_ensemble(self)
+
+    def __repr__(self) -> str:
+        size, n = self.y_end.shape
+        counted = ((0, "reached the end"), (1, "had a terminal event"), (2, "were stopped by callback"))
+        parts = [f"{k} {what}" for status, what in counted if (k := int((self.status == status).sum()))]
+        text = (
+            f"EnsembleSolution of {size} trajectories, {n} components, {len(self.t)} times: {', '.join(parts) or '-'}"
+        )
+        if self.messages:
+            first = min(self.messages)
+            text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
+        return text
+
+    @property
+    def failed(self) -> Array:
+        """The numbers of the trajectories that failed; `messages` say why."""
+        return np.flatnonzero(~self.success)
+
+    @property
+    def exception(self) -> BaseException | None:
+        """The exception of the first trajectory that raised one, with its traceback, which is a note where another
+        process solved it. None without one, and in a result from a file."""
+        return None if self._trajectories is None else self._trajectories.error
+
+    def keys(self) -> list[str]:
+        """The names of the fields."""
+        return [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.keys()
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __iter__(self) -> Iterator[Solution]:
+        return (self[i] for i in range(len(self)))
+
+    @overload
+    def __getitem__(self, key: str) -> Any: ...
+    @overload
+    def __getitem__(self, key: int) -> Solution: ...
+    def __getitem__(self, key: str | int) -> Any:
+        if isinstance(key, str):
+            if key in self:
+                return getattr(self, key)
+            raise KeyError(key)
+        i = operator.index(key)
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"there is no trajectory {i}: choose from 0 to {len(self) - 1}")
+        return self._trajectory(i % len(self))
+
+    def _trajectory(self, i: int) -> Solution:
+        """One trajectory as the result of a single solve: without steps and dense output, which are not kept."""
+        about = self._trajectories or Trajectories.unknown(len(self.events), self.value.shape[1])
+        invariants = about.invariants(i, self.value[i])
+        status = int(self.status[i])
+        stats = self._stats_of(i)
+        here = [event.trajectory == i for event in self.events]
+        t, y = (self.t_end[i : i + 1], self.y_end[i][:, None]) if self._final else (self.t, self.y[i])
+        reached = np.isfinite(y).all(axis=0)
+        return Solution(
+            t=t[reached],
+            y=y[:, reached],
+            sol=None,
+            t_events=[event.t[own] for event, own in zip(self.events, here, strict=True)] if self.events else None,
+            y_events=[at_events(event.y[own]) for event, own in zip(self.events, here, strict=True)]
+            if self.events
+            else None,
+            nfev=stats.nfev,
+            njev=stats.njev,
+            nlu=stats.nlu,
+            status=status,
+            message=self.messages.get(i) or next(text for code, text in MESSAGES.values() if code == status),
+            success=status >= 0,
+            stats=stats,
+            steps=None,
+            t_end=float(self.t_end[i]),
+            _invariants=invariants,
+            _rtol=about.rtol,
+            _atol=about.atol,
+            _drift=self._drift(i, about, stats, known=len(invariants) > 0),
+            _names=Names(f"{about.name} {i}", None, None, self.y.shape[1], about.events),
+        )
+
+    def _stats_of(self, i: int) -> Stats:
+        """As a single solve has them; of the jumps of f the first."""
+        about = {name: values[i].item() for name, values in self.stats.items() if name != "stiff"}
+        since, jump = about.pop("stiff_since"), about.pop("discontinuity")
+        return Stats(
+            **about,
+            derivatives=None,
+            projected_start=False,
+            stiff_since=None if np.isnan(since) else since,
+            discontinuities=() if np.isnan(jump) else (jump,),
+        )
+
+    def _drift(self, i: int, about: Trajectories, stats: Stats, *, known: bool) -> BeforeProjection:
+        """What was before the projection; where the functions and the values after jumps are not known, all that is."""
+        unknown = np.full(self.value.shape[1], np.nan)
+        correction = float(self.correction[i])
+        if known or not len(unknown):
+            return BeforeProjection(self.residual_before[i], unknown, correction)
+        whole = Drift(
+            names=list(about.laws),
+            value=self.value[i],
+            residual_before=self.residual_before[i],
+            distance_before=unknown,
+            residual_after=self.residual_after[i],
+            distance_after=unknown,
+            correction=correction,
+            projections=stats.projections,
+            skipped=stats.skipped,
+        )
+        return BeforeProjection(unknown[:0], unknown[:0], correction, whole)
+
+    def plot(
+        self,
+        kind: Literal["bands", "quantiles", "spaghetti"] = "bands",
+        *,
+        ax: Axes | None = None,
+        components: Any = None,
+        **line: Any,
+    ) -> Axes:
+        """Draws components of all trajectories over t.
+
+        Parameters
+        ----------
+        kind : {'bands', 'quantiles', 'spaghetti'}, default 'bands'
+            The median with the ranges that hold the middle 50 % and 90 % of the trajectories; lines at the quantiles
+            5, 25, 50, 75 and 95 %; or a thin line for each trajectory, of more than 500 for 500 of them.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. Default: a new figure.
+        components : int, or sequence of int, optional
+            Default: all, of more than six the first six.
+        **line
+            Properties of the lines, as for ``Axes.plot``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            The ensemble was solved without `t_eval`; there is no such component or kind.
+        """
+        return draw_ensemble(self, choice("kind", kind, ("bands", "quantiles", "spaghetti")), ax, components, line)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The trajectories as a labelled data set of xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            `y` (trajectory, component, t), `y_end`, `t_end`, `status` and `correction`, the counts of `stats`, with
+            invariants their `value`, `residual_before` and `residual_after` (trajectory, invariant).
+
+        Raises
+        ------
+        ModuleNotFoundError
+            xarray, of the extra `data`, is not installed.
+        """
+        return ensemble_to_xarray(self)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The trajectories as a table of pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each trajectory and time, with the index (`trajectory`, `t`), and a column for each component.
+            Times that a trajectory did not reach are left out.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            pandas, of the extra `data`, is not installed.
+        """
+        return ensemble_to_dataframe(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes all arrays to one file, from which `EnsembleSolution.load` makes an equal result.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, by exactly this name; conventionally it ends in ``.npz``. An existing file is replaced.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        fields = {name: self[name] for name in self.keys() if name not in ("events", "stats", "messages")}
+        arrays = {**fields, **{f"stats.{name}": counts for name, counts in self.stats.items()}}
+        for i, event in enumerate(self.events):
+            arrays |= {f"events.{i}.{name}": event[name] for name in event}
+        about = {
+            "format": ENSEMBLE,
+            "version": ENSEMBLE_VERSION,
+            "messages": self.messages,
+            "events": len(self.events),
+            "final": self._final,
+        }
+        write_arrays({**arrays, "about": np.array(json.dumps(about))}, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> EnsembleSolution:
+        """The result that `save` wrote to a file. Its trajectories have no invariants: functions are not in files.
+
+        Raises
+        ------
+        ValueError
+            The file was not written by `EnsembleSolution.save`, or is damaged.
+        OSError
+            It cannot be read.
+        """
+        arrays = read_arrays(path)
+        about = about_of(path, arrays, {ENSEMBLE: ENSEMBLE_VERSION}, "was not written by EnsembleSolution.save")
+        try:
+            return _from_arrays(arrays, about)
+        except Exception as wrong:  # whatever it is: the file is the only input
+            raise unreadable(path, f"is damaged: {type(wrong).__name__}: {wrong}") from None
+
+
+def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> EnsembleSolution:
+    parts: dict[str, dict[str, Any]] = {}
+    for name in [name for name in arrays if "." in name]:
+        room, _, field = name.rpartition(".")
+        parts.setdefault(room, {})[field] = arrays.pop(name)
+    del arrays["about"]
+    size, n = arrays["y_end"].shape
+    stats = EnsembleStats(**parts["stats"])
+    events = [EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])]
+    messages = {int(i): str(text) for i, text in about["messages"].items()}
+    final = about["final"] is True
+    m = EnsembleSolution(**arrays, stats=stats, events=events, messages=messages, _final=final)
+    rows = ("t_end", "status", "success", "correction", "attempt")
+    laws = (m.value, m.residual_before, m.residual_after)
+    if (
+        m.y.shape != (size, n, len(m.t))
+        or any(m[name].shape != (size,) for name in rows)
+        or any(one.shape != (size,) for one in stats.values())
+        or any(one.shape != (size, m.value.shape[1]) for one in laws)
+        or any(one.y.shape != (len(one.t), n) or one.trajectory.shape != one.t.shape for one in events)
+    ):
+        raise ValueError("arrays do not match")
+    return m

@@ -1,0 +1,337 @@
+"""The rows of an ensemble in parts: where they come from, and who solves a part."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import chain, islice
+from time import monotonic
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from .._base.arguments import Array, shown
+
+__all__ = [
+    "GivenRows",
+    "Part",
+    "Rows",
+    "StreamedRows",
+    "digest",
+    "executor_of",
+    "on_executor",
+    "packed",
+    "places_of",
+    "rejoined",
+    "rows_of",
+    "shares_memory",
+]
+
+T = TypeVar("T")
+
+#: Parts under way for each place of an executor: the one that is solved there, and the next, so that it need not wait.
+AHEAD = 2
+#: Single rows that are taken from an iterator at once: NumPy converts them together faster than one by one.
+BATCH = 256
+#: Seconds between two questions to a cluster how large it is.
+ASKING = 1.0
+#: Bytes of a digest.
+DIGEST = 8
+
+
+class Part(NamedTuple):
+    """Consecutive rows of an ensemble."""
+
+    number: int
+    start: int
+    y0: Array  # (k, n)
+    args: Any  # a tuple, for all; an array or a list of rows
+
+    @property
+    def stop(self) -> int:
+        """The row behind the last."""
+        return self.start + len(self.y0)
+
+
+def rows_of(args: Any, chosen: Any) -> Any:
+    """The args of some rows, given as indices or as a slice."""
+    if isinstance(args, tuple):
+        return args
+    if isinstance(args, np.ndarray):
+        return args[chosen]
+    return args[chosen] if isinstance(chosen, slice) else [args[i] for i in chosen]
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Where rows come from
+
+
+class Rows(Protocol):
+    """The rows of an ensemble."""
+
+    @property
+    def size(self) -> int | None:
+        """How many there are; None: nobody knows yet."""
+
+    def first(self, count: int) -> tuple[Array, Any]:
+        """So many of the first, or all; those are not taken away."""
+
+    def parts(self, length: int) -> Iterator[Part]:
+        """All rows, once, in parts of that length; the last may be shorter."""
+
+
+class GivenRows:
+    """Rows in arrays."""
+
+    def __init__(self, y0: Array, args: Any) -> None:
+        self._y0, self._args = y0, args
+
+    @property
+    def size(self) -> int:
+        return len(self._y0)
+
+    def first(self, count: int) -> tuple[Array, Any]:
+        return self._y0[:count], rows_of(self._args, slice(count))
+
+    def parts(self, length: int) -> Iterator[Part]:
+        for number, start in enumerate(range(0, self.size, length)):
+            here = slice(start, start + length)
+            yield Part(number, start, self._y0[here], rows_of(self._args, here))
+
+
+class StreamedRows:
+    """Rows that an iterator makes, ``(y0, args)`` of one row or of several. `checked` makes (N, n) and args of those of
+    an ensemble, and knows what is wrong with them."""
+
+    size = None
+
+    def __init__(self, rows: Iterator[Any], checked: Callable[[Any, Any], tuple[Array, Any]]) -> None:
+        self._blocks = self._checked_blocks(rows, checked)
+
+    @staticmethod
+    def _checked_blocks(
+        rows: Iterator[Any], checked: Callable[[Any, Any], tuple[Array, Any]]
+    ) -> Iterator[tuple[Array, Any]]:
+        single: list[tuple[Any, Any]] = []
+
+        def collected() -> Iterator[tuple[Array, Any]]:
+            if single:
+                extras = [() if args is None else args for _, args in single]
+                yield checked(np.array([y0 for y0, _ in single]), extras if any(map(len, extras)) else ())
+                single.clear()
+
+        for item in rows:
+            if not isinstance(item, tuple) or len(item) != 2:
+                raise TypeError(f"an iterator of an ensemble must yield pairs (y0, args), got {shown(item)}")
+            if np.ndim(item[0]) == 1:
+                single.append(item)
+                if len(single) == BATCH:
+                    yield from collected()
+                continue
+            yield from collected()
+            y0, args = checked(*item)
+            yield y0, [args] * len(y0) if isinstance(args, tuple) and args else args
+        yield from collected()
+
+    def first(self, count: int) -> tuple[Array, Any]:
+        taken: list[tuple[Array, Any]] = []
+        while sum(len(y0) for y0, _ in taken) < count and (block := next(self._blocks, None)) is not None:
+            taken.append(block)
+        self._blocks = chain(taken, self._blocks)
+        if not taken:
+            return np.zeros((0, 0)), ()
+        y0, args = _joined(taken)
+        return y0[:count], rows_of(args, slice(count))
+
+    def parts(self, length: int) -> Iterator[Part]:
+        left: list[tuple[Array, Any]] = []
+        number = start = waiting = 0
+        for block in self._blocks:
+            left.append(block)
+            waiting += len(block[0])
+            if waiting < length:
+                continue
+            y0, args = _joined(left)
+            for begin in range(0, waiting - length + 1, length):
+                here = slice(begin, begin + length)
+                yield Part(number, start, y0[here], rows_of(args, here))
+                number, start = number + 1, start + length
+            rest = slice(waiting - waiting % length, None)
+            left, waiting = [(y0[rest], rows_of(args, rest))], waiting % length
+        if waiting:
+            yield Part(number, start, *_joined(left))
+
+
+def _joined(blocks: list[tuple[Array, Any]]) -> tuple[Array, Any]:
+    states, extras = [y0 for y0, _ in blocks], [args for _, args in blocks]
+    if len({y0.shape[1] for y0 in states}) > 1:
+        raise ValueError(f"the states of an ensemble must be of one size, got {sorted({y0.shape[1] for y0 in states})}")
+    y0 = np.concatenate(states)
+    if all(isinstance(args, tuple) for args in extras):
+        return y0, ()
+    if all(isinstance(args, np.ndarray) for args in extras):
+        return y0, np.concatenate(extras)
+    listed: list[tuple[Any, ...]] = []
+    for args, block in zip(extras, states, strict=True):
+        listed += [tuple(row) for row in args.tolist()] if isinstance(args, np.ndarray) else args or [()] * len(block)
+    return y0, listed
+
+
+def rejoined(parts: list[Part]) -> tuple[Array, Any]:
+    """The rows of all parts, in their order."""
+    y0, args = _joined([(part.y0, part.args) for part in parts])
+    return y0, parts[0].args if isinstance(parts[0].args, tuple) else args
+
+
+def digest(part: Part) -> int:
+    """A number that tells the rows of a part from others; never 0."""
+    found = hashlib.blake2b(np.ascontiguousarray(part.y0).tobytes(), digest_size=DIGEST)
+    for piece in _pieces(part.args):
+        found.update(piece)
+    return int.from_bytes(found.digest()) or 1
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    """What is the same in another process; of objects of other types, their type."""
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        for one in value:
+            yield from _pieces(one)
+    elif isinstance(value, (bool, int, float, complex, str, bytes, type(None), np.generic)):
+        yield repr(value).encode()
+    else:
+        yield type(value).__qualname__.encode()
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Who solves a part
+
+
+class Executor(Protocol):
+    """What of `concurrent.futures.Executor` is needed."""
+
+    def submit(self, call: Callable[..., Any], /, *args: Any) -> Future[Any]: ...
+
+
+def executor_of(given: Any) -> Executor:
+    """An executor, from one or from a client of Dask.
+
+    Raises
+    ------
+    TypeError
+        It is neither.
+    """
+    if hasattr(given, "get_executor") and hasattr(given, "nthreads"):
+        executor: Executor = given.get_executor(pure=False)
+        return executor
+    if not callable(getattr(given, "submit", None)):
+        raise TypeError(
+            f"executor must be a concurrent.futures.Executor or a distributed.Client, got {shown(given)}; leave it out "
+            "to solve on this machine"
+        )
+    return given  # type: ignore[no-any-return]  # it has `submit`
+
+
+class _Places:
+    """How many parts an executor solves at once. Those of a cluster come and go: it is asked now and then."""
+
+    def __init__(self, given: Any, executor: Executor) -> None:
+        self._given = given if hasattr(given, "nthreads") else None
+        self._count = int(getattr(executor, "_max_workers", 1))
+        self._due = 0.0
+
+    def count(self) -> int:
+        if self._given is not None and monotonic() >= self._due:
+            self._count = max(1, int(sum(self._given.nthreads().values())))
+            self._due = monotonic() + ASKING
+        return self._count
+
+
+def shares_memory(executor: Any) -> bool:
+    """Whether an executor solves in this process: nothing has to travel."""
+    return isinstance(executor, ThreadPoolExecutor)
+
+
+def places_of(given: Any) -> int:
+    """How many parts are solved at once."""
+    return 1 if given is None else _Places(given, executor_of(given)).count()
+
+
+def packed(value: Any) -> bytes:
+    """A pickle with the functions of the user's own script in it, where cloudpickle is there."""
+    try:
+        import cloudpickle
+    except ImportError:
+        try:
+            return pickle.dumps(value)
+        except Exception as error:
+            raise TypeError(
+                f"the functions of this ensemble cannot be sent to other processes ({error}): install cloudpickle (pip "
+                "install invariode[cluster]), or define them in a module"
+            ) from error
+    from .pickling import dumps
+
+    return dumps(cloudpickle, value)
+
+
+def on_executor(
+    given: Any, call: Callable[..., T], arguments: Callable[[Part], tuple[Any, ...]], parts: Iterable[Part]
+) -> Generator[tuple[Part, T]]:
+    """Each part with ``call(*arguments(part))``, as an executor finishes them. If it is left early, what has not begun
+    is cancelled.
+
+    Raises
+    ------
+    RuntimeError
+        The executor cannot go on: its processes died.
+    """
+    executor, left = executor_of(given), iter(parts)
+    places = _Places(given, executor)
+    pending: dict[Future[T], Part] = {}
+    try:
+        while True:
+            for part in islice(left, max(0, AHEAD * places.count() - len(pending))):
+                pending[_submitted(executor, part, call, *arguments(part))] = part
+            if not pending:
+                return
+            finished = wait(pending, return_when=FIRST_COMPLETED).done
+            for future in sorted(finished, key=lambda one: (_failed(one), pending[one].number)):  # lose no outcome
+                part = pending.pop(future)
+                yield part, _result(future, part)
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def _submitted(executor: Executor, part: Part, call: Callable[..., T], *args: Any) -> Future[T]:
+    try:
+        return executor.submit(call, *args)
+    except (BrokenProcessPool, RuntimeError) as error:
+        raise _lost(part, error) from error
+
+
+def _failed(future: Future[Any]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
+def _result(future: Future[T], part: Part) -> T:
+    try:
+        return future.result()
+    except (BrokenProcessPool, CancelledError) as error:
+        raise _lost(part, error) from error
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":  # of distributed: it has tried other workers
+            raise _lost(part, error) from error
+        raise
+
+
+def _lost(part: Part, error: BaseException) -> RuntimeError:
+    return RuntimeError(
+        f"the executor lost trajectories {part.start} to {part.stop - 1} ({type(error).__name__}: {error}): a process "
+        "died, of a function that ended it or of too little memory, and this executor starts no other. Make a new one; "
+        "with store= and resume=True what is solved stays solved"
+    )

@@ -1,0 +1,467 @@
+"""Ensembles in Zarr stores: written part by part, read as a whole, as a result or by xarray."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array
+from .._base.locks import held
+from .outcomes import ROWS, Outcomes, counts_by_name
+from .solution import EnsembleEvents, EnsembleSolution, EnsembleStats, final_states
+from .sources import Part, digest
+
+if TYPE_CHECKING:  # an extra, imported when it is used
+    import xarray
+
+__all__ = ["EnsembleStore", "Layout", "StoreWriter", "parameter_names"]
+
+#: What every store says of itself, and what it says before it is complete.
+_FORMAT, _UNFINISHED = "invariode ensemble", "invariode ensemble, unfinished"
+#: The version in which what an array holds where nothing was written is no missing value.
+_ZARR_FORMAT = 3
+#: The status of a trajectory that is not solved yet.
+UNSOLVED = -128
+#: The dimensions of each array, after that of the trajectories.
+_DIMENSIONS: Mapping[str, tuple[str, ...]] = {
+    "y0": ("component",),
+    "args": ("parameter",),
+    "y": ("component", "t"),
+    "y_end": ("component",),
+    "t_end": (),
+    "status": (),
+    "attempt": (),
+    "counts": ("count",),
+    "clipped_amount": (),
+    "stiff_since": (),
+    "discontinuity": (),
+    "value": ("invariant",),
+    "residual_before": ("invariant",),
+    "residual_after": ("invariant",),
+    "correction": (),
+}
+
+
+class Layout:
+    """What the arrays of a store are, and what problem they are of.
+
+    Parameters
+    ----------
+    about : dict
+        What describes the problem, its method and options, in text and numbers.
+    names : dict of str to list of str
+        The coordinates 'component', 'parameter', 'invariant' and 'event'.
+    t : ndarray, (n_t,)
+        The times of y.
+    dtype : dtype
+        Of y.
+    times : bool
+        Whether `t_eval` was given; otherwise only the final states are kept.
+    """
+
+    def __init__(
+        self, about: dict[str, Any], names: dict[str, list[str]], t: Array, dtype: np.dtype[Any], times: bool
+    ) -> None:
+        self.about, self.names, self.t, self.dtype, self.times = about, names, t, dtype, times
+
+    def arrays(self) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any], Any]]:
+        """Each array: its name, its shape without the trajectories, its type, its value for unsolved ones."""
+        sizes = {name: len(these) for name, these in self.names.items()} | {
+            "t": len(self.t),
+            "count": len(_core.COUNTS),
+        }
+        whole, real = self.dtype, np.dtype(float)
+        types = {"y0": whole, "y": whole, "y_end": whole, "counts": np.dtype(np.int64)}
+        for name, dimensions in _DIMENSIONS.items():
+            shape = tuple(sizes[one] for one in dimensions)
+            if 0 in shape or (name == "y" and not self.times):
+                continue
+            if name in ("status", "attempt"):
+                yield name, shape, np.dtype(np.int8), UNSOLVED if name == "status" else 0
+            else:
+                dtype = types.get(name, real)
+                yield name, shape, dtype, 0 if name == "counts" else np.nan
+
+
+class StoreWriter:
+    """A store that is being filled, by one process at a time. A part is complete when its digest is there, which is
+    written last; the store is there once all of its arrays are.
+
+    Raises
+    ------
+    FileExistsError
+        There is a store, and it is not to be resumed.
+    ValueError
+        It belongs to another problem, is not a store of an ensemble, or another process is filling it.
+    """
+
+    def __init__(
+        self, path: Any, layout: Layout, length: Callable[[], int], size: int | None, seed: Any, resume: bool
+    ) -> None:
+        self.path, self._layout = path, layout
+        folder = _folder(path)
+        self._lock = None if folder is None else held(folder, "store")
+        try:
+            group = _opened(path, "r+")
+            if group is None or group.attrs.get("format") == _UNFINISHED:
+                length_of_part = length()
+                if folder is None:
+                    group = self._created(path, length_of_part, size, seed)
+                else:
+                    group = self._created_beside(folder, length_of_part, size, seed)
+            else:
+                if not resume:
+                    raise FileExistsError(
+                        f"{_shown(path)} exists already: continue it with resume=True, remove it, or give another name"
+                    )
+                _require_same(group, layout, size, seed)
+            self._group = group
+            #: Rows in a part.
+            self.length = int(group.attrs["chunk"])
+            self._arrays = {name: group[name] for name, *_ in layout.arrays()}
+            self._digests = group["digest"]
+            rows = {array.shape[0] for array in self._arrays.values()}
+            if len(rows) > 1:  # a process was killed while they grew
+                self._grow(max(rows))
+            self._known = self._digests[:]
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __enter__(self) -> StoreWriter:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Others may go on with the store."""
+        if self._lock is not None:
+            self._lock.release()
+
+    def _created_beside(self, folder: Path, length: int, size: int | None, seed: Any) -> Any:
+        """A new store on this machine: it gets its name when it is complete. What a killed process has left there is
+        overwritten."""
+        part = folder.with_name(f".{folder.name}.invariode-part")
+        if folder.is_dir() and any(folder.iterdir()):
+            raise ValueError(f"the folder {folder} is there, and is not a store of an ensemble: give another name")
+        self._created(part, length, size, seed)
+        if folder.is_dir():
+            folder.rmdir()
+        part.rename(folder)
+        return _opened(folder, "r+")
+
+    def _created(self, path: Any, length: int, size: int | None, seed: Any) -> Any:
+        attributes = {"format": _UNFINISHED}
+        group = _zarr().create_group(path, zarr_format=_ZARR_FORMAT, overwrite=True, attributes=attributes)
+        rows = length if size is None else size
+        for name, shape, dtype, fill in self._layout.arrays():
+            dimensions = ["trajectory", *_DIMENSIONS[name]]
+            group.create_array(
+                name,
+                shape=(rows, *shape),
+                chunks=(length, *shape),
+                dtype=dtype,
+                fill_value=fill,
+                dimension_names=dimensions,
+            )
+        coordinates: dict[str, Any] = {**self._layout.names, "count": list(_core.COUNTS), "t": self._layout.t}
+        for name, values in coordinates.items():
+            if len(values):
+                array = np.asarray(values)
+                kind: Any = str if array.dtype.kind == "U" else array.dtype
+                group.create_array(name, shape=array.shape, dtype=kind, dimension_names=[name])[:] = array
+        group.create_array(
+            "digest",
+            shape=(-(-rows // length),),
+            chunks=(1,),
+            dtype=np.uint64,
+            fill_value=0,
+            dimension_names=["part"],
+        )
+        about = {"format": _FORMAT, "version": version("invariode"), "problem": self._layout.about, "chunk": length}
+        group.attrs.update(about | {"size": size, "seed": seed, "kept_times": self._layout.times})
+        return group
+
+    def missing(self, parts: Iterator[Part]) -> Iterator[Part]:
+        """The parts that are missing.
+
+        Raises
+        ------
+        ValueError
+            A part that is there belongs to other rows.
+        """
+        for part in parts:
+            there = int(self._known[part.number]) if part.number < len(self._known) else 0
+            if there == 0:
+                yield part
+            elif there != digest(part):
+                raise ValueError(
+                    f"{_shown(self.path)} has other y0 or args for trajectories {part.start} to {part.stop - 1}: "
+                    "resume with the same rows (and seed), or give another name"
+                )
+
+    def write(self, part: Part, found: Outcomes) -> None:
+        """Keeps the outcomes of a part."""
+        if part.stop > self._arrays["status"].shape[0]:
+            self._grow(max(part.stop, 2 * self._arrays["status"].shape[0]))
+        here = slice(part.start, part.stop)
+        for name, array in self._arrays.items():
+            if name == "y0":
+                array[here] = part.y0
+            elif name == "args":
+                values = np.asarray(part.args, dtype=float)
+                array[here] = np.broadcast_to(values, (len(part.y0), values.shape[-1]))
+            else:
+                array[here] = getattr(found, name)
+        self._write_apart(part, found)
+        self._digests[part.number : part.number + 1] = np.array([digest(part)], dtype=np.uint64)
+
+    def _write_apart(self, part: Part, found: Outcomes) -> None:
+        """What only some trajectories have: messages and events, in a group of the part."""
+        happened = [(e, one) for e, one in enumerate(found.events) if len(one.t)]
+        if not found.messages and not happened:
+            return
+        own = self._group.create_group(f"parts/{part.number}", overwrite=True)
+        own.attrs["messages"] = {str(part.start + i): text for i, text in found.messages.items()}
+        for e, one in happened:
+            for name, values in (("trajectory", part.start + one.trajectory), ("t", one.t), ("y", one.y)):
+                dtype = np.dtype(values.dtype.str)  # Zarr knows one of the two C types of 8 bytes
+                array = own.create_array(f"event{e}_{name}", shape=values.shape, dtype=dtype)
+                array[...] = values
+
+    def _grow(self, rows: int) -> None:
+        for array in self._arrays.values():
+            array.resize((rows, *array.shape[1:]))
+        self._digests.resize((-(-rows // self.length),))
+
+    def finish(self, size: int) -> None:
+        """All rows are solved: this many."""
+        if size < self._arrays["status"].shape[0]:
+            self._grow(size)
+        self._group.attrs["size"] = size
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the warning that not every reader knows it
+            _zarr().consolidate_metadata(self.path, zarr_format=_ZARR_FORMAT)
+
+
+class EnsembleStore:
+    """An ensemble in a Zarr store: what `solve_ensemble` with `store` returns. Nothing is read before it is used.
+
+    Parameters
+    ----------
+    path : str, path-like or a store of Zarr
+        What was given as `store`.
+
+    Attributes
+    ----------
+    path : str, path-like or a store of Zarr
+        The same.
+    attributes : dict
+        What the store says about its problem, its options and its seed.
+
+    Raises
+    ------
+    ValueError
+        There is no store of an ensemble.
+    ModuleNotFoundError
+        zarr, of the extra `cluster`, is not installed.
+    """
+
+    def __init__(self, path: Any) -> None:
+        self.path = path
+        group = _opened(path, "r")
+        if group is None or group.attrs.get("format") != _FORMAT:
+            raise ValueError(f"{_shown(path)} is not a store of an ensemble: make one with solve_ensemble(store=...)")
+        self._group = group
+        self.attributes: dict[str, Any] = dict(group.attrs)
+
+    def __len__(self) -> int:
+        size = self.attributes["size"]
+        return self._group["status"].shape[0] if size is None else int(size)
+
+    def __repr__(self) -> str:
+        missing = self.missing
+        left = f", {missing} not solved yet: resume=True" if missing else ""
+        return f"EnsembleStore({_shown(self.path)!r}) of {len(self)} trajectories, {len(self.failed)} failed{left}"
+
+    def _of_parts(self, name: str) -> Iterator[tuple[int, Array]]:
+        """An array part by part, with the first row of each: no more than a part is in memory."""
+        length = int(self.attributes["chunk"])
+        for start in range(0, len(self), length):
+            yield start, self._group[name][start : min(start + length, len(self))]
+
+    @property
+    def missing(self) -> int:
+        """How many trajectories are not solved yet. Those of a part that was being written are not."""
+        length, size = int(self.attributes["chunk"]), len(self)
+        digests = self._group["digest"][: -(-size // length)]
+        return sum(min(length, size - part * length) for part in np.flatnonzero(digests == 0).tolist())
+
+    @property
+    def failed(self) -> Array:
+        """The numbers of the trajectories that failed."""
+        found = [
+            start + np.flatnonzero((status < 0) & (status != UNSOLVED)) for start, status in self._of_parts("status")
+        ]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *found])
+
+    @property
+    def messages(self) -> dict[int, str]:
+        """Why they failed."""
+        texts = (dict(part.attrs["messages"]) for part in self._parts())
+        return dict(sorted((int(i), text) for these in texts for i, text in these.items()))
+
+    @property
+    def events(self) -> list[EnsembleEvents]:
+        """The events, as those of `EnsembleSolution`."""
+        names = self._group["event"][:] if "event" in self._group else []
+        return [self._event(e) for e in range(len(names))]
+
+    def _parts(self) -> list[Any]:
+        if "parts" not in self._group:
+            return []
+        return [part for _, part in sorted(self._group["parts"].groups(), key=lambda named: int(named[0]))]
+
+    def _event(self, e: int) -> EnsembleEvents:
+        parts = [part for part in self._parts() if f"event{e}_t" in part]
+        y = self._group["y_end"]
+        return EnsembleEvents(
+            np.concatenate([np.zeros(0, dtype=np.int64), *(part[f"event{e}_trajectory"][:] for part in parts)]),
+            np.concatenate([np.zeros(0), *(part[f"event{e}_t"][:] for part in parts)]),
+            np.concatenate([np.zeros((0, y.shape[1]), y.dtype), *(part[f"event{e}_y"][:] for part in parts)]),
+        )
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The store as a data set of xarray, which reads only what is used.
+
+        Returns
+        -------
+        xarray.Dataset
+            `y0`, `y_end` and, with `t_eval`, `y` by trajectory, component and t, `args` by parameter, `status` and the
+            like, `counts` by their names; -128 is the status of a trajectory that is not solved yet.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            xarray, of the extra `data`, is not installed.
+        """
+        try:
+            import xarray
+        except ModuleNotFoundError:
+            raise ModuleNotFoundError('this needs xarray: pip install "invariode[data]"', name="xarray") from None
+        whole = xarray.open_zarr(self.path, consolidated=False, drop_variables=["digest"])
+        data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
+        return data
+
+    def load(self) -> EnsembleSolution:
+        """All of it in memory, as `solve_ensemble` without `store` returns it, except for the functions.
+
+        Returns
+        -------
+        EnsembleSolution
+
+        Raises
+        ------
+        ValueError
+            Some trajectories are not solved yet.
+        """
+        if missing := self.missing:
+            raise ValueError(f"{missing} trajectories are not solved yet: solve them with resume=True")
+        size, group = len(self), self._group
+        m = group["invariant"].shape[0] if "invariant" in group else 0
+        times = bool(self.attributes["kept_times"])
+        held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
+        of_stats: dict[str, Any] = {name: held.pop(name) for name in ("clipped_amount", "stiff_since", "discontinuity")}
+        y = held["y"] if times else final_states(held["y_end"], held["status"])
+        counts = counts_by_name(held.pop("counts"))
+        stats = EnsembleStats(**counts, **of_stats)
+        about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
+        return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y, "_final": not times})
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The same problem?
+
+
+def _require_same(group: Any, layout: Layout, size: int | None, seed: Any) -> None:
+    """Refuses a store that belongs to another problem."""
+    held = dict(group.attrs)
+    if held.get("format") != _FORMAT:
+        raise ValueError("something else is there, not a store of an ensemble: give another name")
+    theirs, ours = _flat(held["problem"]), _flat(layout.about)
+    differing = [key for key in {**theirs, **ours} if theirs.get(key) != ours.get(key)]
+    if size is not None and held["size"] not in (None, size):
+        differing.append("the number of trajectories")
+        theirs["the number of trajectories"], ours["the number of trajectories"] = held["size"], size
+    if seed is not None and seed != held["seed"]:
+        differing.append("seed")
+        theirs["seed"], ours["seed"] = held["seed"], seed
+    if differing:
+        told = "; ".join(f"{key} is {theirs.get(key)!r} there and {ours.get(key)!r} now" for key in differing)
+        raise ValueError(f"the store belongs to another problem: {told}. Solve the same one, or give another name")
+
+
+def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """All leaves by their paths."""
+    leaves: dict[str, Any] = {}
+    for name, value in about.items():
+        if isinstance(value, list) and any(isinstance(one, dict) for one in value):
+            value = {str(i): one for i, one in enumerate(value)}
+        leaves |= _flat(value, f"{above}{name}.") if isinstance(value, dict) else {f"{above}{name}": value}
+    return leaves
+
+
+def parameter_names(fun: Any, args: Any) -> list[str]:
+    """Names of the numbers in args: those of the arguments of `fun`, if each is one. Empty: they are not numbers."""
+    try:
+        numbers = np.asarray(args, dtype=float)
+    except (TypeError, ValueError):
+        return []
+    if numbers.size == 0:
+        return []
+    size = numbers.shape[-1] if numbers.ndim <= 2 else 0
+    try:
+        names = list(inspect.signature(fun).parameters)[2:]
+    except (TypeError, ValueError):
+        names = []
+    return names if len(names) == size else [f"p{i}" for i in range(size)]
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Zarr
+
+
+def _zarr() -> Any:
+    try:
+        import zarr
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError('store= needs zarr: pip install "invariode[cluster]"', name="zarr") from None
+    return zarr
+
+
+def _opened(path: Any, mode: str) -> Any:
+    """The group; None if nothing is there."""
+    zarr = _zarr()
+    try:
+        return zarr.open_group(path, mode=mode, zarr_format=_ZARR_FORMAT, use_consolidated=False)
+    except FileNotFoundError:
+        return None
+
+
+def _folder(path: Any) -> Path | None:
+    """Where a store is, if that is a folder of this machine."""
+    if not isinstance(path, (str, os.PathLike)) or "://" in os.fspath(path):
+        return None
+    folder = Path(os.path.realpath(path))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _shown(path: Any) -> str:
+    return os.fspath(path) if isinstance(path, (str, os.PathLike)) else str(path)

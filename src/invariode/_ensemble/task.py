@@ -1,0 +1,84 @@
+"""What an ensemble solves: one task for all rows, or for some of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._base.types import EventsLike, MethodName, OnFailure
+from .._problem.description import Description
+from .._problem.options import DescribingOptions, Options
+from .._run.plan import Plan, make_plan
+
+__all__ = ["Attempt", "Described", "Ensemble", "Task", "first_plan"]
+
+
+@dataclasses.dataclass
+class Described:
+    """What describes all trajectories."""
+
+    fun: Any
+    t_span: tuple[float, float]
+    events: EventsLike
+    others: DescribingOptions
+
+
+@dataclasses.dataclass
+class Task:
+    """What is to be solved; picklable if the functions are."""
+
+    described: Described
+    method: MethodName
+    options: Options
+    y0: Array
+    args: tuple[Any, ...] | list[tuple[Any, ...]] | Array  # of all, or of each
+    in_lanes: bool
+
+    def plan(self, i: int) -> Plan:
+        args = self.args if isinstance(self.args, tuple) else self.args[i]
+        if isinstance(args, np.ndarray):
+            args = tuple(args.tolist())
+        about = self.described
+        problem = Description(about.fun, about.t_span, self.y0[i], args=args, events=about.events, **about.others)
+        return make_plan(problem, self.method, self.options)
+
+
+@dataclasses.dataclass
+class Attempt:
+    """A method with options."""
+
+    method: MethodName
+    options: Options
+
+
+@dataclasses.dataclass
+class Ensemble:
+    """What is to be solved, but for the rows; picklable if the functions are."""
+
+    described: Described
+    attempts: list[Attempt]  # the first, and those for rows that failed
+    in_lanes: bool  # if they can be
+    on_failure: OnFailure
+
+    def task(self, y0: Array, args: Any, attempt: int = 0) -> Task:
+        """These rows, by one of the attempts."""
+        chosen = self.attempts[attempt]
+        return Task(self.described, chosen.method, chosen.options, y0, args, self.in_lanes)
+
+
+def first_plan(task: Task) -> tuple[int, Plan]:
+    """The first trajectory that has a plan, and the plan. What fails for many is wrong for all, and raised."""
+    many = 100
+    first_error = None
+    if len(task.y0) == 0:
+        raise ValueError("an ensemble needs at least one row of y0 or args")
+    for i in range(min(many, len(task.y0))):
+        try:
+            return i, task.plan(i)
+        except Exception as error:
+            first_error = first_error or error
+    assert first_error is not None
+    raise first_error

@@ -1,0 +1,594 @@
+"""Native functions: pointers to machine code wherever a Python function is accepted, and `compile`, which makes them.
+
+The signatures (all numbers are doubles, matrices are row-major, p points to the arguments or is NULL):
+
+=================  ====================================================================================
+f, g, Jacobians    ``void (double t, const double* y, double* out, const double* p)``
+event              ``double (double t, const double* y, const double* p)``
+=================  ====================================================================================
+
+NaN in the output means 'cannot be evaluated here'. The code must not raise, and must be thread-safe. `compile` turns
+functions that do raise into such code: their values are NaN there.
+"""
+
+from __future__ import annotations
+
+import cmath
+import ctypes
+import inspect
+import math
+import sys
+import threading
+from _ctypes import CFuncPtr
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import reduce
+from types import BuiltinFunctionType, FunctionType, MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array, call_name, choice, shown, warn
+
+__all__ = [
+    "Compiled",
+    "CompiledFunction",
+    "Shape",
+    "compile",
+    "complex_form",
+    "event_value",
+    "in_both_forms",
+    "is_native",
+    "made_by_compile",
+    "to_native",
+]
+
+_VECTOR = "void (double t, const double* y, double* out, const double* p)"
+_EVENT = "double (double t, const double* y, const double* p)"
+
+#: Longer tuples, with values of one type, are stored by a loop, which compiles faster.
+_UNROLLED = 32
+
+
+class CoreFunction:
+    """A function of (t, y, *args) that the core itself evaluates: callable from Python; the core takes `for_core`."""
+
+    #: Whether it calls the user's machine code, which takes the arguments as numbers.
+    native = False
+    #: How its derivatives are formed, by the name of the function.
+    derivatives: Mapping[str, str] = MappingProxyType({})
+    #: The user's functions that it calls.
+    functions: Sequence[Any] = ()
+
+    def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
+        """What speaks against the solution (t, y) of y' = this function that the run itself does not see, in words.
+        `weights`: the tolerances of y, of its shape."""
+        return None
+
+    def for_core(self, n: int, size: int, parameters: Array) -> Any:
+        """What the core takes in its place, for n components and `size` values."""
+        raise NotImplementedError
+
+
+class Shape(NamedTuple):
+    """What machine code takes and gives."""
+
+    n: int
+    size: int
+    parameters: int
+    event: bool
+    second: int = 0  # components of a second vector, of the n
+    is_complex: bool = False
+    real_time: bool = False  # of a complex one: t is no part of y_
+
+    @property
+    def complex_time(self) -> bool:
+        return self.is_complex and not self.real_time
+
+    @property
+    def vectors(self) -> list[str]:
+        return ["y", "v"] if self.second else ["y"]
+
+    def unpacked(self) -> list[str]:
+        """Lines that bind what the function takes, from y_: (t,) q and v, in succession."""
+        first = int(self.complex_time)
+        middle = first + self.n - self.second
+        if not first and not self.second:
+            return [f"y = given(carray(y_, ({self.n},)))"]
+        lines = [f"x = given(carray(y_, ({first + self.n},)))", f"y = x[{first}:{middle}]"]
+        lines += ["t = x[0]"] if first else []
+        return [*lines, *([f"v = x[{middle}:{first + self.n}]"] if self.second else [])]
+
+
+def _with_complex_math(fun: Callable[..., Any]) -> Callable[..., Any]:
+    """The function with cmath in place of math, so that it takes complex numbers. What cmath does not have stays."""
+    if not isinstance(fun, FunctionType):
+        return fun
+
+    def complex_one(value: Any) -> Any:
+        if value is math:
+            return cmath
+        known = getattr(value, "__module__", None) == "math" and isinstance(value, BuiltinFunctionType)
+        return getattr(cmath, value.__name__, value) if known else value
+
+    used = {name: complex_one(fun.__globals__[name]) for name in fun.__code__.co_names if name in fun.__globals__}
+    replaced = FunctionType(fun.__code__, {**fun.__globals__, **used}, fun.__name__, fun.__defaults__, fun.__closure__)
+    replaced.__kwdefaults__ = fun.__kwdefaults__
+    return replaced
+
+
+class CompiledFunction:
+    """A Python function that `compile` turns into machine code for the problem it is used in. Still callable.
+
+    Attributes
+    ----------
+    fun : callable
+        The Python function.
+    inplace : bool
+        Whether it fills an output.
+    elementary : {"own", "libm"}
+        Whose elementary functions it calls.
+    """
+
+    def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
+        self.fun = fun
+        self.inplace = inplace
+        self.elementary = elementary
+        self.__name__ = call_name(fun, "compiled")
+        self.__module__ = getattr(fun, "__module__", __name__)
+        self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
+        self._made: dict[tuple[Any, ...], _core.Native] = {}
+        self._own: set[Shape] = set()
+        self._copying: set[Shape] = set()
+        self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
+        self._jitted: Any = None
+        self._jitted_complex: Any = None
+        self._making = threading.Lock()
+
+    def __call__(self, *args: Any) -> Any:
+        return self.fun(*args)
+
+    def __repr__(self) -> str:
+        return f"compile({self.__name__})"
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        """By name where `compile` was the decorator of a function; never with the machine code."""
+        try:
+            named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
+        except (AttributeError, KeyError):
+            named = None
+        return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace, self.elementary))
+
+    def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
+        """The machine code for n components, `size` values and that many parameters. With `second` the function takes
+        two vectors, of n - second and second components, which follow each other in y."""
+        return self._machine_code(Shape(n, size, parameters, event, second))
+
+    def complex_native(
+        self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
+    ) -> _core.Native:
+        """The same function of complex t and y, which follow each other, with complex values; with `real_time` of real
+        t and complex y.
+
+        Raises
+        ------
+        TypeError
+            numba cannot compile it for complex numbers.
+        """
+        try:
+            return self._machine_code(Shape(n, size, parameters, False, second, is_complex=True, real_time=real_time))
+        except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
+            raise self._cannot_compile(error) from error
+
+    @property
+    def jitted(self) -> Any:
+        """The function as numba's own, for real numbers."""
+        return self._jit(is_complex=False)
+
+    def result_type(self, n: int, size: int, parameters: int) -> Any:
+        """numba's type of what the function returns for n components, where that is `size` values."""
+        return self._result(self.jitted, Shape(n, size, parameters, event=False), copies=False)
+
+    def _machine_code(self, shape: Shape) -> _core.Native:
+        with self._making:
+            made = self._made.get(shape)
+            if made is None:
+                code = self._make(shape)
+                made = self._made[shape] = _Native(code.address, shape.event, code, (self, shape))
+        return made
+
+    def _make(self, shape: Shape) -> Any:
+        """Its arguments are arrays that it may only read. What numba does not compile for these, because it writes to
+        them or hands them to a function of a fixed signature, gets copies."""
+        refused = _numba().core.errors.NumbaError
+        try:
+            code = self._code(shape, copies=False)
+        except refused:
+            try:
+                code = self._code(shape, copies=True)
+            except refused as error:
+                raise self._cannot_compile(error, shape.parameters) from error
+            self._copying.add(shape)
+        own = _with_own_functions(code) if self.elementary == "own" else None
+        if own is None:
+            return code
+        self._own.add(shape)
+        return own
+
+    def _code(self, shape: Shape, *, copies: bool) -> Any:
+        """numba's code, whose arguments are read-only or copies."""
+        from .given_arrays import copied, read_only
+
+        numba = _numba()
+        jitted = self._jit(shape.is_complex)
+        names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
+        names += ["p"] if shape.parameters else []
+        self._check_call(names)
+        call = f"f({', '.join(names)})"
+        body = [*shape.unpacked(), *([f"p = given(carray(p_, ({shape.parameters},)))"] if shape.parameters else [])]
+        if shape.event:
+            head = "def code(t, y_, p_):"
+            body += ["try:", f"    return {call}", "except Exception:", "    return nan"]
+        else:
+            head = f"def code({'t_' if shape.complex_time else 't'}, y_, out_, p_):"
+            body += [f"out = carray(out_, ({shape.size},))", "out[:] = nan"]  # what is not filled is not evaluated
+            body += ["try:", f"    r = {call}", "except Exception:", "    out[:] = nan", "    return"]
+            body += [] if self.inplace else self._stores(self._result(jitted, shape, copies), shape.size)
+        text = "\n    ".join([head, *body])
+        given = copied if copies else read_only
+        namespace: dict[str, Any] = {"f": jitted, "carray": numba.carray, "given": given, "nan": np.nan}
+        exec(text, namespace)
+        number = numba.types.complex128 if shape.is_complex else numba.types.double
+        double, pointer, numbers = (
+            numba.types.double,
+            numba.types.CPointer(numba.types.double),
+            numba.types.CPointer(number),
+        )
+        signature = double(double, pointer, pointer) if shape.event else numba.void(double, numbers, numbers, pointer)
+        return numba.cfunc(signature, error_model="numpy")(namespace["code"])
+
+    def works_on_copies(self, n: int, size: int, parameters: int, event: bool) -> bool:
+        """Whether what was made for n components, with `size` values, gets copies of y and p."""
+        return Shape(n, size, parameters, event) in self._copying
+
+    def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
+        """Whether what was made for n components, with `size` values, calls our elementary functions."""
+        return Shape(n, size, parameters, event) in self._own
+
+    def _jit(self, is_complex: bool) -> Any:
+        """For numba; 1/0 is inf: no exceptions."""
+        numba = _numba()
+        if is_complex:
+            if self._jitted_complex is None:
+                from .complex_code import ComplexCompiler
+
+                options = {"error_model": "numpy", "pipeline_class": ComplexCompiler}
+                self._jitted_complex = numba.njit(**options)(_with_complex_math(self.fun))
+            return self._jitted_complex
+        if self._jitted is None:
+            self._jitted = numba.njit(self.fun, error_model="numpy")
+        return self._jitted
+
+    def _check_call(self, names: list[str]) -> None:
+        """That the function takes these arguments; numba would tell their number only."""
+        try:
+            inspect.signature(self.fun).bind(*names)
+        except TypeError as error:
+            form = "with args it is" if "p" in names else "without args it is"
+            raise TypeError(f"compile({self.__name__}): {error}; {form} f({', '.join(names)})") from None
+
+    def _stores(self, result: Any, size: int) -> list[str]:
+        """Lines that store the result r, of numba's type `result`, in `out`."""
+        types = _numba().types
+        if isinstance(result, types.Array) and result.ndim > 1:
+            return [
+                f"if r.size == {size}:",
+                "    k = 0",
+                "    for e in r.flat:",
+                "        out[k] = e",
+                "        k += 1",
+            ]
+        if isinstance(result, types.BaseTuple) and any(isinstance(row, types.BaseTuple) for row in result):
+            return self._stores_of_rows(result, size)
+        if isinstance(getattr(result, "dtype", None), (types.Array, types.List, types.ListType, types.BaseTuple)):
+            return [
+                "k = 0",
+                "for row in r:",
+                f"    k += len(row) if len(row) == len(r[0]) else {size + 1}",
+                f"if k == {size}:",
+                "    k = 0",
+                "    for row in r:",
+                "        for e in row:",
+                "            out[k] = e",
+                "            k += 1",
+            ]
+        if isinstance(result, (types.Array, types.List, types.ListType)):
+            return [f"if len(r) == {size}:", f"    for i in range({size}):", "        out[i] = r[i]"]
+        returned = len(result) if isinstance(result, types.BaseTuple) else 1
+        if returned != size or isinstance(result, types.NoneType):
+            what = "nothing" if isinstance(result, types.NoneType) else f"{returned} value{'s' * (returned != 1)}"
+            raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size}")
+        if not isinstance(result, types.BaseTuple):
+            return ["out[0] = r"]
+        if isinstance(result, types.UniTuple) and size > _UNROLLED:
+            return [f"for i in range({size}):", "    out[i] = r[i]"]
+        return [f"out[{i}] = r[{i}]" for i in range(size)]
+
+    def _stores_of_rows(self, result: Any, size: int) -> list[str]:
+        """The same for a tuple of tuples."""
+        lengths = [len(row) if isinstance(row, _numba().types.BaseTuple) else 1 for row in result]
+        if len(set(lengths)) > 1 or not all(isinstance(row, _numba().types.BaseTuple) for row in result):
+            raise TypeError(
+                f"compile({self.__name__}): the function returns rows of {', '.join(map(str, lengths))} values: "
+                "return rows of one length"
+            )
+        rows, columns = len(lengths), lengths[0]
+        if rows * columns != size:
+            what = f"{rows} rows of {columns} values"
+            raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size} values")
+        return [f"out[{i * columns + j}] = r[{i}][{j}]" for i in range(rows) for j in range(columns)]
+
+    def _result(self, jitted: Any, shape: Shape, copies: bool) -> Any:
+        """numba's type of what the function returns."""
+        numba = _numba()
+        number = numba.types.complex128 if shape.is_complex else numba.types.double
+        vector, values = (numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double))
+        time = number if shape.complex_time else numba.types.double
+        arguments = (time, *([vector] * len(shape.vectors)), *([values] if shape.parameters else []))
+        try:
+            jitted.compile(arguments)
+        except numba.core.errors.NumbaError:
+            raise
+        except TypeError as error:
+            raise self._cannot_compile(error, shape.parameters) from error
+        return jitted.overloads[arguments].signature.return_type
+
+    def _cannot_compile(self, error: Exception, parameters: int = 0) -> TypeError:
+        text = f"compile({self.__name__}): numba cannot compile this function: {error}"
+        if parameters > 0:
+            text += f"\nWith args a compiled function is f(t, y, p), p an array of {parameters}: p[0] is the first"
+        return TypeError(text)
+
+
+def compile(
+    fun: Callable[..., Any], *, inplace: bool = False, elementary: Literal["own", "libm"] = "own"
+) -> CompiledFunction:
+    """A function that is compiled to machine code, by numba, when it is used in a problem.
+
+    Parameters
+    ----------
+    fun : callable
+        ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
+        compiles; it returns a number, a tuple (fast), a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or
+        with its rows one after the other.
+        If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here' (an f that
+        returns another number of values at the start is an error). If it is already compiled by numba or by this
+        function, its Python function is used. A function that writes to y or p gets copies of them in each call, which
+        takes longer.
+    inplace : bool, default False
+        ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
+    elementary : {"own", "libm"}, default "own"
+        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers it calls. Our own are inlined, also into the
+        form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and the same bits
+        on every processor. "libm": those of the platform's mathematical library, one call for each number.
+
+    Returns
+    -------
+    CompiledFunction
+        For `fun`, `jac`, invariants and their Jacobians, events and actions; still a Python function.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        numba, the extra `compiled`, is not installed.
+    ValueError
+        `elementary` is neither.
+    TypeError
+        When it is used: numba cannot compile the function, or it takes other arguments or returns another number of
+        values than it should.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> decay = iv.compile(lambda t, y, p: -p[0] * y[0])
+    >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,))
+    >>> bool(abs(sol.y[0, -1] - np.exp(-2)) < 1e-3)
+    True
+    """
+    if not callable(fun):
+        raise TypeError(f"compile takes a function f(t, y), got {shown(fun)}")
+    numba = _numba()
+    choice("elementary", elementary, ("own", "libm"))
+    if isinstance(fun, CompiledFunction):
+        inplace, elementary, fun = inplace or fun.inplace, "libm" if fun.elementary == "libm" else elementary, fun.fun
+    elif isinstance(fun, numba.core.dispatcher.Dispatcher):
+        fun = fun.py_func
+    return CompiledFunction(fun, inplace, elementary)
+
+
+_warned = False
+
+
+def _with_own_functions(code: Any) -> Any | None:
+    """numba's code with our elementary functions; None: it calls none, or numba is one that we do not know."""
+    global _warned
+    try:
+        from . import machine_code
+
+        return machine_code.with_own(code)
+    except Exception as error:  # whatever internals of numba and llvmlite have changed
+        if not _warned:
+            warn(f"this version of numba does not take other elementary functions: {error!r}. libm's are used")
+            _warned = True
+        return None
+
+
+def _numba() -> Any:
+    try:
+        import numba
+    except ImportError:
+        raise ModuleNotFoundError('invariode.compile needs numba: pip install "invariode[compiled]"') from None
+    return numba
+
+
+def is_native(fun: object) -> bool:
+    """Whether `fun` is machine code of a kind that is accepted."""
+    if isinstance(fun, CoreFunction):
+        return fun.native
+    return isinstance(fun, _POINTERS) or _is_cfunc(fun) or _is_low_level(fun)
+
+
+class NativeWithInputs(NamedTuple):
+    """Machine code whose parameters begin with the values at t of inputs, `size` numbers."""
+
+    fun: Any
+    inputs: list[_core.PiecewisePolynomial]
+    size: int
+
+
+_POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
+
+
+def _is_cfunc(fun: object) -> bool:
+    return type(fun).__name__ == "CFunc" and hasattr(fun, "address")
+
+
+def _is_low_level(fun: object) -> bool:
+    return type(fun).__name__ == "LowLevelCallable" and isinstance(fun, tuple)
+
+
+def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool = False, second: int = 0) -> Any:
+    """The form for the core: the address of a native `fun`, with what keeps the code alive. Python functions pass
+    unchanged. `second`: as in `CompiledFunction.native`.
+
+    Raises
+    ------
+    TypeError
+        The object states a signature, and it is the wrong one.
+    """
+    if isinstance(fun, CoreFunction):
+        return fun.for_core(n, size, args)
+    if isinstance(fun, NativeWithInputs):
+        code = to_native(name, fun.fun, n, size, np.concatenate([np.zeros(fun.size), args]), event)
+        return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
+    if isinstance(fun, CompiledFunction):
+        return fun.native(n, size, len(args), event, second)
+    if not is_native(fun):
+        return fun
+    wanted = _EVENT if event else _VECTOR
+    if _is_cfunc(fun):
+        numba = _numba()
+        pointer, double = numba.types.CPointer(numba.types.double), numba.types.double
+        expected = (double, (double, pointer, pointer)) if event else (numba.void, (double, pointer, pointer, pointer))
+        if (fun._sig.return_type, tuple(fun._sig.args)) != expected:
+            raise TypeError(f"{name} has the signature {fun._sig}, expected {wanted}")
+        address = int(fun.address)
+    elif _is_low_level(fun):
+        told = "".join(fun.signature.replace("const", "").split())
+        plain = "double(double,double*,double*)" if event else "void(double,double*,double*,double*)"
+        if told != plain:
+            raise TypeError(f"{name} has the signature {fun.signature}, expected {wanted}")
+        capsule, _, user_data = fun
+        if user_data is not None:
+            raise TypeError(f"{name}: user_data of a LowLevelCallable is not passed on; use args")
+        address = _core.capsule_address(capsule)
+    else:
+        kinds = fun.argtypes
+        count = 3 if event else 4
+        if kinds is not None and (len(kinds) != count or kinds[0] is not ctypes.c_double):
+            raise TypeError(f"{name} takes {len(kinds)} arguments of the types {kinds}, expected {wanted}")
+        if kinds is not None and fun.restype is not (ctypes.c_double if event else None):
+            raise TypeError(f"{name} returns {fun.restype}, expected {wanted}")
+        address = ctypes.cast(fun, ctypes.c_void_p).value or 0
+    if address == 0:
+        raise ValueError(f"{name} is a null pointer")
+    return _Native(address, event, fun)
+
+
+class _Native(_core.Native):
+    """Machine code that is shared by copies, and made again from a pickle where `compile` made it."""
+
+    def __init__(self, address: int, event: bool, owner: object, made_of: tuple[Any, ...] | None = None) -> None:
+        super().__init__(address=address, event=event, owner=owner)
+        self.made_of = made_of
+
+    def __reduce__(self) -> tuple[Callable[..., _core.Native], tuple[Any, ...]]:
+        if self.made_of is None:
+            raise TypeError("native functions cannot be pickled, except those that invariode.compile makes")
+        return CompiledFunction._machine_code, self.made_of
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Native:
+        return self
+
+
+class Compiled(NamedTuple):
+    """A function as `compile` made it for the core: of n components and so many parameters, with `size` values."""
+
+    function: CompiledFunction
+    n: int
+    size: int
+    parameters: int
+    event: bool = False
+
+
+def made_by_compile(fun: Any) -> Compiled | None:
+    """What `to_native` made for the core of a compiled function of (t, y, p). None: it is another one."""
+    if not isinstance(fun, _Native) or fun.made_of is None:
+        return None
+    compiled, shape = fun.made_of
+    known = Shape(shape.n, shape.size, shape.parameters, shape.event)
+    return Compiled(compiled, known.n, known.size, known.parameters, known.event) if shape == known else None
+
+
+def complex_form(fun: Any) -> _core.Native | None:
+    """Machine code that `compile` made, for complex y and real t. None: it has not made it, or cannot."""
+    if not isinstance(fun, _Native) or fun.made_of is None:
+        return None
+    compiled, shape = fun.made_of
+    try:
+        made: _core.Native = compiled.complex_native(shape.n, shape.size, shape.parameters, real_time=True)
+    except Exception:  # whatever numba meets there: it has compiled the function for real numbers
+        return None
+    return made
+
+
+def in_both_forms(fun: _core.Native, at_complex: _core.Native, size: int, p: Array) -> Callable[[float, Array], Array]:
+    """Machine code for real and for complex y as one Python function."""
+    signature = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.c_void_p] * 3)
+    codes = {"f": signature(fun.address), "c": signature(at_complex.address)}
+
+    def evaluate(t: float, y: Array) -> Array:
+        values = np.empty(size, y.dtype)
+        y = np.ascontiguousarray(y)
+        codes[y.dtype.kind](t, y.ctypes.data, values.ctypes.data, p.ctypes.data if len(p) else None)
+        return values
+
+    return evaluate
+
+
+def event_value(fun: Any, t: float, y: Array, p: Array) -> float:
+    """The value of a native event, as `to_native` made it for the core, at one point."""
+    call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)(fun.address)
+    value: float = call(t, y.ctypes.data, p.ctypes.data if len(p) else None)
+    return value
+
+
+_NO_PARAMETERS = np.zeros(0)
+
+
+def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
+    """The arguments of native functions: the values of `args` one after the other. Empty if no function is native.
+
+    Raises
+    ------
+    TypeError
+        They are not real numbers.
+    """
+    if not args or not any(map(is_native, functions)):
+        return _NO_PARAMETERS
+    if len(args) == 1 and type(args[0]) is float:  # the common case
+        return np.array(args)
+    try:
+        return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
+    except (TypeError, ValueError):
+        raise TypeError(f"args of native functions must be real numbers, got {shown(args)}") from None

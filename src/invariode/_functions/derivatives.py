@@ -1,0 +1,224 @@
+"""Derivatives of functions of t, q and v without symbols: complex steps if they take them, else differences."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array
+from .compiled import CompiledFunction, is_native, native_parameters, to_native
+
+__all__ = ["Derivatives", "Forms", "Quiet", "compressed", "full_pattern", "sizes", "somewhere"]
+
+#: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
+_TINY = 1e-40
+#: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
+_SMALLEST_PART = 0.1
+#: What counts as agreement of a complex step with a difference of order 4.
+_SAME = 1e-6
+#: From this many entries on it is worth knowing which of them are always zero.
+_LARGE = 500
+#: Distance from x at which the pattern is sought, in units of the sizes of the components.
+_BESIDE = (0.0, 0.1, -0.07)
+_GOLDEN = 0.6180339887498949
+
+
+class Forms(NamedTuple):
+    """A function in the forms the core takes."""
+
+    function: Any
+    complex: Any  # for complex t and x; None: there is no such form
+    quiet: Any  # the same, for points outside its domain
+
+
+class Quiet:
+    """A function without NumPy's warnings, which are expected when it is evaluated outside its domain."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def __call__(self, *args: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return self._function(*args)
+
+
+class Derivatives:
+    """First and second derivatives of ``function(t, q)``, or ``function(t, q, v)``, with respect to t and x = (q, v).
+
+    Parameters
+    ----------
+    function : callable
+        The user's, with extra arguments; Python or native.
+    t, parts, args
+        A point at which the function is defined, q or (q, v), and its extra arguments: what it returns there tells m,
+        and whether it takes complex t and x.
+    name : str
+        For messages.
+    m : int, optional
+        Number of its values, which a native function does not say.
+
+    Attributes
+    ----------
+    kind : {'complex step', 'differences'}
+        How derivatives are formed.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        t: float,
+        parts: tuple[Array, ...],
+        args: tuple[Any, ...],
+        name: str,
+        m: int | None = None,
+    ) -> None:
+        self._args, self._name, self._parts = args, name, tuple(len(part) for part in parts)
+        self._parameters = native_parameters(args, [function])
+        self.m = _count_values(function, t, parts, args, name, self._parameters) if m is None else m
+        self.kind: Literal["complex step", "differences"] = "differences"
+        x = np.concatenate(parts)
+        form = self._of_numbers(function, is_complex=False)
+        self.forms = Forms(form, None, None)
+        self._core = self._bound(self.forms)
+        if not np.isfinite(here := self._core.value(t, x)).all():
+            raise ValueError(f"{name} is not finite at t = {t}: {here}")
+        candidate = self._of_numbers(function, is_complex=True)
+        if candidate is not None and self._takes_complex(t, x, self._bound(Forms(form, candidate, candidate))):
+            self.kind = "complex step"
+            self.forms = Forms(form, candidate, candidate if candidate is not function else Quiet(candidate))
+            self._core = self._bound(self.forms)
+
+    def _of_numbers(self, function: Any, is_complex: bool) -> Any:
+        """The function as the core calls it; None: it has no complex form."""
+        n, second, count = sum(self._parts), sum(self._parts[1:]), len(self._parameters)
+        if not is_complex:
+            return to_native(self._name, function, n, self.m, self._parameters, second=second)
+        if not is_native(function):
+            return function
+        if not isinstance(function, CompiledFunction):
+            return None
+        try:
+            return function.complex_native(n, self.m, count, second)
+        except TypeError:
+            return None
+
+    def _bound(self, forms: Forms) -> _core.Differentiable:
+        first, second = (*self._parts, 0)[:2]
+        return _core.Differentiable(forms, self._name, first, second, self.m, self._args, self._parameters.tolist())
+
+    def value(self, t: float, x: Array) -> Array:
+        """The function itself, of shape (m,)."""
+        return self._core.value(t, x)
+
+    def slope(self, t: float, x: Array, dt: float, dx: Array) -> Array:
+        """d/ds of function(t + s dt, x + s dx) at s = 0."""
+        return self._core.slope(t, x, dt, dx)
+
+    def curvature(self, t: float, x: Array, dt: float, dx: Array) -> Array:
+        """d²/ds² of function(t + s dt, x + s dx) at s = 0."""
+        return self._core.curvature(t, x, dt, dx)
+
+    def jacobian(self, t: float, x: Array) -> Array:
+        """∂/∂x, of shape (m, n)."""
+        values: Array = self._core.jacobian(t, x, full_pattern(self.m, len(x)))[2]
+        return values.reshape(len(x), self.m).T
+
+    def pattern(self, t: float, x: Array) -> tuple[Array, Array, Array]:
+        """Which entries of the Jacobian can be other than zero, as compressed columns.
+
+        They are where NaN for a component spreads to, and where the derivatives at some points are not zero: the first
+        sees terms that vanish by chance, the second those that a comparison with NaN leaves out.
+        """
+        n = len(x)
+        if self.m * n < _LARGE:
+            return full_pattern(self.m, n)
+        entries = np.zeros((self.m, n), dtype=bool)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            for j in range(n):
+                at = x.copy()
+                at[j] = np.nan
+                try:
+                    entries[:, j] = np.isnan(self.value(t, at))
+                except (ValueError, ArithmeticError):  # it does not take NaN
+                    entries[:, j] = True
+            for part in _BESIDE:
+                try:
+                    jacobian = self.jacobian(t, x + part * somewhere(x))
+                except (ValueError, ArithmeticError):
+                    continue  # not defined there
+                entries |= ~(jacobian == 0)
+        return compressed(entries)
+
+    def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
+        """Whether complex steps give what differences give, along a direction in which everything moves, at a point
+        beside x: what is not analytic may not show at x itself."""
+        direction = somewhere(x)
+        dt = max(abs(t), 1.0)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error")  # a warning says that the imaginary part was discarded
+            for beside in (0.1, 0.0):
+                at = x + beside * direction
+                try:
+                    by_differences = self.slope(t, at, dt, direction)
+                    size_of_terms = np.abs(self.value(t, at)) + np.abs(by_differences)
+                except (ValueError, ArithmeticError, Warning):
+                    continue  # not defined there
+                if not np.isfinite(by_differences).all():
+                    continue
+                z = np.concatenate([[t + 1j * _TINY * dt], at + 1j * _TINY * direction])
+                try:
+                    by_step = form.complex_value(z.view(float)).view(complex).imag / _TINY
+                except Exception:  # the function is not made for this: the user need not know
+                    return False
+                return bool((np.abs(by_step - by_differences) <= _SAME * size_of_terms).all())
+        return False
+
+
+def _count_values(
+    function: Any, t: float, parts: tuple[Array, ...], args: tuple[Any, ...], name: str, parameters: Array
+) -> int:
+    """How many values the function has."""
+    if isinstance(function, CompiledFunction) and not function.inplace:
+        returned = np.asarray(function(t, *(part.copy() for part in parts), *([parameters] if len(parameters) else [])))
+    elif is_native(function):
+        raise ValueError(
+            f"{name} is native, so the number of its values is unknown: give it as "
+            "Invariants(function, value=0, names=[...]), with one name for each"
+        )
+    else:
+        returned = np.asarray(function(t, *(part.copy() for part in parts), *args))
+    if returned.dtype.kind not in "biuf" or returned.ndim > 1 or returned.size == 0:
+        raise ValueError(f"{name} must return a real number or shape (m,), got {returned!r} at t = {t}")
+    return int(returned.size)
+
+
+def full_pattern(m: int, n: int) -> tuple[Array, Array, Array]:
+    """A matrix of m rows and n columns without zeros, as compressed columns."""
+    starts = np.arange(0, m * n + 1, m, dtype=np.int32) if m else np.zeros(n + 1, dtype=np.int32)
+    return starts, np.tile(np.arange(m, dtype=np.int32), n), np.ones(m * n)
+
+
+def compressed(entries: Array) -> tuple[Array, Array, Array]:
+    """A dense matrix as compressed columns, without its zeros."""
+    starts = np.concatenate([[0], np.cumsum((entries != 0).sum(axis=0))]).astype(np.int32)
+    columns, rows = np.nonzero(entries.T)
+    return starts, rows.astype(np.int32), entries[rows, columns].astype(float)
+
+
+def somewhere(x: Array) -> Array:
+    """A direction in which every component moves by about its size."""
+    golden = np.modf(_GOLDEN * np.arange(1, len(x) + 1))[0]
+    direction: Array = sizes(x) * (0.5 + golden) * np.where(np.arange(len(x)) % 2, -1, 1)
+    return direction
+
+
+def sizes(x: Array) -> Array:
+    """Of the components, for increments: those that are small tell no scale of their own."""
+    size: Array = np.abs(x)
+    largest = size.max(initial=0.0)
+    return np.maximum(size, _SMALLEST_PART * largest) if largest > 0 else np.ones(len(x))

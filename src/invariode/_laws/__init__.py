@@ -1,0 +1,1 @@
+"""Invariants bound to a problem, and points imposed on them."""

@@ -1,0 +1,471 @@
+"""Invariants bound to a problem: with values and Jacobians, as the core takes them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _core
+from .._base.arguments import (
+    EPS,
+    Array,
+    as_array,
+    call_name,
+    distinct,
+    real_numbers,
+    reals,
+    tolerances,
+)
+from .._functions.compiled import CoreFunction, complex_form, in_both_forms, is_native, native_parameters, to_native
+from .._problem.invariants import Invariants
+
+__all__ = ["BoundInvariants", "InvariantSpec", "Jump", "as_columns", "bind"]
+
+#: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
+_NEGLIGIBLE = 0.01
+
+
+#: The most corrections in levels: they converge quadratically, and end when only roundoff is left.
+_LEVEL_ITERATIONS = 10
+
+
+class InvariantSpec(NamedTuple):
+    """An invariant in the form that the core takes."""
+
+    fun: Any
+    jac: Any  # a function, or how the Jacobian is computed without one
+    m: int  # number of its values
+    name: str
+    held: bool  # at its initial value; False: at one that was demanded
+    level: int = 0
+    moves: Sequence[int] = ()  # the reals of y that its correction may move; none: all
+    metric: Any = None  # in which its correction is smallest: a function, or flat values
+    metric_size: int = 0  # number of its values
+    sense: int = 0  # -1: it never rises as t grows; 1: it never falls; 0: it keeps its value
+    along_steps: bool = False  # its correction is along the stages of the step
+
+
+class Jump(NamedTuple):
+    """Where the action of an event gave the invariants new values."""
+
+    row: int  # of the output, the first at which they hold
+    t: float
+    value: Array
+
+
+class Imposed(NamedTuple):
+    """Points projected onto the invariants: the fields of an `ImposeResult`, for points in columns."""
+
+    y: Array
+    converged: Array
+    residual: Array
+    iterations: Array
+
+
+@dataclass
+class BoundInvariants:
+    """Invariants together with the values they are held at and the arguments of their functions."""
+
+    specs: list[InvariantSpec]
+    value: Array
+    names: list[str]
+    args: tuple[Any, ...]
+    parameters: Array  # the same for native functions
+    iterations: int | None
+    negligible: float = 0.0
+    evaluations: int = 0  # of the functions, so far
+
+    jumps: tuple[Jump, ...] = ()
+    forward: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    @property
+    def demanded(self) -> list[bool]:
+        """Whether each value was demanded."""
+        return [not spec.held for spec in self.specs for _ in range(spec.m)]
+
+    @property
+    def along_steps(self) -> bool:
+        """Whether corrections are along the stages of the steps."""
+        return any(spec.along_steps for spec in self.specs)
+
+    @property
+    def senses(self) -> list[int]:
+        """The sense of the invariant that each value belongs to."""
+        return [spec.sense for spec in self.specs for _ in range(spec.m)]
+
+    def equalities(self) -> BoundInvariants:
+        """Only those that keep their values."""
+        kept = [sense == 0 for sense in self.senses]
+        if all(kept):
+            return self
+        return replace(
+            self,
+            specs=[spec for spec in self.specs if spec.sense == 0],
+            value=self.value[kept],
+            names=[name for name, stays in zip(self.names, kept, strict=True) if stays],
+            jumps=tuple(jump._replace(value=jump.value[: len(kept)][kept]) for jump in self.jumps),
+        )
+
+    @property
+    def last_value(self) -> Array:
+        """The values at which the invariants are held at the end of the run."""
+        return self.jumps[-1].value[: len(self)] if self.jumps else self.value
+
+    def jumped(self, jumps: Iterable[tuple[int, float, Array]], forward: float) -> BoundInvariants:
+        """The same with the jumps of a run in the direction `forward`."""
+        return replace(self, jumps=tuple(Jump(*jump) for jump in jumps), forward=forward)
+
+    def pieces_of_output(self, size: int) -> Array:
+        """Between which jumps each point of the output lies."""
+        return np.searchsorted([jump.row for jump in self.jumps], np.arange(size), side="right")
+
+    def pieces_at(self, t: Array, side: Literal["left", "right"]) -> Array:
+        """The same for times; `side`: which side of a jump at that time is meant."""
+        times = self.forward * np.array([jump.t for jump in self.jumps])
+        return np.searchsorted(times, self.forward * np.asarray(t), side=side)
+
+    def _each(self, pieces: Array | None, size: int) -> Iterator[tuple[Array, Array]]:
+        """The points of each piece, and the values that invariants have there."""
+        if pieces is None or not self.jumps:
+            yield np.arange(size), self.value
+            return
+        for piece in np.unique(pieces):
+            yield np.flatnonzero(pieces == piece), self.value if piece == 0 else self.jumps[piece - 1].value
+
+    def residual(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
+        """g(t, y) - value, of shape (m, n_t), at the points y (n, n_t); for one-sided functions, how far they have gone
+        back from earlier points."""
+        return self._violation(self.departure(t, y, pieces), pieces)
+
+    def departure(self, t: Array, y: Array, pieces: Array | None = None) -> Array:
+        """g(t, y) - value, also for one-sided functions."""
+        residual = np.zeros((len(self.value), len(t)))
+        if self.specs:
+            for here, value in self._each(pieces, len(t)):
+                residual[:, here] = _core.residual(t[here], _as_rows(y[:, here]), self._problem_of(y, value)).T
+        return residual
+
+    def _violation(self, departure: Array, pieces: Array | None) -> Array:
+        """`departure`; for one-sided functions the rise above the lowest point so far in the piece (or the fall)."""
+        last = departure.shape[1]
+        cuts = [] if pieces is None else (np.flatnonzero(np.diff(pieces)) + 1).tolist()
+        for i, sense in enumerate(self.senses):
+            if sense == 0:
+                continue
+            for begin, end in itertools.pairwise([0, *cuts, last]):
+                risen = -sense * self.forward * departure[i, begin:end]
+                lowest = np.fmin.accumulate(np.append(0.0, risen))[:-1]
+                departure[i, begin:end] = np.maximum(risen - lowest, 0)
+        return departure
+
+    def distance(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Array:
+        """Distances from the level sets, in units of rtol, of the same shape; for one-sided functions, those that
+        correspond to `residual`."""
+        distance = np.zeros((len(self.value), len(t)))
+        weights = _weights(y, rtol, atol)
+        for here, value in self._each(pieces, len(t)):
+            distance[:, here] = _core.distance(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights).T
+        if not any(self.senses):
+            return distance
+        departure = self.departure(t, y, pieces)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.abs(self._violation(departure.copy(), pieces)) / np.abs(departure)
+        share[departure == 0] = 0
+        return distance * share
+
+    def impose(self, t: Array, y: Array, rtol: ArrayLike, atol: ArrayLike, pieces: Array | None = None) -> Imposed:
+        """Projects the points y (n, n_t)."""
+        weights = _weights(y, rtol, atol)
+        size = len(t)
+        points, converged = y.copy(), np.zeros(size, dtype=bool)
+        residual, iterations = np.zeros((len(self.value), size)), np.zeros(size, dtype=np.int64)
+        for here, value in self._each(pieces, size):
+            rows, done, left, spent = _core.impose(t[here], _as_rows(y[:, here]), self._problem_of(y, value), weights)
+            points[:, here] = as_columns(rows, y.dtype)
+            converged[here], residual[:, here], iterations[here] = done, left.T, spent
+        return Imposed(points, converged, residual, iterations)
+
+    def evaluate(self, dense: _core.Dense, t: Array) -> Array:
+        """The rows of a continuous solution of the core at t, projected between the steps if the run does so."""
+        return dense.evaluate(t, self._problem(dense.n, dense.complex, self.value))
+
+    def _problem_of(self, y: Array, value: Array) -> _core.Problem:
+        return self._problem(reals(y), y.dtype.kind == "c", value)
+
+    def _problem(self, n: int, is_complex: bool, value: Array) -> _core.Problem:
+        """The invariants alone, for the core; n: reals in a state."""
+        return _core.Problem(
+            n=n,
+            complex=is_complex,
+            fun=None,
+            args=self.args,
+            parameters=self.parameters,
+            invariants=[_core.Invariant(*spec) for spec in self.specs],
+            value=value,
+        )
+
+
+def _weights(y: Array, rtol: ArrayLike, atol: ArrayLike) -> _core.Tolerances:
+    return _core.Tolerances(*tolerances(rtol, atol, y[:, 0] if y.shape[1] else np.ones(len(y), y.dtype)))
+
+
+def _as_rows(y: Array) -> Array:
+    """Points y (n, n_t) in the layout of the core: one row of reals per point."""
+    rows = np.ascontiguousarray(y.T)
+    return rows.view(float) if rows.dtype.kind == "c" else rows
+
+
+def as_columns(rows: Array, dtype: np.dtype[Any]) -> Array:
+    """The reverse: (n, n_t), complex where the problem is."""
+    return (rows.view(dtype) if dtype.kind == "c" else rows).T
+
+
+_NO_VALUES = np.zeros(0)
+
+
+def bind(
+    invariants: list[Invariants], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array
+) -> BoundInvariants:
+    """Evaluates each invariant at (t, y): its size, the value it is held at if none is demanded, and whether it takes
+    complex y. `threshold`: thr of the reals of y, the size below which a component gives no scale."""
+    if not invariants:
+        return BoundInvariants([], _NO_VALUES, [], args, _NO_VALUES, None)
+    specs, values, names = [], [], []
+    evaluations, n = len(invariants), reals(y)
+    p = native_parameters(args, [f for one in invariants for f in (one.fun, one.jac, one.metric)])
+    for one in invariants:
+        name = one.names[0] if one.names and len(one.names) == 1 else call_name(one.fun, "g")
+        if is_native(one.fun):
+            fun, at_start = _native_start(one, name, t, y, args, p)
+        else:
+            at_start = _evaluate(one, name, t, y, args)
+            fun = to_native(name, one.fun, n, len(at_start), p)
+        m = len(at_start)
+        if one.value is not None and len(one.value) not in (1, m):
+            raise ValueError(f"value of invariant {name} must have shape ({m},), as the invariant has, got {one.value}")
+        if one.names is not None and len(one.names) != m:
+            raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
+        kind = one.jac
+        if kind == "complex-step" and np.iscomplexobj(y):
+            raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
+        forms = one.fun
+        if kind in (None, "complex-step") and is_native(one.fun):
+            code = None if np.iscomplexobj(y) else complex_form(fun)
+            forms = None if code is None else in_both_forms(fun, code, m, p)
+        if kind == "complex-step" and forms is None:
+            raise ValueError(
+                f'invariant {name}: jac="complex-step" is not for native functions, which take real y, except those of '
+                "invariode.compile that numba compiles for complex y"
+            )
+        if kind is None and forms is None:
+            kind = "3-point"
+        elif kind is None:
+            probe = _Probe(forms, t, y, () if is_native(one.fun) else args, threshold, at_start)
+            kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
+            evaluations += 0 if is_native(one.fun) else probe.evaluations
+        kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
+        if y.dtype.kind != "c":
+            fun, kind = one._in_core(len(y)) or (fun, kind)
+        order = (one.level, _moves(one, name, y), *_metric_at(one, name, t, y, args, p))
+        along = one.direction == "stages"
+        specs.append(InvariantSpec(fun, kind, m, name, one.value is None, *order, one.sense, along))
+        values.append(at_start if one.value is None else np.broadcast_to(one.value, (m,)))
+        names.extend(one.names or ([name] if m == 1 else [f"{name}[{i}]" for i in range(m)]))
+    levelled = _in_levels(specs)
+    _require_one_direction(specs, levelled)
+    iterations = [one.iterations for one in invariants if one.iterations is not None]
+    value = values[0] if len(values) == 1 else np.concatenate(values)
+    negligible = _NEGLIGIBLE if all(one.when == "needed" or one.sense for one in invariants) else 0.0
+    names, most = distinct(names), max(iterations, default=_LEVEL_ITERATIONS if levelled else None)
+    return BoundInvariants(specs, value, names, args, p, most, negligible, evaluations)
+
+
+def _moves(one: Invariants, name: str, y: Array) -> Sequence[int]:
+    """The reals of y that the correction of an invariant may move."""
+    moves = one.moves or ()
+    if moves and max(moves) >= len(y):
+        raise ValueError(f"moves of invariant {name} must be indices of the {len(y)} components of y, got {moves}")
+    if y.dtype.kind != "c":
+        return moves
+    return [part for index in moves for part in (2 * index, 2 * index + 1)]
+
+
+def _metric_at(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, int]:
+    """The metric of an invariant as the core takes it, and the number of its values."""
+    metric = one.metric
+    if metric is None:
+        return None, 0
+    if y.dtype.kind == "c":
+        raise ValueError(f"metric of invariant {name} is for real problems, and y0 is complex")
+    k = len(one.moves or y)
+    if is_native(metric) and not isinstance(metric, CoreFunction):
+        return to_native(f"the metric of invariant {name}", metric, len(y), k * k, p), k * k
+    what = f"metric of invariant {name}"
+    constant = not callable(metric)
+    at_start = metric if constant else real_numbers(what, metric(t, y.copy(), *args))
+    if at_start.shape not in ((k,), (k, k)):
+        told = "must have shape" if constant else "returned another shape than"
+        raise ValueError(f"{what} {told} ({k},) or ({k}, {k}), since {k} components move; got {at_start.shape}")
+    if constant:
+        return np.ascontiguousarray(metric, dtype=float).ravel(), at_start.size
+    return to_native(what, metric, len(y), at_start.size, p), at_start.size
+
+
+def _in_levels(specs: list[InvariantSpec]) -> bool:
+    """Whether the invariants have levels, in which all may move the same components in the same metric."""
+    first: dict[int, InvariantSpec] = {}
+    for spec in specs:
+        other = first.setdefault(spec.level, spec)
+        if set(other.moves) != set(spec.moves):
+            raise ValueError(
+                f"invariants {other.name} and {spec.name} are both of level {spec.level} and may move different "
+                "components: give them one set of moves, or different levels"
+            )
+        if not _same(other.metric, spec.metric) or (spec.metric is not None and [*other.moves] != [*spec.moves]):
+            raise ValueError(
+                f"invariants {other.name} and {spec.name} are both of level {spec.level} and have different metrics: "
+                "give them one metric, with moves in one order, or different levels"
+            )
+    return any(spec.level or spec.moves or spec.metric is not None for spec in specs)
+
+
+def _require_one_direction(specs: list[InvariantSpec], levelled: bool) -> None:
+    along = [spec for spec in specs if spec.along_steps]
+    if not along:
+        return
+    if levelled:
+        raise ValueError(
+            f'direction="stages" of invariant {along[0].name} cannot be combined with level, moves or metric: the '
+            'stages leave no freedom for these; leave them out, or use direction="gradient"'
+        )
+    if len(along) < len(specs):
+        other = next(spec for spec in specs if not spec.along_steps)
+        raise ValueError(
+            f"invariants {along[0].name} and {other.name} have different directions, and one correction serves both: "
+            "give both the same direction"
+        )
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two metrics are one."""
+    return a is b or (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b))
+
+
+def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...], p: Array) -> tuple[Any, Array]:
+    """A native g as the core takes it, and its values at (t, y). It cannot say how many there are."""
+    told = [len(known) for known in (one.names, one.value) if known is not None]
+    if not told:
+        raise ValueError(f"invariant {name} is native: give its value or its names, which say how many values it has")
+    m = max(told)
+    fun = to_native(f"invariant {name}", one.fun, reals(y), m, p)
+    alone = BoundInvariants([InvariantSpec(fun, "3-point", m, name, held=False)], np.zeros(m), [name], args, p, None)
+    at_start = alone.residual(np.array([t]), y[:, None])[:, 0]
+    if not all(map(math.isfinite, at_start.tolist())):
+        raise ValueError(f"invariant {name} is not finite at t = {t}: {at_start}")
+    return fun, at_start
+
+
+#: Fractions of the components' sizes at which g is tried if it is not defined farther away.
+_NEARER = (1e-2, 1e-4, 1e-6)
+
+
+class _Probe:
+    """Does g take complex y, and does the derivative that this gives agree with differences?"""
+
+    def __init__(
+        self, fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array, at_y: Array
+    ) -> None:
+        self._fun, self._t, self._y, self._args, self._at_y = fun, t, y, args, at_y
+        self._threshold = threshold
+        self.evaluations = 0
+
+    def takes_complex(self) -> bool:
+        if np.iscomplexobj(self._y):
+            return False
+        golden = np.modf(0.6180339887498949 * np.arange(1, len(self._y) + 1))[0]
+        direction = self._sizes() * (0.5 + golden) * np.where(np.arange(len(self._y)) % 2, -1, 1)
+        verdict = self._agrees(self._y + 0.1 * direction, direction)  # at y itself, that g is not analytic may not show
+        if verdict is None:
+            verdict = self._agrees(self._y, direction)
+        for nearer in _NEARER:
+            if verdict is not None:
+                break
+            for side in (1, -1):
+                if verdict is None:
+                    verdict = self._agrees(self._y + side * 0.1 * nearer * direction, nearer * direction)
+        return bool(verdict)
+
+    def _sizes(self) -> Array:
+        """The sizes of the components, for increments, as in the core."""
+        size: Array = np.abs(self._y)
+        largest = size.max(initial=0)
+        if largest < 1e-300:
+            largest = 1.0
+        size = np.maximum(size, np.minimum(self._threshold, largest))
+        size[size < 1e-300] = largest  # pure relative control at 0
+        return size
+
+    def _agrees(self, y: Array, direction: Array) -> bool | None:
+        """Whether the two derivatives at y agree; None if g is not defined there."""
+        tiny, delta = 1e-40, EPS ** (1 / 3)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error")  # NumPy warns if the imaginary part is thrown away
+            try:
+                up, down = self._evaluate(y + delta * direction), self._evaluate(y - delta * direction)
+            except (ValueError, ArithmeticError, Warning):  # as from math.log(-1), 1 / 0 and np.log(-1)
+                return None
+            try:
+                by_step = self._evaluate(y + 1j * tiny * direction)
+            except Exception:  # g is not made for this: no reason to tell the user
+                return False
+        if not np.isfinite(up).all() or not np.isfinite(down).all():
+            return None
+        if by_step.shape != self._at_y.shape or not np.isfinite(by_step).all():
+            return False
+        by_step = by_step.imag / tiny
+        difference = (up - down) / (2 * delta)
+        noise = 10 * EPS / delta * np.maximum(np.abs(self._at_y), np.abs(up)) + np.finfo(float).tiny
+        agrees = np.abs(by_step - difference) <= 1e-6 * np.maximum(np.abs(by_step), np.abs(difference)) + noise
+        return bool(agrees.all())
+
+    def _evaluate(self, y: Array) -> Array:
+        self.evaluations += 1
+        return np.atleast_1d(np.asarray(self._fun(self._t, y, *self._args), dtype=y.dtype))
+
+
+def at_complex(fun: Any, m: int) -> Any:
+    """g for complex y; NaN where it cannot be evaluated there, so that the core switches to differences."""
+    if isinstance(fun, _core.Native):
+        return complex_form(fun)
+
+    def evaluate(t: float, y: Array, *args: Any) -> Any:
+        try:
+            return fun(t, y, *args)
+        except (TypeError, ValueError, ArithmeticError):
+            return [np.nan] * m
+
+    return evaluate
+
+
+def _evaluate(one: Invariants, name: str, t: float, y: Array, args: tuple[Any, ...]) -> Array:
+    returned = one.fun(t, y.copy(), *args)
+    values = as_array(f"what invariant {name} returns", returned)
+    if values.dtype.kind not in "biufO" or values.ndim > 1 or values.size == 0 or returned is None:
+        what = (
+            f"shape {values.shape} of type {values.dtype}" if returned is not None else "None (is a `return` missing?)"
+        )
+        raise ValueError(f"invariant {name} returned {what}, expected a real number or shape (m,)")
+    values = np.atleast_1d(real_numbers(f"what invariant {name} returns", values))
+    if not np.isfinite(values).all():
+        raise ValueError(f"invariant {name} is not finite at t = {t}: {returned}")
+    return values

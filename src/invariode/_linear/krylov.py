@@ -1,0 +1,145 @@
+"""What matrix-free linear algebra calls, in the form the core takes: products with the Jacobian, a preconditioner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator
+
+from .._base.arguments import Array, as_array, function, shown, warn
+from .._functions.compiled import is_native, to_native
+from .._problem.matrices import Matrices
+
+__all__ = ["Krylov", "is_operator", "krylov", "unused_without_krylov"]
+
+
+@dataclass(frozen=True)
+class Krylov:
+    """Functions for the core: J v of (t, y, v), None for differences of f; set-up of a preconditioner, or None."""
+
+    product: Any
+    preconditioner: Any
+    dimension: int  # of the Krylov space; 0: the method's own
+
+
+def krylov(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array, dimension: int | None) -> Krylov:
+    """What a problem gives, checked.
+
+    Raises
+    ------
+    TypeError, ValueError
+        What cannot be used without a matrix; a mass matrix without a preconditioner.
+    """
+    for name in ("jac_sparsity", "lband", "uband"):
+        if getattr(given, name) is not None:
+            warn(f"{name} has no effect with linear_solver='gmres'")
+    if given.mass is not None and given.preconditioner is None:
+        raise ValueError(
+            "linear_solver='gmres' needs a preconditioner if there is a mass matrix: its rows may have any scale; give "
+            "preconditioner=, which solves (M - c J) x = b approximately"
+        )
+    return Krylov(
+        product=_product(given, y0, args, p),
+        preconditioner=None if given.preconditioner is None else _SetUp(given.preconditioner, args, y0),
+        dimension=dimension or 0,
+    )
+
+
+def unused_without_krylov(given: Matrices, dimension: int | None) -> None:
+    """A warning for what only GMRES uses."""
+    of_gmres = {
+        "jac_product": given.jac_product,
+        "preconditioner": given.preconditioner,
+        "krylov_dimension": dimension,
+    }
+    for name, value in of_gmres.items():
+        if value is not None:
+            warn(f"{name} has no effect without linear_solver='gmres'")
+
+
+def is_operator(given: object) -> bool:
+    """Whether it is a matrix that is known by its products alone."""
+    return isinstance(given, LinearOperator)
+
+
+def _product(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array) -> Any:
+    if given.jac_product is not None:
+        if given.jac is not None:
+            raise ValueError("jac and jac_product say the same: give one of them")
+        if not is_native(given.jac_product):
+            function("jac_product", given.jac_product, "jac_product(t, y, v)")
+        n = y0.view(float).size
+        return to_native("jac_product", given.jac_product, 2 * n, n, p, second=n)
+    if given.jac is None or (isinstance(given.jac, str) and given.jac == "differences"):
+        return None
+    if isinstance(given.jac, str):
+        raise ValueError(
+            f"jac={given.jac!r} is for matrices: with linear_solver='gmres' give jac_product, or jac='differences' for "
+            "differences of f"
+        )
+    if is_native(given.jac):
+        raise TypeError(
+            "jac is native code that fills a matrix, which linear_solver='gmres' does without: give jac_product, "
+            "void (double t, const double* yv, double* Jv, const double* p), with y and then v in yv"
+        )
+    if callable(given.jac) and not is_operator(given.jac):
+        return _Evaluated(given.jac, len(y0))
+    constant = _operator("jac", given.jac, len(y0))
+    return lambda t, y, v, *args: constant @ v
+
+
+def _operator(name: str, given: Any, n: int) -> Any:
+    """What multiplies vectors of n components: an array, a sparse matrix or a LinearOperator."""
+    operator = given if is_operator(given) or sp.issparse(given) else as_array(name, given)
+    if operator.shape != (n, n):
+        raise ValueError(f"{name} has shape {operator.shape}, expected shape {(n, n)}")
+    return operator
+
+
+class _Evaluated:
+    """Products with a Jacobian that a function gives: it is called where t or y is new."""
+
+    def __init__(self, jac: Callable[..., Any], n: int) -> None:
+        self._jac, self._n = jac, n
+        self._at: tuple[float, Array, Any] | None = None
+
+    def __call__(self, t: float, y: Array, v: Array, *args: Any) -> Any:
+        if self._at is None or self._at[0] != t or not np.array_equal(self._at[1], y):
+            self._at = (t, y, _operator("jac(t, y)", self._jac(t, y.copy(), *args), self._n))
+        return self._at[2] @ v
+
+
+class _SetUp:
+    """The user's preconditioner: called with (t, y, c), it returns a function that solves for arrays of floats."""
+
+    def __init__(self, preconditioner: Any, args: tuple[Any, ...], y0: Array) -> None:
+        if is_operator(preconditioner) or not callable(preconditioner):
+            raise TypeError(
+                "preconditioner must be a function preconditioner(t, y, c) that returns what solves (M - c J) x = b, "
+                f"got {shown(preconditioner)}; for the same at all c: lambda t, y, c: it"
+            )
+        self._preconditioner, self._args = preconditioner, args
+        self._shape, self._dtype = y0.shape, complex if y0.dtype.kind == "c" else float
+
+    def __call__(self, t: float, y: Array, c: float) -> Callable[[Array], Array]:
+        made = self._preconditioner(t, y, c, *self._args)
+        inner = made.matvec if is_operator(made) else getattr(made, "solve", made)
+        if not callable(inner):
+            raise TypeError(
+                f"preconditioner(t, y, c) returned {shown(made)}, expected an object with solve(b), a LinearOperator, "
+                "or a function of b"
+            )
+
+        def solve(b: Array) -> Array:
+            x = np.asarray(inner(b))
+            if x.shape != self._shape:
+                raise ValueError(f"the preconditioner returned shape {x.shape}, expected shape {self._shape}")
+            if x.dtype.kind == "c" and self._dtype is float:
+                raise TypeError("the preconditioner returned complex numbers, expected real ones")
+            return np.ascontiguousarray(x, dtype=self._dtype).view(float)
+
+        return solve

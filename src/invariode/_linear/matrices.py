@@ -1,0 +1,394 @@
+"""The matrices of an implicit method, ∂f/∂y and M, brought into the form that the core takes."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
+
+from .. import _core
+from .._base.arguments import Array, warn
+from .._functions.compiled import is_native, to_native
+from .._problem.bounds import Limits
+from .._problem.matrices import Matrices, as_matrix, bandwidths, require_shape
+from .complex_steps import compiled_at_complex, python_at_complex
+from .krylov import Krylov, is_operator
+from .null_space import null_space, roundoff, whole
+from .sparsity import find_pattern
+
+__all__ = ["Start", "prepare", "too_large_to_be_dense"]
+
+_DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
+_SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
+_NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed
+_NEARLY_WHOLE = 1e-6  # relative distance from a whole number that is looked at
+_SINGULAR_GROWTH = 1e13  # of a solution over its right-hand side, with rows and columns scaled
+
+
+#: Compressed columns (starts, rows, values) of a matrix without columns.
+_NO_COLUMNS = (np.zeros(1, dtype=np.int32), np.zeros(0, dtype=np.int32), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class _Storage:
+    """How matrices of n components are stored: dense, banded or sparse; complex ones as 2 × 2 blocks of reals."""
+
+    kind: str
+    n: int
+    complex: bool
+    lower: int = 0
+    upper: int = 0
+
+    @property
+    def given_shape(self) -> tuple[int, int]:
+        return (self.lower + self.upper + 1 if self.kind == "banded" else self.n, self.n)
+
+    def values(self, name: str, given: Any) -> Any:
+        """What a user gave, checked, as the core reads it: an array, or (starts, rows, values)."""
+        matrix = as_matrix(name, given, self.complex)
+        require_shape(name, matrix, self.given_shape, banded=self.kind == "banded")
+        if self.kind == "sparse":
+            return _columns(_real_blocks(sp.csc_array(matrix)) if self.complex else sp.csc_array(matrix))
+        dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+        if self.complex:
+            dense = _real_bands(dense, self.lower, self.upper) if self.kind == "banded" else _real_dense(dense)
+        return np.ascontiguousarray(dense, dtype=float)
+
+    def mass_values(self, given: Any) -> Any:
+        """The same for a mass matrix, which is given whole even if the Jacobian is banded."""
+        matrix = as_matrix("mass", given, self.complex)
+        require_shape("mass", matrix, (self.n, self.n))
+        if self.kind != "banded":
+            return self.values("mass", matrix)
+        entries = sp.coo_array(matrix)
+        row = self.upper + entries.row - entries.col
+        if ((row < 0) | (row > self.lower + self.upper)).any():
+            raise ValueError(
+                f"mass has entries outside the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
+                "give a band that holds both"
+            )
+        packed = np.zeros(self.given_shape, dtype=entries.dtype)
+        packed[row, entries.col] = entries.data
+        return self.values("mass", packed)
+
+
+class _Jacobian(NamedTuple):
+    """How the Jacobian is stored and formed, for the core."""
+
+    storage: _Storage
+    kind: str
+    source: Any  # its values or its function, with the pattern
+    found: int = 0  # evaluations of f that found the pattern; 0: it was given
+
+
+@dataclass(frozen=True)
+class Start:
+    """f, as users write it, with what it is called with at the start.
+
+    `complex_by_default`: complex steps are the default of a compiled f. Not if the core keeps f within bounds, or if a
+    second compilation may be in vain.
+    """
+
+    fun: Any
+    t: float
+    y: Array
+    args: tuple[Any, ...]
+    parameters: Array
+    limits: Limits | None = None
+    complex_by_default: bool = True
+
+
+def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
+    """What is given, for the core. A Jacobian function is called once, at (t0, y0), to see what it returns.
+
+    With `matrix_free` there is no Jacobian, and the mass matrix is sparse.
+    """
+    storage, kind, source, found = _jacobian(given, start) if matrix_free is None else _no_jacobian(given, start.y)
+    mass = None if given.mass is None else _mass(given.mass, storage, start.args)
+    reals = 2 if storage.complex else 1
+    banded = storage.kind == "banded"
+    n = reals * storage.n
+    return _core.Linear(
+        structure=storage.kind,
+        n=n,
+        lower=reals * storage.lower + (reals - 1) * banded,
+        upper=reals * storage.upper + (reals - 1) * banded,
+        kind=kind,
+        jacobian=source,
+        mass=mass,
+        null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, start.t)),
+        lapack=_lapack(),
+        found_pattern=found,
+        **({} if matrix_free is None else vars(matrix_free)),
+    )
+
+
+def _no_jacobian(given: Matrices, y0: Array) -> _Jacobian:
+    """It is known by its products. The structure is that of the mass matrix; bands of nothing take no memory."""
+    stored = "banded" if given.mass is None else "sparse"
+    return _Jacobian(_Storage(stored, len(y0), np.iscomplexobj(y0)), "products", None)
+
+
+def _jacobian(given: Matrices, start: Start) -> _Jacobian:
+    """How it is stored, of which kind it is, and its values or its function."""
+    y0, args = start.y, start.args
+    n, is_complex = len(y0), np.iscomplexobj(y0)
+    bands = bandwidths(given.lband, given.uband, n)
+    if is_native(given.jac):
+        return _Jacobian(*_native_jacobian(given, bands, y0, start.parameters))
+    if given.jac is None or isinstance(given.jac, str):
+        return _computed(given, bands, start)
+    if given.jac_sparsity is not None:
+        warn("jac_sparsity has no effect together with jac")
+
+    def storage(is_sparse: bool) -> _Storage:
+        if bands is not None:
+            return _Storage("banded", n, is_complex, *bands)
+        return _Storage("sparse" if is_sparse else "dense", n, is_complex)
+
+    if callable(given.jac) and not is_operator(given.jac):
+        first = given.jac(start.t, y0.copy(), *args)
+        held = storage(sp.issparse(first))
+        return _Jacobian(held, "function", _JacobianFunction(given.jac, args, held, start.t, y0, first))
+    held = storage(sp.issparse(given.jac))
+    return _Jacobian(held, "constant", held.values("jac", given.jac))
+
+
+def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _Jacobian:
+    """One that is computed from f, by complex steps or differences, in a structure that is given or found."""
+    y0, found, pattern = start.y, 0, None
+    storage = partial(_Storage, n=len(y0), complex=np.iscomplexobj(y0))
+    if bands is not None:
+        held = storage("banded", lower=bands[0], upper=bands[1])
+    elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
+        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters, start.limits)
+        pattern, found = searched or (None, 0)
+        held = storage("dense" if pattern is None else "sparse")
+    else:
+        held = storage("sparse")
+        pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, held.complex))
+    if held.kind == "dense" and too_large_to_be_dense(given, y0):
+        size = _dense_bytes(y0) / 2**30
+        warn(
+            f"a dense Jacobian of {len(y0)} components takes {size:.1f} GiB: give jac_sparsity, or lband and uband, to "
+            "say which entries are zero"
+        )
+    at_complex = _complex_steps(given.jac, start)
+    if at_complex is None:
+        return _Jacobian(held, "differences", pattern, found)
+    return _Jacobian(held, "complex-step", (at_complex, pattern), found)
+
+
+def _complex_steps(jac: str | None, start: Start) -> Any:
+    """f for complex y, where complex steps were chosen, or f is compiled. None: differences."""
+    if jac == "differences" or (jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default)):
+        return None
+    if np.iscomplexobj(start.y):
+        raise ValueError(
+            'jac="complex-step" is for real y, and y0 is complex: fun need not be analytic. Use jac="differences", or '
+            "write the problem in real and imaginary parts"
+        )
+    compiled = compiled_at_complex(start.fun, len(start.y), len(start.parameters))
+    if compiled is not None or jac is None:
+        return compiled
+    return python_at_complex(start.fun, start.t, start.y, start.args)
+
+
+def too_large_to_be_dense(given: Matrices, y0: Array) -> bool:
+    """Whether nothing is known of the Jacobian, and a dense one would fill the memory."""
+    known = (given.jac, given.jac_sparsity, given.lband, given.uband)
+    return all(one is None or isinstance(one, str) for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
+
+
+def _dense_bytes(y0: Array) -> int:
+    return 8 * y0.view(float).size ** 2
+
+
+def _native_jacobian(
+    given: Matrices, bands: tuple[int, int] | None, y0: Array, p: Array
+) -> tuple[_Storage, str, tuple[Any, Any]]:
+    """Machine code fills the values of its storage: dense, the bands, or those of the pattern."""
+    n, is_complex = len(y0), np.iscomplexobj(y0)
+    reals = y0.view(float).size
+    if bands is not None:
+        held, pattern = _Storage("banded", n, is_complex, *bands), None
+        size = held.given_shape[0] * reals
+    elif given.jac_sparsity is not None and not isinstance(given.jac_sparsity, str):
+        held = _Storage("sparse", n, is_complex)
+        pattern = held.values("jac_sparsity", _pattern(given.jac_sparsity, is_complex))
+        size = len(pattern[2])
+    else:
+        held, pattern, size = _Storage("dense", n, is_complex), None, reals * reals
+    return held, "function", (to_native("jac", given.jac, reals, size, p), pattern)
+
+
+def _mass(mass: Any, storage: _Storage, args: tuple[Any, ...]) -> Any:
+    return (lambda t: storage.mass_values(mass(t, *args))) if callable(mass) else storage.mass_values(mass)
+
+
+def _null_basis(storage: _Storage, mass: Any, t0: float) -> sp.csc_array:
+    whole = _whole(storage, mass(t0) if callable(mass) else mass)
+    if not np.isfinite(whole.data).all():
+        entries = sp.coo_array(whole)
+        k = int(np.flatnonzero(~np.isfinite(entries.data))[0])
+        i, j = (int(index[k]) // (2 if storage.complex else 1) for index in (entries.row, entries.col))
+        at = f"({t0})" if callable(mass) else ""
+        raise ValueError(f"mass{at} must be finite, got mass{at}[{i}, {j}] = {entries.data[k]}")
+    return null_basis(whole)
+
+
+class _JacobianFunction:
+    """The user's Jacobian, with its values as the core reads them. The first ones are at hand already."""
+
+    def __init__(
+        self, jac: Callable[..., Any], args: tuple[Any, ...], storage: _Storage, t0: float, y0: Array, first: Any
+    ) -> None:
+        self._jac, self._args, self._storage = jac, args, storage
+        self._first: tuple[float, Array, Any] | None = (t0, y0, storage.values("jac(t, y)", first))
+
+    def __call__(self, t: float, y: Array) -> Any:
+        if self._first is not None:
+            (t0, y0, values), self._first = self._first, None
+            if t == t0 and np.array_equal(y, y0):
+                return values
+        return self._storage.values("jac(t, y)", self._jac(t, y, *self._args))
+
+
+def null_basis(mass: sp.csc_array) -> sp.csc_array:
+    """A basis Z (n, r) of the left null space of M: Zᵀ M = 0. r = 0 where M is regular.
+
+    Each column of Z has a row of its own. Of a small M it has the same bits on every processor. In a large one rows of
+    zeros are evident; if what remains is singular too, elimination finds the null space.
+    """
+    n = mass.shape[0]
+    rows = sp.csr_array(mass)
+    rows.data[np.abs(rows.data) < np.finfo(float).tiny] = 0
+    rows.eliminate_zeros()
+    if n > _SMALL:
+        units = _rows_of_zeros(rows)
+        if units is not None:
+            return units
+    if n > _NULL_SPACE_LIMIT:
+        raise ValueError(
+            f"mass is singular beyond its rows of zeros, and with {n} rows too large to find its null space: "
+            "transform the system so that each algebraic equation has a row of zeros in mass"
+        )
+    transposed = rows.toarray().T
+    tolerance = roundoff(transposed)
+    basis = [_exact(vector, transposed, tolerance) for vector in null_space(transposed, tolerance).vectors]
+    return sp.csc_array(np.reshape(basis, (len(basis), n)).T)
+
+
+def _exact(z: Array, transposed: Array, tolerance: float) -> Array:
+    """z of Mᵀ z = 0 in whole numbers, if these solve it as well: where M was rounded, z is not quite that."""
+    candidate = whole(z, _NEARLY_WHOLE)
+    if candidate is None:
+        return z
+    terms = transposed * candidate
+    solved = (np.abs(terms.sum(axis=1)) <= tolerance * np.abs(terms).max(axis=1)).all()
+    return candidate if solved else z
+
+
+def _rows_of_zeros(rows: sp.csr_array) -> sp.csc_array | None:
+    """Units for the rows of zeros, if these make up the left null space."""
+    n = rows.shape[0]
+    empty_rows, empty_columns = (np.flatnonzero(abs(rows).max(axis=axis).toarray().ravel() == 0) for axis in (1, 0))
+    if len(empty_rows) != len(empty_columns):
+        return None
+    kept_rows, kept_columns = np.delete(np.arange(n), empty_rows), np.delete(np.arange(n), empty_columns)
+    if not _regular(sp.csc_array(rows[kept_rows][:, kept_columns])):
+        return None
+    return sp.csc_array((np.ones(len(empty_rows)), (empty_rows, np.arange(len(empty_rows)))), (n, len(empty_rows)))
+
+
+def _regular(A: sp.csc_array) -> bool:
+    """Whether a square matrix is regular, once its rows and columns are scaled."""
+    if A.shape[0] == 0:
+        return True
+    for axis in (1, 0):
+        size = abs(A).max(axis=axis).toarray().ravel()
+        if (size == 0).any():
+            return False
+        factors = sp.diags_array(1 / size)
+        A = sp.csc_array(factors @ A if axis == 1 else A @ factors)
+    try:
+        probe = splu(A).solve(np.where(np.arange(A.shape[0]) % 3 == 0, -1.0, 1.0))
+    except RuntimeError as failed:
+        if "singular" in str(failed):
+            return False
+        raise MemoryError(
+            f"no memory for the LU factors of mass ({A.shape[0]} rows, {A.nnz} entries): {failed}. Give a mass of "
+            "fewer entries, or of narrower bands"
+        ) from failed
+    return bool(np.abs(probe).max() < _SINGULAR_GROWTH)
+
+
+def _pattern(given: ArrayLike, is_complex: bool) -> sp.csc_array:
+    pattern = sp.csc_array(as_matrix("jac_sparsity", given, is_complex) != 0).astype(float)
+    # A complex f need not be analytic: real and imaginary parts may depend on both.
+    return sp.csc_array(pattern * (1 + 1j)) if is_complex else pattern
+
+
+def _columns(A: sp.csc_array) -> tuple[Array, Array, Array]:
+    """(starts, rows, values) of compressed columns with ascending rows."""
+    # A new object: one that was changed may still claim that its rows ascend.
+    A = sp.csc_array((A.data, A.indices, A.indptr), A.shape)
+    if not A.has_canonical_format:
+        A = A.copy()  # the user's arrays stay as they are
+        A.sum_duplicates()
+    return A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data.astype(float)
+
+
+def _real_blocks(A: sp.csc_array) -> sp.csc_array:
+    """z -> A z of complex z as a map of pairs of reals."""
+    turn = sp.csc_array([[0.0, -1.0], [1.0, 0.0]])
+    real, imaginary = sp.kron(A.real, sp.eye_array(2)), sp.kron(A.imag, turn)
+    return sp.csc_array(real + imaginary)
+
+
+def _real_dense(A: Array) -> Array:
+    out = np.empty((2 * A.shape[0], 2 * A.shape[1]))
+    out[0::2, 0::2] = out[1::2, 1::2] = A.real
+    out[1::2, 0::2] = A.imag
+    out[0::2, 1::2] = -A.imag
+    return out
+
+
+def _real_bands(A: Array, lower: int, upper: int) -> Array:
+    """The same for packed bands, which become 2 lower + 1 and 2 upper + 1 wide."""
+    out = np.zeros((2 * (lower + upper) + 3, 2 * A.shape[1]))
+    for d in range(lower + upper + 1):
+        out[2 * d + 1, 0::2] = out[2 * d + 1, 1::2] = A[d].real
+        out[2 * d + 2, 0::2] = A[d].imag
+        out[2 * d, 1::2] = -A[d].imag
+    return out
+
+
+def _whole(storage: _Storage, values: Any) -> sp.csc_array:
+    """The matrix behind the core's values."""
+    n = storage.n * (2 if storage.complex else 1)
+    if storage.kind == "sparse":
+        starts, rows, data = values
+        return sp.csc_array((data, rows, starts), (n, n))
+    if storage.kind == "dense":
+        return sp.csc_array(values)
+    width = len(values)
+    upper = 2 * storage.upper + 1 if storage.complex else storage.upper
+    return sp.csc_array(sp.dia_array((values, upper - np.arange(width)), (n, n)))
+
+
+@functools.cache
+def _lapack() -> dict[str, Any]:
+    """LAPACK as SciPy ships it."""
+    from scipy.linalg import cython_lapack
+
+    routines = ("getrf", "getrs", "gbtrf", "gbtrs")
+    capi: dict[str, Any] = dict(cython_lapack.__pyx_capi__)
+    return {kind + name: capi[kind + name] for kind in "dz" for name in routines}

@@ -1,0 +1,1 @@
+"""Constrained mechanical systems: their equations of motion and consistent starts."""

@@ -1,0 +1,197 @@
+"""Consistent states of a constrained mechanical system, and which of its constraints are redundant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import EPS, Array
+from .._base.failures import InvariantError
+from .._functions.derivatives import sizes
+from .motion import DEPENDENT, Motion, Point
+
+__all__ = ["consistent_state", "nearby_state", "redundant_rows"]
+
+#: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
+_ITERATIONS = 50
+#: A correction of this part of the size of q leaves roundoff.
+_SETTLED = 4 * EPS
+#: Residuals are roundoff below this part of the terms Φ_ij q_j, as in `impose`, and with room for differences.
+_ROUNDOFF = 1e-11
+#: How far from q0, in units of its components, the constraints are looked at once more: nearer in long chains, whose
+#: components are many times the lengths of their links. Newton's iterations are few where it is near enough.
+_BESIDE = (1e-2, 1e-3, 1e-4)
+_FEW = 10
+#: The rest of a row that depends on others, on the manifold to roundoff.
+_REDUNDANT = 1e-8
+#: Sparse factors are faster from this many velocities on, if at most this fraction of the entries is nonzero.
+_LARGE = 100
+_SPARSE = 0.1
+#: The rest of a row above this is surely not roundoff, though the factors lose half of the digits.
+_FAR = 1e-4
+_GOLDEN = 0.6180339887498949
+
+
+def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
+    """The state with φ = 0, φ' = 0, ψ = 0 that is nearest to `start`, in the metric of the mass matrix.
+
+    q minimises (q - q0)ᵀ M (q - q0), by Gauss-Newton iterations M (q⁺ - q0) = Φᵀ μ, Φ (q⁺ - q) = -φ; then v in the same
+    sense, which is linear. Where q' is not v, or M is not definite, q is the nearest one in the Euclidean sense.
+    """
+    q = _consistent_positions(motion, start, names)
+    at = start._replace(q=q)
+    rows = motion.rows(at)
+    if not len(rows):
+        return at
+    change = _least_change(motion.mass(at), rows, -motion.rates(at))
+    after = at._replace(v=at.v + change)
+    left = np.abs(motion.rates(after))
+    moving = np.abs(at.v) + np.abs(change)
+    terms = np.abs(motion.rates(at)) + np.abs(rows) @ moving
+    # Rates also have roundoff from φ_t and from differences. M couples velocities: each, also one that is 0, has the
+    # roundoff of the largest.
+    roundoff = _ROUNDOFF * np.abs(rows).sum(axis=1) * moving.max(initial=0.0) + np.finfo(float).tiny
+    off = left > _ROUNDOFF**0.5 * terms + roundoff
+    if off.any():
+        i = int(np.flatnonzero(off)[0])
+        if i < motion.m_phi and not rows[i].any():
+            raise InvariantError(
+                f"{names[i]} changes with t, at the rate {left[i]:.3g} at t = {start.t}, and no velocity changes that: "
+                "it does not depend on q, or q0 is a singular position of it. Correct its formula, or start elsewhere"
+            )
+        raise InvariantError(
+            f"no velocities satisfy the constraints at t = {start.t}: what is left of the rate of {names[i]} is "
+            f"{left[i]:.3g}. The constraints may contradict each other, or be singular at this position: check their "
+            "formulas, or start from another q0"
+        )
+    return after
+
+
+def _consistent_positions(motion: Motion, start: Point, names: list[str], nearest: bool = True) -> Array:
+    """The q of `consistent_state`; without `nearest` some consistent q nearby, by Newton's iteration."""
+    if not motion.m_phi:
+        return start.q
+    t, q0 = start.t, start.q
+    weight = np.eye(motion.n_q) if motion.has_map else motion.mass(start)
+    q = q0
+    for _ in range(_ITERATIONS if nearest else _FEW):
+        residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
+        if not (np.isfinite(residual).all() and np.isfinite(rows).all()):
+            break
+        if not nearest and not _off(residual, rows, q, q0).any():
+            break
+        base = q0 if nearest else q
+        after = base + _least_change(weight, rows, rows @ (q - base) - residual)
+        moved = np.abs(after - q).max(initial=0.0)
+        q = after
+        if moved <= _SETTLED * sizes(q).max(initial=0.0):
+            break
+    residual, rows = motion.positions(start._replace(q=q)), motion.positions_jacobian(start._replace(q=q))
+    off = _off(residual, rows, q, q0)
+    if off.any():
+        i = int(np.argmax(np.abs(residual) * off))
+        if not rows[i].any():
+            raise InvariantError(
+                f"{names[i]} is {residual[i]:.6g} at t = {t}, and no change of q changes it: it does not depend on q, "
+                "or q0 is a singular position of it. Correct its formula, or start from another q0"
+            )
+        raise InvariantError(
+            f"no position near q0 satisfies the constraints at t = {t}: {names[i]} is {residual[i]:.6g} at the best "
+            "one found. The constraints may contradict each other: check them, or start from a q0 nearer to a solution"
+        )
+    return q
+
+
+def _off(residual: Array, rows: Array, q: Array, q0: Array) -> Array:
+    """Which residuals are more than roundoff."""
+    roundoff: Array = _ROUNDOFF * (np.abs(rows) @ sizes(q) + np.abs(rows) @ sizes(q0))
+    off: Array = ~(np.abs(residual) <= roundoff)
+    return off
+
+
+def _least_change(weight: Array, rows: Array, right: Array) -> Array:
+    """The x of least xᵀ W x with A x = right; where W does not determine it, of least norm."""
+    n = len(weight)
+    if n >= _LARGE and np.count_nonzero(rows) <= _SPARSE * rows.size and np.count_nonzero(weight) <= _SPARSE * n * n:
+        found = _sparse_least_change(weight, rows, right)
+        if found is not None:
+            return found
+    for metric in (weight, np.eye(n)):
+        solution = _core.solve_saddle(
+            np.ascontiguousarray(metric), np.ascontiguousarray(rows), np.zeros(n), right, DEPENDENT
+        )
+        change: Array = solution[0]
+        if solution[-1]:  # unique
+            break
+    return change
+
+
+def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | None:
+    """The same by sparse factors of (W, -Aᵀ; A, 0); None: it is not determined, or not to roundoff."""
+    from scipy.sparse import block_array, csc_array  # takes longer to import than everything else
+    from scipy.sparse.linalg import splu
+
+    W, A = csc_array(weight), csc_array(rows)
+    try:
+        factors = splu(block_array([[W, -A.T], [A, None]], format="csc"))
+    except RuntimeError:  # singular
+        return None
+    change: Array = factors.solve(np.concatenate([np.zeros(len(weight)), right]))[: len(weight)]
+    off = np.abs(A @ change - right) > _ROUNDOFF * (abs(A) @ np.abs(change) + np.abs(right))
+    return change if np.isfinite(change).all() and not off.any() else None
+
+
+def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
+    """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
+    golden = np.modf(_GOLDEN * np.arange(1, motion.n_q + 1))[0]
+    direction = sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
+    for part in _BESIDE:
+        try:
+            beside = at._replace(q=at.q + part * direction)
+            return at._replace(q=_consistent_positions(motion, beside, names, nearest=False))
+        except InvariantError:
+            continue
+    return at
+
+
+def _surely_independent(rows: Array) -> bool:
+    """Whether Cholesky's factors of A Aᵀ, rows of norm 1, show each row far from those before it."""
+    lengths = np.linalg.norm(rows, axis=1)
+    if not lengths.all():
+        return False
+    unit = rows / lengths[:, None]
+    try:
+        pivots = np.diag(np.linalg.cholesky(unit @ unit.T))
+    except np.linalg.LinAlgError:
+        return False
+    return bool((pivots > _FAR).all())
+
+
+def dependent_rows(rows: Array, order: Iterable[int] | None = None) -> Array:
+    """Which rows depend on those before them, in the given order."""
+    dependent = np.zeros(len(rows), dtype=bool)
+    if len(rows) >= _LARGE and _surely_independent(rows):
+        return dependent
+    basis = np.zeros((0, rows.shape[1]))
+    for i in range(len(rows)) if order is None else order:
+        length = float(np.linalg.norm(rows[i]))
+        rest = rows[i] / length if length > 0 else rows[i]
+        for _ in range(2):  # twice is enough
+            rest = rest - basis.T @ (basis @ rest)
+        left = float(np.linalg.norm(rest))
+        dependent[i] = left <= _REDUNDANT
+        if not dependent[i]:
+            basis = np.vstack([basis, rest / left])
+    return dependent
+
+
+def redundant_rows(here: Array, beside: Array) -> Array:
+    """Which rows depend on others wherever the motion goes: beside, where nothing is singular by chance.
+
+    Those that are independent here are taken first: at a singular position a choice among those of beside alone may
+    leave out a row that is needed here, and keep one that is 0.
+    """
+    dependent = dependent_rows(here)
+    return dependent_rows(beside, [*np.flatnonzero(~dependent), *np.flatnonzero(dependent)])

@@ -1,0 +1,495 @@
+"""The equations of motion of a constrained mechanical system, in the form the core evaluates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array
+from .._functions.compiled import CompiledFunction, CoreFunction, is_native, native_parameters, to_native
+from .._functions.derivatives import Derivatives, compressed, full_pattern
+
+__all__ = ["Accelerations", "FunctionOfState", "Functions", "Motion", "MotionFunction", "Point"]
+
+#: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
+#: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.
+DEPENDENT = 1e-10
+#: From this many entries on it is worth knowing which entries of M are always zero.
+_LARGE = 500
+#: The patterns of M and Φ are sought at q, and at this distance from it, in units of the sizes of its components.
+_BESIDE = (0.1, -0.07)
+
+#: Constraints that are left out are watched at so many of the outputs. One is violated that is off by this many
+#: tolerances, as is a correction that a step may not make; or by this part of its terms, if these are larger.
+_WATCHED = 200
+_VIOLATED = 100
+_ROUNDOFF = 1e-11
+
+Columns = tuple[Array, Array, Array]  # a sparse matrix: starts of its columns, rows, values
+
+
+class Point(NamedTuple):
+    """A state of the system, and the extra arguments of its functions."""
+
+    t: float
+    q: Array
+    v: Array
+    args: tuple[Any, ...]
+
+    @property
+    def x(self) -> Array:
+        """(q, v) as one array."""
+        return np.concatenate([self.q, self.v])
+
+
+class Accelerations(NamedTuple):
+    """v' and the multipliers λ of all constraints."""
+
+    a: Array
+    multipliers: Array
+    unique: bool  # M is definite on the null space of the constraints
+
+
+class Functions(NamedTuple):
+    """What the user gives: `mass` may be constant, the rest functions or None."""
+
+    mass: Any
+    force: Any
+    constraints: Any
+    velocity_constraints: Any
+    kinematics: Any
+    jacobian: Any
+    counts: dict[str, int]  # number of values, which a native function does not say
+
+
+class Motion:
+    """M v' = Q + Aᵀ λ, q' = K(t, q, v), φ(t, q) = 0, ψ(t, q, v) = 0.
+
+    Parameters
+    ----------
+    functions : Functions
+        The user's.
+    start : Point
+        A point at which the functions are tried.
+
+    Attributes
+    ----------
+    kept : ndarray of bool, (m,)
+        Which constraints are imposed, those of φ first.
+    names : list of str
+        Of all constraints, for messages.
+    derivatives : dict
+        How the derivatives of each function are formed.
+    """
+
+    def __init__(self, functions: Functions, start: Point) -> None:
+        self.n_q, self.n_v = len(start.q), len(start.v)
+        called = [one for one in functions[:-1] if one is not None]
+        self.native = any(map(is_native, called))
+        self._called = called
+        p = self._parameters(start.args)
+        self._core_functions: dict[str, Any] = {"mass": None, "jacobian": None}
+        self._core_functions["force"] = to_native(
+            "force(t, q, v)", functions.force, self.n_q + self.n_v, self.n_v, p, second=self.n_v
+        )
+        self.derivatives: dict[str, str] = {}
+        self._patterns: dict[str, Columns] = {}
+        at_q, at_x = (start.q,), (start.q, start.v)
+        self.m_phi = self._differentiate("constraints", "(t, q)", functions, start, at_q)
+        self.m_psi = self._differentiate("velocity_constraints", "(t, q, v)", functions, start, at_x)
+        mapped = self._differentiate("kinematics", "(t, q, v)", functions, start, at_x)
+        if mapped and mapped != self.n_q:
+            raise ValueError(f"kinematics(t, q, v) returned shape ({mapped},), expected ({self.n_q},), the shape of q0")
+        self.has_map = mapped > 0
+        self._mass_writes, self._mass = self._choose_mass(functions.mass, start, p)
+        self._jacobian_entries = False
+        if functions.jacobian is not None:
+            self._take_jacobian(functions.jacobian, start, p)
+        self.names = [f"constraint {i + 1}" for i in range(self.m)]
+        self._kept = np.ones(self.m, dtype=bool)
+        self._sparse = True
+        self._specs: dict[bytes, _core.Mechanics] = {}
+        self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
+        self._idle: list[tuple[tuple[Any, ...], bytes, _core.Motion]] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_specs": {}, "_parts": {}, "_idle": []}  # what belongs to the core is made again
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # The user's functions
+
+    def _differentiate(
+        self, name: str, signature: str, functions: Functions, start: Point, parts: tuple[Array, ...]
+    ) -> int:
+        """Takes the function with its derivatives; the number of its values."""
+        function = getattr(functions, name)
+        n = sum(len(part) for part in parts)
+        if function is None:
+            self._core_functions[name], self._patterns[name] = None, full_pattern(0, n)
+            return 0
+        of = Derivatives(function, start.t, parts, start.args, name + signature, functions.counts.get(name))
+        self._core_functions[name] = of.forms
+        self._patterns[name] = of.pattern(start.t, np.concatenate(parts))
+        self.derivatives[name] = of.kind
+        return of.m
+
+    def _choose_mass(self, mass: Any, start: Point, p: Array) -> tuple[str, Columns]:
+        """What the function of the mass writes, and the matrix or its pattern."""
+        n = self.n_v
+        if not callable(mass) and not is_native(mass):
+            return "nothing", _columns(_square(mass, n))
+        if isinstance(mass, CompiledFunction) and not mass.inplace:
+            returned: Any = np.asarray(mass(start.t, start.q.copy(), *([p] if len(p) else [])), dtype=float)
+        elif is_native(mass):
+            returned = np.ones((n, n))
+        else:
+            returned = mass(start.t, start.q.copy(), *start.args)
+        if hasattr(returned, "toarray"):
+            pattern = _common_pattern(mass, returned, (n, n), start)
+            self._core_functions["mass"] = _Entries(mass, pattern, (n, n), "mass(t, q)")
+            return "entries", pattern
+        shape = _square(returned, n).shape
+        size = n if len(shape) == 1 else n * n
+        self._core_functions["mass"] = to_native("mass(t, q)", mass, self.n_q, size, p)
+        if len(shape) == 1:
+            return "diagonal", _columns(np.ones(n))
+        if n * n < _LARGE or is_native(mass):
+            return "rows", full_pattern(n, n)
+        return "rows", _pattern_of_matrix(mass, start, (n, n))
+
+    def _take_jacobian(self, jacobian: Any, start: Point, p: Array) -> None:
+        shape = (self.m_phi, self.n_q)
+        self.derivatives["constraints"] = f"given and {self.derivatives['constraints']}"
+        returned = None if is_native(jacobian) else jacobian(start.t, start.q.copy(), *start.args)
+        if hasattr(returned, "toarray"):
+            pattern = _common_pattern(jacobian, returned, shape, start)
+            self._core_functions["jacobian"] = _Entries(jacobian, pattern, shape, "jacobian(t, q)")
+            self._patterns["constraints"], self._jacobian_entries = pattern, True
+        else:
+            native = to_native("jacobian(t, q)", jacobian, self.n_q, self.m_phi * self.n_q, p)
+            self._core_functions["jacobian"] = native
+            if self.m_phi * self.n_q >= _LARGE and not is_native(jacobian):
+                known = _dense(self._patterns["constraints"], self.m_phi)
+                self._patterns["constraints"] = compressed(
+                    known + _dense(_pattern_of_matrix(jacobian, start, shape), self.m_phi)
+                )
+
+    def _parameters(self, args: tuple[Any, ...]) -> Array:
+        return native_parameters(args, self._called)
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # The core's form
+
+    @property
+    def m(self) -> int:
+        """Number of all constraints."""
+        return self.m_phi + self.m_psi
+
+    @property
+    def kept(self) -> Array:
+        return self._kept
+
+    @kept.setter
+    def kept(self, kept: Array) -> None:
+        self._kept = kept
+
+    def spec(self, kept: Array | None = None) -> _core.Mechanics:
+        """The system for the core; `kept`: which constraints it imposes."""
+        imposed = self.kept if kept is None else kept
+        key = imposed.tobytes()
+        if key not in self._specs:
+            self._specs[key] = _core.Mechanics(
+                n_q=self.n_q,
+                n_v=self.n_v,
+                m_phi=self.m_phi,
+                m_psi=self.m_psi,
+                functions=self._core_functions,
+                mass_writes=self._mass_writes,
+                mass=self._mass,
+                jacobian_entries=self._jacobian_entries,
+                phi=self._patterns["constraints"],
+                psi=self._patterns["velocity_constraints"],
+                kinematics=self._patterns["kinematics"],
+                kept=imposed.tolist(),
+                sparse=self._sparse,
+                dependent=DEPENDENT,
+            )
+        return self._specs[key]
+
+    def part(self, name: str) -> _core.MotionPart:
+        """One of its functions for the core, always the same object."""
+        key = (self.kept.tobytes(), name)
+        if key not in self._parts:
+            self._parts[key] = _core.MotionPart(self.spec(), name)
+        return self._parts[key]
+
+    @contextmanager
+    def bound(self, args: tuple[Any, ...], kept: Array | None = None) -> Iterator[_core.Motion]:
+        """The motion with these arguments, for evaluations here; it is not shared meanwhile."""
+        spec = self.spec(kept)
+        key = (self.kept if kept is None else kept).tobytes()
+        known = self._idle.pop() if self._idle else None
+        if known is None or known[0] is not args or known[1] != key:
+            known = (args, key, _core.Motion(spec, args, self._parameters(args).tolist()))
+        yield known[2]
+        self._idle = [known]
+
+    def choose_factors(self, points: Sequence[Point]) -> None:
+        """Leaves sparse factors out if they are no good at any of these points: none would be later."""
+        core = _core.Motion(self.spec(), points[0].args, self._parameters(points[0].args).tolist())
+        if not core.sparse:
+            return
+        for at in points:
+            core.accelerations(at.t, at.x)
+        if core.work["dense"] == core.work["sparse"]:
+            self._sparse, self._specs, self._parts, self._idle = False, {}, {}, []
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # Values at a point; all constraints
+
+    @property
+    def _all(self) -> Array:
+        return np.ones(self.m, dtype=bool)
+
+    def mass(self, at: Point) -> Array:
+        """M, (n_v, n_v)."""
+        with self.bound(at.args) as motion:
+            return _dense(motion.mass(at.t, at.x), self.n_v)
+
+    def metric(self) -> Any:
+        """M as the metric of corrections: constant, its diagonal if it has no more, or a function of t and (q, v).
+
+        None if M is sparse with off-diagonal entries: corrections in that metric would cost more than they gain.
+        """
+        starts, rows, values = self._mass
+        diagonal = np.array_equal(rows, np.arange(self.n_v)) and np.array_equal(starts, np.arange(self.n_v + 1))
+        if not diagonal and self.is_sparse:
+            return None
+        if self._mass_writes != "nothing":
+            return MotionFunction(self, "mass")
+        return values.copy() if diagonal else _dense(self._mass, self.n_v)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether the core tries sparse factors first."""
+        return _core.Motion(self.spec(), (), []).sparse
+
+    def slope(self, at: Point) -> Array:
+        """(q', v')."""
+        with self.bound(at.args) as motion:
+            return motion.evaluate("slope", at.t, at.x)
+
+    def _evaluated(self, part: str, at: Point) -> Array:
+        with self.bound(at.args, self._all) as motion:
+            return motion.evaluate(part, at.t, at.x)
+
+    def positions(self, at: Point) -> Array:
+        """φ."""
+        return self._evaluated("positions", at) if self.m_phi else np.zeros(0)
+
+    def positions_jacobian(self, at: Point) -> Array:
+        """Φ = ∂φ/∂q."""
+        if not self.m_phi:
+            return np.zeros((0, self.n_q))
+        return self._evaluated("positions_jacobian", at).reshape(self.m_phi, -1)[:, : self.n_q]
+
+    def rates(self, at: Point) -> Array:
+        """(φ', ψ): what the velocities must make zero."""
+        parts = [self._evaluated("rates", at)] if self.m_phi else []
+        parts += [self._evaluated("velocities", at)] if self.m_psi else []
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def rows(self, at: Point) -> Array:
+        """A = (Φ K_v, ψ_v), of shape (m, n_v)."""
+        with self.bound(at.args, self._all) as motion:
+            return _dense(motion.rows(at.t, at.x)[0], self.m)
+
+    def violated(self, at: Point, weights: Array) -> list[int]:
+        """Which constraints that are not imposed are off by many tolerances `weights` of (q, v)."""
+        left_out = ~self.kept
+        phi, psi = left_out[: self.m_phi], left_out[self.m_phi :]
+        off = np.zeros(self.m, dtype=bool)
+        if phi.any():
+            w = weights[: self.n_q]
+            off[: self.m_phi] = phi & _far(self.positions(at), self.positions_jacobian(at), at.q, w)
+        if psi.any():
+            w = weights[self.n_q :]
+            off[self.m_phi :] = psi & _far(self.rates(at)[self.m_phi :], self.rows(at)[self.m_phi :], at.v, w)
+        return np.flatnonzero(off).tolist()
+
+    def accelerations(self, at: Point, every: bool = False) -> Accelerations:
+        """v' and λ; `every`: with redundant constraints too, λ is then the one of least norm."""
+        with self.bound(at.args, self._all if every else self.kept) as motion:
+            return Accelerations(*motion.accelerations(at.t, at.x))
+
+
+class MotionFunction(CoreFunction):
+    """A function of (t, y, *args) with y = (q, v) that a motion has: its slope, one of its laws or their Jacobians."""
+
+    def __init__(self, motion: Motion, part: str) -> None:
+        self._motion, self._part, self.functions = motion, part, motion._called
+        self.__name__ = self.__qualname__ = "mechanism" if part == "slope" else part
+
+    def __repr__(self) -> str:
+        return f"<the {self._part.replace('_', ' ')} of a mechanical system>"
+
+    def __call__(self, t: float, y: Any, *args: Any) -> Array:
+        if np.iscomplexobj(y):
+            raise TypeError(f"the {self._part} of a mechanical system is a function of real states")
+        with self._motion.bound(args) as motion:
+            values = motion.evaluate(self._part, float(t), np.ascontiguousarray(y, dtype=float))
+        if self._part == "mass" and len(values) > self._motion.n_v:
+            return values.reshape(self._motion.n_v, -1)
+        return values.reshape(-1, self._motion.n_q + self._motion.n_v) if self._part.endswith("jacobian") else values
+
+    @property
+    def native(self) -> bool:  # type: ignore[override]  # a constant for others
+        return self._motion.native
+
+    @property
+    def derivatives(self) -> dict[str, str]:  # type: ignore[override]  # a constant for others
+        """How the derivatives of the constraints are formed."""
+        return self._motion.derivatives
+
+    def objection(self, t: Array, y: Array, args: tuple[Any, ...], weights: Array) -> str | None:
+        """That a constraint which was redundant at the start, and so is not imposed, does not hold any more."""
+        motion, n = self._motion, self._motion.n_q
+        if motion.kept.all():
+            return None
+        for k in np.unique(np.linspace(0, len(t) - 1, min(len(t), _WATCHED)).astype(int)):
+            at = Point(float(t[k]), y[:n, k], y[n:, k], args)
+            if off := motion.violated(at, weights[:, k]):
+                return (
+                    f"{motion.names[off[0]]} depended on the others at the start, and was left out as redundant; at "
+                    f"t = {at.t:.6g} it is independent and does not hold: the solution is wrong from there on, or "
+                    "shortly before. Start from another position, where no constraints depend on each other, or remove "
+                    "those that do everywhere"
+                )
+        return None
+
+    def for_core(self, n: int, size: int, parameters: Array) -> _core.MotionPart:
+        return self._motion.part(self._part)
+
+
+class FunctionOfState(CoreFunction):
+    """A user's ``function(t, q, v, *args)`` as one of (t, y, *args) with y = (q, v)."""
+
+    def __init__(self, function: Any, n_q: int, n_v: int, name: str) -> None:
+        self._function, self._n_q, self._n_v, self.functions = function, n_q, n_v, [function]
+        self.__name__ = self.__qualname__ = name
+
+    def __call__(self, t: Any, y: Array, *args: Any) -> Any:
+        if isinstance(self._function, CompiledFunction) and args:
+            args = (native_parameters(args, [self._function]),)
+        return self._function(t, y[: self._n_q], y[self._n_q :], *args)
+
+    @property
+    def native(self) -> bool:  # type: ignore[override]  # a constant for others
+        return is_native(self._function)
+
+    def for_core(self, n: int, size: int, parameters: Array) -> Any:
+        return to_native(self.__name__, self._function, n, size, parameters, second=self._n_v) if self.native else self
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Matrices
+
+
+class _Entries:
+    """A user's function that returns a sparse matrix, as one that returns its entries in a pattern."""
+
+    def __init__(self, function: Callable[..., Any], pattern: Columns, shape: tuple[int, int], name: str) -> None:
+        self._function, self._pattern, self._shape, self._name = function, pattern, shape, name
+
+    def __call__(self, t: float, q: Array, *args: Any) -> Array:
+        from scipy.sparse import csc_array  # takes longer to import than everything else
+
+        given = csc_array(self._function(t, q, *args), dtype=float)
+        if given.shape != self._shape:
+            raise ValueError(f"{self._name} returned shape {given.shape}, expected {self._shape}")
+        given.sum_duplicates()
+        starts, rows, _ = self._pattern
+        if np.array_equal(given.indptr, starts) and np.array_equal(given.indices, rows):
+            return given.data
+        columns = np.repeat(np.arange(self._shape[1]), np.diff(starts))
+        wide = given.tocsr()
+        values = np.asarray(wide[rows, columns]).ravel()
+        if np.count_nonzero(values) < given.count_nonzero():
+            raise ValueError(
+                f"{self._name} has entries at t = {t} where it had none at the start: store these zeros too"
+            )
+        return values
+
+
+def _far(residual: Array, rows: Array, x: Array, weights: Array) -> Array:
+    """Which residuals are many tolerances `weights` of x away from 0."""
+    size = np.maximum(_VIOLATED * np.linalg.norm(rows * weights, axis=1), _ROUNDOFF * (np.abs(rows) @ np.abs(x)))
+    far: Array = np.abs(residual) > size
+    return far
+
+
+def _square(given: Any, n: int) -> Any:
+    """The mass as given, (n,), (n, n) or sparse, of numbers."""
+    mass = given if hasattr(given, "toarray") else np.asarray(given, dtype=float)
+    if mass.shape not in ((n,), (n, n)):
+        raise ValueError(f"mass must have shape ({n},) or ({n}, {n}), as v0 has {n} components, got {mass.shape}")
+    return mass
+
+
+def _columns(mass: Any) -> Columns:
+    """A diagonal, a dense matrix or a sparse one as compressed columns."""
+    if hasattr(mass, "toarray"):
+        sparse = mass.tocsc().astype(float)
+        sparse.sum_duplicates()
+        return sparse.indptr.astype(np.int32), sparse.indices.astype(np.int32), sparse.data.copy()
+    if mass.ndim == 1:
+        n = len(mass)
+        return np.arange(n + 1, dtype=np.int32), np.arange(n, dtype=np.int32), mass.copy()
+    return compressed(mass)
+
+
+def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:
+    starts, indices, values = columns
+    dense = np.zeros((rows, len(starts) - 1))
+    dense[np.asarray(indices, dtype=int), np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = values
+    return dense
+
+
+def _beside(start: Point) -> Iterator[Array]:
+    """Positions near the start, where nothing vanishes by chance."""
+    rng = np.random.default_rng(0)
+    scale = np.abs(start.q).max(initial=0.0) or 1.0
+    for part in _BESIDE:
+        yield start.q + part * scale * rng.uniform(0.5, 1.5, len(start.q))
+
+
+def _common_pattern(function: Callable[..., Any], at_start: Any, shape: tuple[int, int], start: Point) -> Columns:
+    """All entries that a sparse matrix stores at the start and beside it."""
+    if at_start.shape != shape:
+        raise ValueError(f"a sparse matrix of shape {at_start.shape} was returned, expected {shape}")
+    stored = abs(at_start) + _ones_where_stored(at_start)
+    for q in _beside(start):
+        stored = stored + _ones_where_stored(function(start.t, q, *start.args))
+    return _columns(stored)
+
+
+def _ones_where_stored(matrix: Any) -> Any:
+    ones = matrix.tocsc().astype(float)
+    ones.data[:] = 1.0
+    return ones
+
+
+def _pattern_of_matrix(function: Callable[..., Any], start: Point, shape: tuple[int, int]) -> Columns:
+    """Where a dense matrix of (t, q) is not always zero: it is not at some points, or it depends on q."""
+    entries = np.zeros(shape, dtype=bool)
+    for q in (start.q.copy(), *_beside(start), np.full(len(start.q), np.nan)):
+        try:
+            with np.errstate(all="ignore"):
+                entries |= ~(np.asarray(function(start.t, q, *start.args), dtype=float) == 0)
+        except (ValueError, ArithmeticError):
+            return full_pattern(*shape)
+    return compressed(entries)

@@ -1,0 +1,471 @@
+"""Constrained mechanics: from mass, forces and constraints to a problem whose solution satisfies the constraints."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, choice, extra_arguments, function, interval, state, warn
+from .._base.failures import InvariantError
+from .._base.types import Span
+from .._functions.compiled import is_native
+from .._problem.invariants import Invariants, InvariantsLike, to_invariants
+from .._results.films import HasPoints
+from .._solve.problem import Problem
+from .consistent import consistent_state, nearby_state, redundant_rows
+from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point
+
+__all__ = ["MechanicalSystem"]
+
+#: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms mean one.
+_INCONSISTENT = 1e-6
+#: ψ is linear in v if a combination of values is the value of the combination to this fraction of its terms.
+_LINEAR = 1e-9
+#: The mass matrix must be symmetric to this fraction of its largest entry.
+_SYMMETRIC = 1e-12
+
+
+class _Points(Protocol):
+    """What multipliers are evaluated at: a `Solution` or SciPy's result."""
+
+    @property
+    def t(self) -> Any: ...
+    @property
+    def y(self) -> Any: ...
+
+
+class MechanicalSystem(HasPoints):
+    """A mechanical system with constraints: M(t, q) v' = Q(t, q, v) + Φᵀ λ, q' = v, φ(t, q) = 0.
+
+    `problem` turns it into an ordinary differential equation, by solving for the constraint forces, together with the
+    equation's invariants: φ = 0 and its rate Φ v + φ_t = 0. Any method can solve it. All derivatives are formed
+    automatically.
+
+    Parameters
+    ----------
+    mass : array_like of shape (n,) or (n, n), or callable
+        M, constant or ``M(t, q, *args)``; a diagonal, a matrix, or a sparse matrix. Symmetric, and positive definite
+        on the velocities that the constraints allow.
+    force : callable
+        ``Q(t, q, v, *args)``, of shape (n,): all forces except the constraint forces, including terms quadratic in v.
+    constraints : callable or Invariants, optional
+        Holonomic constraints ``φ(t, q, *args)``, a number or shape (m,); or ``Invariants(φ, names=[...])``, which
+        names them in messages and tables.
+    velocity_constraints : callable or Invariants, optional
+        Non-holonomic constraints ``ψ(t, q, v, *args)``, a number or shape (k,), linear in v; named likewise.
+    kinematics : callable, optional
+        ``K(t, q, v, *args)``, the derivative of q if that is not v, as with quaternions: q and v may then differ in
+        length.
+    energy : callable, optional
+        ``E(t, q, v, *args)``, a number, held at its initial value. Default: no energy is held.
+    invariants : callable, Invariants, or list of these, optional
+        Further invariants ``g(t, y, *args)`` with y = (q, v).
+    points : callable, optional
+        ``points(t, q, *args)``, shape (k, 2) or (k, 3): what `animate` shows.
+    args : tuple, optional
+        Extra arguments of all functions.
+    labels : sequence of str, optional
+        Names of the components of q and v.
+    name : str, optional
+        For tables and plots.
+    jacobian : callable, optional
+        ``Φ(t, q, *args)``, the Jacobian ∂φ/∂q of shape (m, n), dense or sparse. Default: by complex steps if φ takes
+        complex t and q, else by differences of order 4.
+
+    Notes
+    -----
+    Write `constraints` so that they take complex q: with NumPy's functions, without abs and max. Then Φ is exact to
+    roundoff, and the second derivative of φ along the motion is good to about twelve digits. With differences Φ is good
+    to eleven digits, the second derivative to eight.
+
+    Such a system is a differential-algebraic equation of index 3. The ordinary one with invariants is as accurate,
+    suits explicit methods, and needs no multipliers: these are computed afterwards, on request.
+
+    All functions may be native (`invariode.compile`, ctypes, ...), alone or with Python functions: ``f(t, q)`` or
+    ``f(t, q, v)``, with `args` ``f(t, q, p)`` or ``f(t, q, v, p)``, p being the arguments as an array. In C these are
+    ``void f(double t, const double* x, double* out, const double* p)`` with x = q, or q followed by v; a mass fills
+    (n, n). Native constraints not made by `compile` need names, which give their number, and are differentiated by
+    differences. If all functions are native, no Python is called in the run.
+
+    A call of f evaluates mass, force, and φ about n + 6 times, or with `jacobian` 6 times (several times as many near
+    singular positions, where bars line up), and factorises M, dense, in
+    O(n³) operations. With 24 velocities or more, entries of M and Φ that are always zero are looked for. If most are,
+    as in chains, one evaluation of φ gives all columns of Φ that have no row in common, and the factors are sparse: a
+    call of f costs O(n).
+
+    Examples
+    --------
+    A pendulum of length 1 in the plane:
+
+    >>> import invariode as iv
+    >>> pendulum = iv.MechanicalSystem(
+    ...     [1, 1], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] ** 2 + q[1] ** 2 - 1
+    ... )
+    >>> sol = pendulum.problem((0, 10), [1, 0], [0, 0]).solve("ode113", rtol=1e-8, atol=1e-10)
+    >>> bool(abs(sol.y[0] ** 2 + sol.y[1] ** 2 - 1).max() < 1e-14)
+    True
+    >>> pendulum.reactions(sol).shape == (2, len(sol.t))
+    True
+    """
+
+    def __init__(
+        self,
+        mass: ArrayLike | Callable[..., Any],
+        force: Callable[..., Any],
+        constraints: Callable[..., Any] | Invariants | None = None,
+        velocity_constraints: Callable[..., Any] | Invariants | None = None,
+        kinematics: Callable[..., Any] | None = None,
+        energy: Callable[..., Any] | None = None,
+        invariants: InvariantsLike | None = None,
+        points: Callable[..., Any] | None = None,
+        *,
+        args: Iterable[Any] = (),
+        labels: Sequence[str] | None = None,
+        name: str | None = None,
+        jacobian: Callable[..., Any] | None = None,
+    ) -> None:
+        self.force = force if is_native(force) else function("force", force, "Q(t, q, v)")
+        optional = {
+            "constraints": (constraints, "φ(t, q)"),
+            "velocity_constraints": (velocity_constraints, "ψ(t, q, v)"),
+            "kinematics": (kinematics, "K(t, q, v)"),
+            "energy": (energy, "E(t, q, v)"),
+            "jacobian": (jacobian, "Φ(t, q)"),
+            "points": (points, "points(t, q)"),
+        }
+        for argument, (given, signature) in optional.items():
+            named = argument.endswith("constraints") and isinstance(given, Invariants)
+            if given is not None and not is_native(given) and not named:
+                function(argument, given, signature)
+        if jacobian is not None and constraints is None:
+            raise ValueError("jacobian is that of the constraints: give constraints too")
+        self.mass = mass
+        self.constraints, self.velocity_constraints = constraints, velocity_constraints
+        self.kinematics, self.energy, self.jacobian = kinematics, energy, jacobian
+        self.invariants = to_invariants(invariants)
+        self.points = points
+        self.args = extra_arguments(args)
+        self.labels = None if labels is None else list(labels)
+        self.name = name
+        self._n_q: int | None = None  # known from `problem`, if lengths of q and v differ
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})" if self.name else f"{type(self).__name__}()"
+
+    def problem(
+        self,
+        t_span: Span,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        consistent: Literal["check", "project"] = "check",
+        correction: Literal["levels", "joint", "none"] = "levels",
+    ) -> Problem:
+        """The initial value problem of y = (q, v).
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            (t0, tf).
+        q0 : array_like
+            Positions at t0.
+        v0 : array_like
+            Velocities at t0.
+        consistent : {'check', 'project'}, default 'check'
+            A start that is off the constraints by less than the run's tolerances is moved onto them. One that is
+            farther off is an `InvariantError` in the run, or is moved by the least change in the metric of the mass
+            matrix, with a warning that says how far.
+        correction : {'levels', 'joint', 'none'}, default 'levels'
+            How the solution is put back onto the constraints after each step: first positions onto φ = 0, then
+            velocities onto φ' = 0 and ψ = 0 with the positions held, then all onto energy and further invariants
+            without leaving those; all invariants together, as in the paper; or not at all.
+
+        Returns
+        -------
+        Problem
+            With invariants in that order: φ, φ' and ψ, the energy, the others.
+
+        Raises
+        ------
+        ValueError
+            Shapes do not match; ψ is not linear in v; a constraint does not depend on q; M is singular on the
+            velocities that the constraints allow.
+        InvariantError
+            The constraints contradict each other: there is no consistent state.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> bead = iv.MechanicalSystem([1, 1], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
+        >>> bead.problem((0, 1), [1, 1], [0, 0])
+        Problem('mechanism', t_span=(0.0, 1.0), n=4)
+        """
+        choice("consistent", consistent, ("check", "project"))
+        choice("correction", correction, ("levels", "joint", "none"))
+        start = Point(interval(t_span)[0], state(q0), state(v0), self.args)
+        motion = self._motion(start)
+        names = self._names(motion)
+        known = consistent_state(motion, start, names)
+        self._look_for_redundancy(motion, known, names)
+        if consistent == "project":
+            self._tell_move(start, known)
+            start = known
+        elif correction == "none":
+            self._require_consistent(motion, start, names)
+        if not motion.accelerations(known).unique:
+            raise ValueError(
+                f"mass is not positive definite on the velocities that the constraints allow, at t = {start.t}: the "
+                "accelerations are not determined. Give a mass to every motion that is free"
+            )
+
+        held = None if correction == "none" else self._laws(motion, names, in_levels=correction == "levels")
+        slope = MotionFunction(motion, "slope")
+        return Problem(
+            slope, t_span, start.x, args=self.args, invariants=held, name=self.name, labels=self._labels(motion)
+        )
+
+    def consistent(self, t: float, y: ArrayLike) -> Array:
+        """The state nearest to y = (q, v) that satisfies the constraints, positions first, in the metric of the mass.
+
+        An event's action that changes velocities should return this: the links answer an impact with impulses of their
+        own, which are the least change of v in this metric.
+
+        Parameters
+        ----------
+        t : float
+            The time.
+        y : array_like of shape (n,)
+            A state of a problem of this system.
+
+        Returns
+        -------
+        ndarray, (n,)
+
+        Raises
+        ------
+        InvariantError
+            There is no consistent state nearby.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> bead = iv.MechanicalSystem([1, 3], lambda t, q, v: [0, -1], constraints=lambda t, q: q[0] - q[1])
+        >>> bead.consistent(0.0, [0, 0, 4, 0])
+        array([0., 0., 1., 1.])
+        """
+        values = state(y)
+        n = self._positions_of(values)
+        start = Point(float(t), values[:n], values[n:], self.args)
+        motion = self._motion(start)
+        return consistent_state(motion, start, self._names(motion)).x
+
+    def multipliers(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
+        """The multipliers λ at the points of a solution.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        args : tuple, optional
+            The arguments with which it was solved. Default: those of its problem, if the solution knows it, else those
+            of the system. Give them for trajectories of ensembles and for loaded solutions.
+
+        Returns
+        -------
+        ndarray, (m, n_t)
+            Those of the constraints, then those of the velocity constraints; of least norm if constraints are
+            redundant.
+        """
+        columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
+        return np.array(columns).T
+
+    def reactions(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
+        """The forces of all constraints at the points of a solution: Aᵀ λ, where the rows of A are Φ and ∂ψ/∂v.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        args : tuple, optional
+            As for ``multipliers``.
+
+        Returns
+        -------
+        ndarray, (n, n_t)
+            In the directions of v.
+        """
+        columns = [
+            motion.rows(at).T @ motion.accelerations(at, every=True).multipliers
+            for motion, at in self._along(sol, args)
+        ]
+        return np.array(columns).T
+
+    def _places(self, sol: Any) -> Callable[[float, Array], Any]:
+        if self.points is None:
+            raise ValueError("the system has no points: make it with points=, or use sol.animate")
+        n, place, args = self._positions_of(sol.y), self.points, self.args
+        return lambda t, y: place(t, y[:n], *args)
+
+    def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
+        n = self._positions_of(np.asarray(sol.y))
+        origin = getattr(sol, "_origin", None)
+        known = self.args if origin is None else origin.source.problem.args
+        used = known if args is None else extra_arguments(args)
+        points = [Point(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
+        motion = self._motion(points[0]) if points else None
+        return [(motion, at) for at in points if motion is not None]
+
+    def _positions_of(self, y: Array) -> int:
+        """How many components of y are positions."""
+        if self.kinematics is None:
+            return len(y) // 2
+        if self._n_q is None:
+            raise ValueError(
+                "the solution does not belong to a problem of this system: make one with `problem`, and solve it"
+            )
+        return self._n_q
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # The start
+
+    def _motion(self, start: Point) -> Motion:
+        n_q, n_v = len(start.q), len(start.v)
+        if self.kinematics is None and n_q != n_v:
+            raise ValueError(
+                f"q0 and v0 must have the same length if q' = v, got {n_q} and {n_v}; else give kinematics"
+            )
+        self._n_q = n_q
+        given = {"constraints": self.constraints, "velocity_constraints": self.velocity_constraints}
+        told = {name: one for name, one in given.items() if isinstance(one, Invariants)}
+        functions = Functions(
+            mass=self.mass,
+            force=self.force,
+            kinematics=self.kinematics,
+            jacobian=self.jacobian,
+            **{name: one.fun if isinstance(one, Invariants) else one for name, one in given.items()},
+            counts={name: len(one.names) for name, one in told.items() if one.names},
+        )
+        motion = Motion(functions, start)
+        mass = motion.mass(start)
+        if np.abs(mass - mass.T).max(initial=0.0) > _SYMMETRIC * np.abs(mass).max(initial=0.0):
+            raise ValueError(f"mass must be symmetric, and is not at t = {start.t}")
+        self._require_linear(motion, start)
+        return motion
+
+    def _require_linear(self, motion: Motion, start: Point) -> None:
+        if not motion.m_psi:
+            return
+        v = np.where(start.v != 0, start.v, 1.0)
+        w = np.roll(v, 1) + v
+        at_v, at_w, between = (motion.rates(start._replace(v=part))[motion.m_phi :] for part in (v, w, 3 * v - 2 * w))
+        terms = np.abs(at_v) + np.abs(at_w) + np.abs(between)
+        off = np.abs(between - (3 * at_v - 2 * at_w)) > _LINEAR * terms
+        if off.any():
+            raise ValueError(
+                f"velocity constraint {np.flatnonzero(off)[0] + 1} is not linear in v: only constraints that are "
+                "linear in v have forces of the form Aᵀ λ. A constraint of positions belongs to constraints, a "
+                "conserved quantity to invariants"
+            )
+
+    def _names(self, motion: Motion) -> list[str]:
+        given: list[list[str] | None] = [
+            one.names if isinstance(one, Invariants) else None for one in (self.constraints, self.velocity_constraints)
+        ]
+        holonomic = given[0] or [f"constraint {i + 1}" for i in range(motion.m_phi)]
+        return holonomic + (given[1] or [f"velocity constraint {i + 1}" for i in range(motion.m_psi)])
+
+    def _labels(self, motion: Motion) -> list[str]:
+        if self.labels is not None:
+            return self.labels
+        positions = [f"q{i + 1}" for i in range(motion.n_q)]
+        return positions + [f"v{i + 1}" for i in range(motion.n_v)]
+
+    def _look_for_redundancy(self, motion: Motion, known: Point, names: list[str]) -> None:
+        """Leaves out constraints that depend on others beside the start: not those of a singular position."""
+        if not motion.m:
+            return
+        beside = nearby_state(motion, known, names)
+        here, there = motion.rows(known), motion.rows(beside)
+        nowhere = ~(here.any(axis=1) | there.any(axis=1))
+        if nowhere.any():
+            i = int(np.flatnonzero(nowhere)[0])
+            raise ValueError(
+                f"{names[i]} does not depend on {'q' if i < motion.m_phi else 'v'}: it cannot be imposed. Remove "
+                "it, or correct its formula"
+            )
+        redundant = redundant_rows(here, there)
+        if redundant.any():
+            listed = ", ".join(name for name, left_out in zip(names, redundant, strict=True) if left_out)
+            warn(
+                f"redundant constraints are left out: {listed}. The motion is the same; the multipliers reported are "
+                "those of least norm"
+            )
+        motion.kept, motion.names = ~redundant, names
+        motion.choose_factors([known, beside])
+
+    def _tell_move(self, start: Point, known: Point) -> None:
+        q, v = (np.abs(a - b).max(initial=0.0) for a, b in ((known.q, start.q), (known.v, start.v)))
+        roundoff = _SYMMETRIC * max(np.abs(start.x).max(initial=0.0), np.finfo(float).tiny)
+        if max(q, v) > roundoff:
+            warn(f"the start was moved onto the constraints: components of q0 by up to {q:.3g}, of v0 by up to {v:.3g}")
+
+    def _require_consistent(self, motion: Motion, start: Point, names: list[str]) -> None:
+        t, v = start.t, start.v
+        held, rows = motion.positions(start), motion.positions_jacobian(start)
+        parts = [("", held, np.abs(rows) @ np.abs(start.q), names)]
+        rates = motion.rates(start)
+        parts.append(("the rate of ", rates, np.abs(motion.rows(start)) @ np.abs(v), names))
+        for prefix, residual, terms, of in parts:
+            off = np.abs(residual) > _INCONSISTENT * np.maximum(terms, 1.0)
+            if off.any():
+                i = int(np.flatnonzero(off)[0])
+                raise InvariantError(
+                    f"q0, v0 do not satisfy the constraints: {prefix}{of[i]} is {residual[i]:.6g} at t = {t}. Correct "
+                    'them, or let consistent="project" move them'
+                )
+
+    # ------------------------------------------------------------------------------------------------------------------
+    # What the motion keeps
+
+    def _laws(self, motion: Motion, names: list[str], *, in_levels: bool) -> list[Invariants]:
+        n, size = motion.n_q, motion.n_q + motion.n_v
+        mass = motion.metric()
+        first = {"level": 0, "moves": range(n), "metric": None if motion.has_map else mass}
+        second = {"level": 1, "moves": range(n, size), "metric": mass}
+        if not in_levels:
+            first, second = {}, {}
+        holonomic = _kept_names(names[: motion.m_phi], motion.kept[: motion.m_phi])
+        others = _kept_names(names[motion.m_phi :], motion.kept[motion.m_phi :])
+        laws = []
+        if holonomic:
+            laws.append(_law(motion, "positions", holonomic, first))
+            laws.append(_law(motion, "rates", [f"rate of {name}" for name in holonomic], second))
+        if others:
+            laws.append(_law(motion, "velocities", others, second))
+        if self.energy is not None:
+            energy = FunctionOfState(self.energy, motion.n_q, motion.n_v, "energy")
+            laws.append(Invariants(energy, names="energy", level=2 if in_levels else 0))
+        for one in self.invariants:
+            if in_levels and one.level == 0:
+                one = _at_level(one, 2)
+            laws.append(one)
+        return laws
+
+
+def _kept_names(names: list[str], kept: Array) -> list[str]:
+    return [name for name, stays in zip(names, kept, strict=True) if stays]
+
+
+def _law(motion: Motion, part: str, names: list[str], order: dict[str, Any]) -> Invariants:
+    """One of the laws of the motion, = 0, with its Jacobian."""
+    fun, jacobian = MotionFunction(motion, part), MotionFunction(motion, f"{part}_jacobian")
+    return Invariants(fun, jacobian, value=0, names=names, **order)
+
+
+def _at_level(one: Invariants, level: int) -> Invariants:
+    moved = copy.copy(one)
+    moved.level = level
+    return moved

@@ -1,0 +1,55 @@
+"""Breakpoints: times at which f may jump, and what the solution does there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import function, items, number, shown
+from .._functions.compiled import is_native
+from .inputs import Input
+
+__all__ = ["Breakpoint", "of_inputs", "ordered", "to_breakpoints"]
+
+
+class Breakpoint(NamedTuple):
+    """A time, and its action ``action(t, y, *args) -> y_new`` or None."""
+
+    t: float
+    action: Any
+
+
+def to_breakpoints(name: str, given: object) -> list[Breakpoint]:
+    """Breakpoints from times and pairs (t, action), checked."""
+    listed = items(given)
+    if listed is None:
+        raise TypeError(f"{name} must be a list of times or of pairs (t, action), got {shown(given)}")
+    return [_one(name, entry) for entry in listed]
+
+
+def _one(name: str, entry: Any) -> Breakpoint:
+    t, action = entry, None
+    if isinstance(entry, (tuple, list)):
+        if len(entry) != 2:
+            raise ValueError(f"{name} must be times or pairs (t, action), got {shown(entry)}")
+        t, action = entry
+    if action is not None and not is_native(action):
+        function(f"the action in {name}", action, "action(t, y)")
+    time = number(f"a time in {name}", t)
+    if not np.isfinite(time):
+        raise ValueError(f"a time in {name} must be finite, got {shown(t)}")
+    return Breakpoint(time, action)
+
+
+def of_inputs(inputs: Sequence[Input]) -> list[Breakpoint]:
+    """The times at which the inputs jump."""
+    return [Breakpoint(t, None) for one in inputs if one.breakpoints for t in one.times.tolist()]
+
+
+def ordered(points: Iterable[Breakpoint], t0: float, tf: float) -> list[Breakpoint]:
+    """Those from t0 to tf, in the order of integration; actions at one time in theirs."""
+    low, high = min(t0, tf), max(t0, tf)
+    inside = [point for point in points if low <= point.t <= high]
+    return sorted(inside, key=lambda point: point.t if tf >= t0 else -point.t)

@@ -1,0 +1,176 @@
+"""What describes a problem, validated once."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Self, Unpack
+
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from .._base.notebook import html_of_problem
+from .._base.types import EventsLike, Function, Span
+from .._functions.compiled import is_native
+from .._functions.lambdified import unlambdified
+from .bounds import Limits, limits
+from .events import direction_sign, terminal_count, to_events
+from .inputs import Input, InputsLike, to_inputs
+from .invariants import Invariants, InvariantsLike, to_invariants
+from .matrices import Matrices
+from .options import ProblemArguments
+from .slope import Slope
+
+__all__ = ["Description"]
+
+
+class Description:
+    """The data of a `Problem`, which does not change."""
+
+    fun: Any
+    t_span: tuple[float, float]
+    y0: Array
+    args: tuple[Any, ...]
+    invariants: list[Invariants]
+    events: list[Any]
+    matrices: Matrices
+    inputs: list[Input]
+    name: str
+    limits: Limits | None
+    records_events: bool
+    _title: str | None
+    _labels: list[str] | None
+    _bounds_as_given: dict[str, Any]
+
+    def __init__(
+        self,
+        fun: Function,
+        t_span: Span,
+        y0: ArrayLike,
+        *,
+        args: Iterable[Any] | None = (),
+        invariants: InvariantsLike | None = None,
+        events: EventsLike = None,
+        jac: Any = None,
+        jac_sparsity: Any = None,
+        lband: int | None = None,
+        uband: int | None = None,
+        mass: Any = None,
+        jac_product: Any = None,
+        preconditioner: Any = None,
+        nonnegative: Any = None,
+        bounds: Any = None,
+        inputs: InputsLike | None = None,
+        name: str | None = None,
+        labels: Sequence[str] | None = None,
+    ) -> None:
+        called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
+        span, start = interval(t_span), state(y0)
+        start.flags.writeable = False
+        listed = to_events(events)
+        for event in listed:
+            terminal_count(event), direction_sign(event)
+        matrices = Matrices(jac, jac_sparsity, lband, uband, mass, jac_product, preconditioner)
+        if matrices.given:
+            matrices.check(len(start), is_complex=start.dtype.kind == "c")
+        if name is not None and not isinstance(name, str):
+            raise TypeError(f"name of the problem must be a str, got {shown(name)}")
+        named = None if labels is None else distinct_labels(labels, len(start))
+        self.__dict__.update(
+            fun=called,
+            t_span=span,
+            y0=start,
+            args=extra_arguments(args),
+            invariants=to_invariants(invariants),
+            events=listed,
+            matrices=matrices,
+            inputs=to_inputs(inputs, span),
+            name=call_name(called, "problem") if name is None else name,
+            limits=limits(nonnegative, bounds, start, named),
+            records_events=events is not None,
+            _title=name,
+            _labels=named,
+            _bounds_as_given={"nonnegative": nonnegative, "bounds": bounds},
+        )
+
+    if not TYPE_CHECKING:  # for whom `__init__` says it
+
+        def __new__(cls, *by_position: Any, **by_name: Any) -> Self:
+            if len(by_position) > 3:
+                raise TypeError(
+                    "Problem takes fun, t_span and y0 by position and everything else by name, as in args=..., got "
+                    f"{shown(by_position[3])} as a fourth"
+                )
+            return super().__new__(cls)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        argument = name in ProblemArguments.__annotations__
+        instead = f"make another one, problem.replace({name}=...)" if argument else "it has only its arguments"
+        raise AttributeError(f"a Problem does not change, and {name} cannot be set: {instead}")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"a Problem does not change, and {name} cannot be deleted")
+
+    @property
+    def slope(self) -> Slope:
+        """f as runs call it."""
+        return Slope(self.fun, self.inputs, self.args)
+
+    def replace(self, **changes: Unpack[ProblemArguments]) -> Self:
+        """A copy of this problem with some arguments changed.
+
+        Parameters
+        ----------
+        **changes
+            Arguments of `Problem` by name, `fun`, `t_span` and `y0` included.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        TypeError, ValueError
+            As for `Problem`; also a name that `Problem` does not know.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def decay(t, y, rate):
+        ...     return [-rate * y[0]]
+        >>> slow = iv.Problem(decay, (0, 1), [1.0], args=(1,))
+        >>> fast = slow.replace(args=(10,), name="fast decay")
+        >>> slow, fast
+        (Problem('decay', t_span=(0.0, 1.0), n=1), Problem('fast decay', t_span=(0.0, 1.0), n=1))
+        """
+        now = {
+            "fun": self.fun,
+            "t_span": self.t_span,
+            "y0": self.y0,
+            "args": self.args,
+            "invariants": self.invariants,
+            "events": self.events if self.records_events else None,
+            **vars(self.matrices),
+            **self._bounds_as_given,
+            "inputs": self.inputs,
+            "name": self._title,
+            "labels": self._labels,
+        }
+        for given in changes:
+            if given not in now:
+                near = difflib.get_close_matches(given, now, n=1)
+                hint = f"; did you mean {near[0]!r}?" if near else f"; choose from {', '.join(now)}"
+                raise TypeError(f"Problem has no argument {given!r}{hint}")
+        return type(self)(**{**now, **changes})
+
+    def _repr_html_(self) -> str:
+        return html_of_problem(self)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+#: That of `__init__`, since `__new__` only refuses a fourth argument by position.
+_OWN = inspect.signature(Description.__init__)
+Description.__signature__ = _OWN.replace(parameters=[*_OWN.parameters.values()][1:])  # type: ignore[attr-defined]  # ours

@@ -1,0 +1,83 @@
+"""Signatures and docstrings, completed from the table of options."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from .methods import METHODS
+from .options import TABLE
+
+__all__ = ["documented"]
+
+#: Columns of a docstring, as in the source.
+_WIDTH = 120
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+_Target = TypeVar("_Target", bound=Callable[..., Any])
+
+
+def documented(own: Mapping[str, Any] = _NOTHING, /, **places: Iterable[str]) -> Callable[[_Target], _Target]:
+    """Writes the options named into the signature, in place of its ``**options``, and into the docstring, where a line
+    says ``{place}``. `own`: defaults that differ from those of the table."""
+
+    def document(target: _Target) -> _Target:
+        if target.__doc__ is not None:  # it is under python -OO
+            for place, names in places.items():
+                target.__doc__ = _filled(target.__doc__, place, _paragraphs(names, own))
+        signature = inspect.signature(target)
+        spelled = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        if len(spelled) < len(signature.parameters):
+            there = {p.name for p in spelled}
+            defaults = {name: own.get(name, TABLE[name].default) for names in places.values() for name in names}
+            spelled += [
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
+                for name, default in defaults.items()
+                if name not in there
+            ]
+            target.__signature__ = signature.replace(parameters=spelled)  # type: ignore[attr-defined]  # inspect looks there
+        return target
+
+    return document
+
+
+def _filled(text: str, place: str, paragraphs: Iterable[tuple[str, str]]) -> str:
+    """A docstring with paragraphs in the place of a line, as far indented as that."""
+    before, marker, after = text.partition(f"{{{place}}}\n")
+    margin = before[before.rindex("\n") + 1 :]
+    if not marker or margin.strip():
+        raise ValueError(f"the docstring has no line {{{place}}}")
+    wrapper = textwrap.TextWrapper(
+        width=_WIDTH,
+        initial_indent=margin + " " * 4,
+        subsequent_indent=margin + " " * 4,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    filled = [f"{margin}{head}\n{wrapper.fill(body)}\n" for head, body in paragraphs]
+    return before.removesuffix(margin) + "".join(filled) + after
+
+
+def _paragraphs(names: Iterable[str], own: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The options in NumPy's style, each with its text; those that share one stand in one entry."""
+    together: list[str] = []
+    for name in names:
+        together.append(name)
+        row = TABLE[name]
+        if row.text is None:
+            continue
+        default = own.get(name, row.default)
+        optional = "optional" if default is None else f"default {default!r}"
+        yield f"{', '.join(together)} : {row.kind}, {optional}", _for_methods(name) + row.text
+        together = []
+
+
+def _for_methods(name: str) -> str:
+    """Which methods can use the option, if not all can."""
+    those = [method.name for method in METHODS.values() if name in method.options]
+    listed = " and ".join(filter(None, [", ".join(those[:-1]), *those[-1:]]))
+    return f"For {listed}. " if those else ""

@@ -1,0 +1,103 @@
+"""The registry of methods: data and citations over which tests, documentation and benchmarks iterate."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+
+from .. import _core
+from .._base.arguments import shown
+
+__all__ = ["METHODS", "Method", "find_method"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A named solver.
+
+    Attributes
+    ----------
+    name : str
+        As in MATLAB, or as the authors call methods that MATLAB does not have; 'auto' chooses between two.
+    summary : str
+        What it is and what it is for, in a few words.
+    family : str
+        What kind of method it is.
+    min_order : int
+        Lowest order of the formulas.
+    order : int
+        Highest order; also the lowest if the order is fixed.
+    extension_order : int
+        Order of the continuous extension, of the formula of highest order.
+    stages : int or None
+        Evaluations of f per step of a Runge-Kutta pair; None if their number is not fixed. If 'fsal' is not among
+        `options` the last of them waits for the accepted value: a failed attempt takes one fewer.
+    extra : int
+        Further evaluations of f in a step with output or events inside it.
+    iterations : int
+        Projection iterations per step when invariants are imposed (paper, section 4).
+    refine : int
+        Points per step that the function of this name returns by default.
+    scipy_name : str or None
+        The name of the corresponding method of `scipy.integrate.solve_ivp`, accepted too.
+    scipy_options : mapping
+        The options that this name implies.
+    mass : str
+        Which mass matrices it takes: 'none', 'regular' (constant, regular ones), or 'any'.
+    options : tuple of str
+        Options that this method can use and others cannot.
+    source : str
+        Where the formulas come from.
+    """
+
+    name: str
+    summary: str
+    family: str
+    min_order: int
+    order: int
+    extension_order: int
+    stages: int | None
+    extra: int
+    iterations: int
+    refine: int
+    scipy_name: str | None
+    source: str
+    mass: str
+    options: tuple[str, ...]
+    scipy_options: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def fixed_order(self) -> bool:
+        return self.min_order == self.order
+
+
+def _from_core(row: _core.Method) -> Method:
+    given = {field.name: getattr(row, field.name) for field in fields(Method) if field.name != "scipy_options"}
+    return Method(**given, scipy_options=MappingProxyType({"bdf": True} if row.scipy_bdf else {}))
+
+
+#: The methods by name, as the core lists them.
+METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for row in _core.methods()})
+
+
+def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
+    """The method of that name, of that name in SciPy, or of that class there or in `invariode.scipy`; and what SciPy's
+    name implies."""
+    name = getattr(method, "_method", method.__name__) if isinstance(method, type) else method
+    if not isinstance(name, str):
+        raise TypeError(f"method must be the name of a method, one of {_names()}; got {shown(method)}")
+    for candidate in METHODS.values():
+        if name == candidate.name:
+            return candidate, {}
+        if name == candidate.scipy_name:
+            return candidate, candidate.scipy_options
+    known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"unknown method {name!r}{hint} Methods: {_names()}")
+
+
+def _names() -> str:
+    return ", ".join(f"{m.name!r}" + (f" (or {m.scipy_name!r})" if m.scipy_name else "") for m in METHODS.values())

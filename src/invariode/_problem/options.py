@@ -1,0 +1,653 @@
+"""The options, each defined once: name, type, default, check, meaning, and the functions that take it.
+
+A row of the table is a line of a TypedDict: its name and type are what type checkers read, the `Option` beside the type
+holds the rest. The classes say which function takes a row: an entry point takes the rows of its class, and no others.
+Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from numpy.typing import ArrayLike
+
+from .._base.arguments import (
+    Array,
+    choice,
+    count,
+    flag,
+    function,
+    path,
+    positive,
+    positive_integer,
+    shown,
+    unknown_option,
+    warn,
+)
+from .._base.types import (
+    BreakpointsLike,
+    EventsLike,
+    Fsal,
+    Function,
+    Interpolation,
+    Keep,
+    LinearSolver,
+    MethodName,
+    Numbers,
+    OnFailure,
+    OnInterrupt,
+    Span,
+)
+from .breakpoints import to_breakpoints
+from .inputs import InputsLike
+from .invariants import InvariantsLike
+from .methods import Method, find_method
+
+__all__ = [
+    "TABLE",
+    "AllOptions",
+    "DescribingOptions",
+    "EnsembleOptions",
+    "ExtensionOptions",
+    "Option",
+    "Options",
+    "ProblemArguments",
+    "RunOptions",
+    "SolveOptions",
+    "StepperOptions",
+    "SteppingOptions",
+    "checked",
+    "parted",
+    "refused",
+    "table_of",
+    "unused",
+]
+
+
+def as_given(name: str, value: Any) -> Any:
+    """No check here: the value depends on the problem, and is checked with it."""
+    return value
+
+
+def to_members(name: str, value: Any) -> tuple[str, str]:
+    """The names of an explicit and an implicit method."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise TypeError(f"{name} must be the names of an explicit and an implicit method, got {shown(value)}")
+    explicit_one, implicit_one = (find_method(one)[0] for one in value)
+    if "jac" in explicit_one.options or "jac" not in implicit_one.options or "prefer" in implicit_one.options:
+        raise ValueError(
+            f"{name} must be an explicit method and then an implicit one, as in ('ode45', 'ode15s'); got {shown(value)}"
+        )
+    return explicit_one.name, implicit_one.name
+
+
+@dataclass(frozen=True)
+class Option:
+    """A row of the table, without the name and the type of the option."""
+
+    default: Any
+    kind: str  # the type in words
+    text: str | None  # the paragraph of the documentation; None: shared with the next row
+    check: Callable[[str, Any], Any] = as_given
+    every_method: bool = True  # False: only methods whose row in METHODS names it can use it
+    command: bool = False  # the command line has a flag of this name
+    type: Any = field(default=None, compare=False)  # filled in by `table_of`
+
+
+class StepSizeOptions(TypedDict, total=False):
+    """What decides how long steps are."""
+
+    rtol: Annotated[
+        Numbers,
+        Option(
+            1e-3,
+            "float or array_like of shape (n,)",
+            "The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is "
+            "raised to 100 ε.",
+            command=True,
+        ),
+    ]
+    atol: Annotated[
+        Numbers,
+        Option(1e-6, "float or array_like of shape (n,)", "See `rtol`; in the units of y.", command=True),
+    ]
+    first_step: Annotated[
+        float | None, Option(None, "float", "Size of the first step. Default: chosen from f(t0, y0).", positive)
+    ]
+    max_step: Annotated[
+        float | None,
+        Option(None, "float", "Largest step. Default: a tenth of the interval; ``inf`` lifts that.", positive),
+    ]
+
+
+class MethodOptions(TypedDict, total=False):
+    """How steps are made."""
+
+    interpolation: Annotated[
+        Interpolation,
+        Option(
+            "projected",
+            "{'projected', 'corrected', 'raw'}",
+            "Values between steps: continuous and on the manifold of the invariants; continuous only; or the method's "
+            "own extension, as in the paper and the suite.",
+            partial(choice, known=get_args(Interpolation)),
+        ),
+    ]
+    fsal: Annotated[
+        Fsal,
+        Option(
+            "reuse",
+            "{'reuse', 'evaluate'}",
+            "After a projection: take the last stage of the step as the first of the next (paper, section 4), or "
+            "evaluate f at the projected value, for one more f per step.",
+            partial(choice, known=get_args(Fsal)),
+            every_method=False,
+        ),
+    ]
+    max_order: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Highest order of the formulas; those of radau have order 5, 9 and 13. Default: the method's highest.",
+            positive_integer,
+            every_method=False,
+        ),
+    ]
+    bdf: Annotated[
+        bool | None,
+        Option(
+            None,
+            "bool",
+            "Backward differentiation formulas instead of NDFs: larger errors at the same h, but orders 3 to 5 are "
+            "stable in wider sectors. Default: False, except with ``method='BDF'``.",
+            flag,
+            every_method=False,
+        ),
+    ]
+    prefer: Annotated[
+        tuple[str, str] | None,
+        Option(
+            None,
+            "(str, str)",
+            "The explicit and the implicit method between which ``method='auto'`` switches. Default: 'ode113' and "
+            "'ode15s', which evaluate f least often. With a compiled, cheap f the pairs 'ode45' and 'ode78' are faster "
+            "than 'ode113'.",
+            to_members,
+            every_method=False,
+        ),
+    ]
+    linear_solver: Annotated[
+        LinearSolver,
+        Option(
+            "direct",
+            "{'direct', 'gmres'}",
+            "How the linear systems of Newton's iteration are solved: by LU factors of M - c J, or by restarted GMRES, "
+            "which needs products with J only and a few vectors of memory, for systems too large for a matrix. "
+            "Products are those of `jac_product` or of `jac` (which may be, or return, a "
+            "`scipy.sparse.linalg.LinearOperator`), else differences of f. It stops where what it leaves does not "
+            "matter to Newton's iteration. Without a `preconditioner` it may need many iterations. For ode15s, ode23t, "
+            "ode23tb, radau (of order 5, unless `max_order` allows more) and auto; not for ode23s, whose order needs "
+            "exact solutions.",
+            partial(choice, known=get_args(LinearSolver)),
+            every_method=False,
+        ),
+    ]
+    krylov_dimension: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Iterations after which GMRES starts anew; it keeps one vector more, and gives up after six such cycles. "
+            "Default: 10; in radau, whose complex vectors take twice the memory, 5.",
+            count,
+            every_method=False,
+        ),
+    ]
+    calibrate: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Solve with tighter tolerances, so that the error of the solution, not of a step, is about as large as "
+            "`rtol` and `atol` on well-behaved problems, and proportional to them.",
+            flag,
+            every_method=False,
+        ),
+    ]
+    check: Annotated[
+        bool,
+        Option(True, "bool", "Test that f conserves the invariants, and that their Jacobians are right.", flag),
+    ]
+    min_step: Annotated[
+        float | None,
+        Option(
+            None,
+            "float",
+            "An option of SciPy's LSODA. No method here uses it: a warning says so.",
+            every_method=False,
+        ),
+    ]
+
+
+class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
+    """The options of every kind of run."""
+
+
+class KeepingOptions(TypedDict, total=False):
+    """What a run keeps, and what it calls after each step."""
+
+    callback: Annotated[
+        Callable[[float, Array], object] | None,
+        Option(
+            None,
+            "callable",
+            "``callback(t, y)`` after each accepted step; returning True stops.",
+            partial(function, signature="callback(t, y)"),
+        ),
+    ]
+    keep: Annotated[
+        Keep | None,
+        Option(
+            None,
+            "{'all', 'outputs', 'end'}",
+            "Keep the outputs and a record of each step (``Solution.steps``), only the outputs, or only the final "
+            "state; events are always kept. Default: 'outputs' with `t_eval`, else 'all'. With 'end', and with "
+            "'outputs' at `t_eval`, memory does not grow with the number of steps, unless `dense_output` is set.",
+            partial(choice, known=get_args(Keep)),
+        ),
+    ]
+    save: Annotated[
+        Keep | None,
+        Option(None, "{'all', 'outputs', 'end'}", "Another name for `keep`.", partial(choice, known=get_args(Keep))),
+    ]
+
+
+class LimitOptions(TypedDict, total=False):
+    """What may end a run early, with status -3 and all results so far."""
+
+    max_steps: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Largest number of accepted steps. A run that reaches this or one of the next two limits ends with status "
+            "-3, a message that says how far it got and how fast, and all results so far; ``Solution.extend`` "
+            "continues it. Default: no limit.",
+            count,
+            command=True,
+        ),
+    ]
+    time_limit: Annotated[
+        float | None,
+        Option(
+            None,
+            "float",
+            "Most seconds that the run may take, checked after each attempted step. Default: no limit.",
+            positive,
+            command=True,
+        ),
+    ]
+    max_points: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Most points that are kept: outputs (or steps of the continuous solution, if there are more) and "
+            "occurrences of events. Default: 10 million or the number that fills 4 GiB, whichever is less, beyond "
+            "those of `t_eval`: no run fills the memory by accident.",
+            count,
+        ),
+    ]
+
+
+class CheckpointOptions(TypedDict, total=False):
+    """What a run writes while it goes on."""
+
+    checkpoint: Annotated[
+        str | os.PathLike[str] | None,
+        Option(
+            None,
+            "str or path-like",
+            "A file from which ``load(path, problem).extend(tf)`` goes on, to the last bit, if the process dies: the "
+            "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to a file "
+            "PATH.output-TOKEN beside it. A run that has not ended is not overwritten, and a second one that is given "
+            "the same file meanwhile is refused before it computes. An extension goes on writing.",
+            path,
+            command=True,
+        ),
+    ]
+    checkpoint_every: Annotated[
+        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive, command=True)
+    ]
+
+
+class BreakingOptions(TypedDict, total=False):
+    """Where a run starts anew."""
+
+    breakpoints: Annotated[
+        BreakpointsLike | None,
+        Option(
+            None,
+            "list of float or of (float, callable)",
+            "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
+            "reached exactly, and the method starts anew there; each piece evaluates the functions only at times "
+            "inside it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
+            "invariants without a demanded value are held at their new values, and the output has both states. "
+            "Breakpoints outside the interval wait for an extension.",
+            to_breakpoints,
+        ),
+    ]
+
+
+class FailureOptions(TypedDict, total=False):
+    """What a failed run does."""
+
+    on_failure: Annotated[
+        OnFailure,
+        Option(
+            "return",
+            "{'return', 'warn', 'raise'}",
+            "If a run ends with a negative status: return the results so far, return them with a `FailureWarning`, or "
+            "raise a `SolveError` (for status -2 an `InvariantError`), whose `solution` holds them. Of the failed "
+            "trajectories of an ensemble one warning or error tells how many they are, and why the first one failed.",
+            partial(choice, known=get_args(OnFailure)),
+        ),
+    ]
+
+
+class RunOptions(
+    SteppingOptions, KeepingOptions, LimitOptions, CheckpointOptions, BreakingOptions, FailureOptions, total=False
+):
+    """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
+
+    refine: Annotated[
+        int,
+        Option(1, "int", "Points per step in the output; those inside the step are interpolated.", positive_integer),
+    ]
+    on_interrupt: Annotated[
+        OnInterrupt,
+        Option(
+            "raise",
+            "{'raise', 'return'}",
+            "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
+            "so far, with status 2. A second Ctrl-C always raises.",
+            partial(choice, known=get_args(OnInterrupt)),
+        ),
+    ]
+    progress: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Whether a bar shows t, h and the time left, at most ten times a second: under the cell in notebooks, else "
+            "on standard error (with rich).",
+            flag,
+        ),
+    ]
+
+
+class OutputOptions(TypedDict, total=False):
+    """What is computed besides the steps."""
+
+    t_eval: Annotated[
+        ArrayLike | None,
+        Option(
+            None,
+            "array_like",
+            "Times of the output, sorted in the direction of integration. Default: the ends of the steps.",
+            command=True,
+        ),
+    ]
+    dense_output: Annotated[bool, Option(False, "bool", "Whether ``Solution.sol`` is computed.", flag)]
+
+
+class DescribingOptions(TypedDict, total=False):
+    """What is known about the solution and the equations: arguments of `Problem`, options of its shorter forms."""
+
+    invariants: Annotated[
+        InvariantsLike | None,
+        Option(
+            None,
+            "callable, Invariants, or list of these",
+            "What the solution keeps: each accepted step is projected onto it (paper, sections 3 and 4). See "
+            "`Invariants`.",
+        ),
+    ]
+    jac: Annotated[
+        Any,
+        Option(
+            None,
+            "callable, (n, n) array_like, sparse matrix, 'complex-step' or 'differences'",
+            "The Jacobian of f: ``jac(t, y, *args)``, or a constant. If it is (or returns) a sparse matrix, the "
+            "linear algebra is sparse. Or how to compute it: by complex steps, Im f(t, y + i h e_j) / h, exact to "
+            "roundoff, if f takes complex y; or by differences. Default: complex steps for functions of "
+            "`invariode.compile` that numba compiles for complex y, else differences. ``stats.jacobian`` tells.",
+            every_method=False,
+        ),
+    ]
+    jac_sparsity: Annotated[
+        Any,
+        Option(
+            None,
+            "(n, n) array_like, sparse matrix, 'detect' or 'dense'",
+            "Which entries of the Jacobian can differ from zero, for differences, complex steps and sparse linear "
+            "algebra. If a test finds that an entry is missing, the pattern is enlarged, with a warning. Default: from "
+            "n = 200 on the pattern is detected, by evaluations of f near y0, at most n / 2 of them, and enlarged "
+            "where it turns out to lack an entry; 'detect' does so for any n, 'dense' does not.",
+            every_method=False,
+        ),
+    ]
+    lband: Annotated[int | None, Option(None, "int", None, every_method=False)]
+    uband: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "The Jacobian is zero except for ``i - lband <= j <= i + uband``. `jac` then is, or returns, the array of "
+            "its bands (lband + uband + 1, n), with entry (i, j) at ``[uband + i - j, j]``.",
+            every_method=False,
+        ),
+    ]
+    mass: Annotated[
+        Any,
+        Option(
+            None,
+            "(n, n) array_like or sparse matrix, or callable",
+            "M in M y' = f(t, y): constant, or ``mass(t, *args)``. A singular M makes some equations algebraic "
+            "(index 1); y0 is then moved to consistent values.",
+            every_method=False,
+        ),
+    ]
+    jac_product: Annotated[
+        Any,
+        Option(
+            None,
+            "callable",
+            "``jac_product(t, y, v, *args)``, the product of the Jacobian of f with v, of shape (n,), for "
+            "``linear_solver='gmres'``.",
+            every_method=False,
+        ),
+    ]
+    preconditioner: Annotated[
+        Any,
+        Option(
+            None,
+            "callable",
+            "``preconditioner(t, y, c, *args)`` for ``linear_solver='gmres'``: returns what solves ``(M - c J) x = b`` "
+            "approximately, with J at (t, y), M the mass matrix or the identity, and a real c (also in radau, "
+            "which applies it to both parts of its complex systems): an object with ``solve(b)``, such as "
+            "`scipy.sparse.linalg.spilu` returns, a `scipy.sparse.linalg.LinearOperator` that maps b to x, or a "
+            "function of b. It is called again where c has changed by more than 30 %, after 20 steps, and where "
+            "GMRES or Newton's iteration has failed.",
+            every_method=False,
+        ),
+    ]
+    nonnegative: Annotated[
+        bool | int | str | Sequence[int] | Sequence[str] | None,
+        Option(
+            None,
+            "bool, indices or labels",
+            "Components that must not become negative, such as concentrations; True means all. A step that takes one "
+            "below 0 by more than its tolerance is repeated with half the size; by less, the component is moved to 0 "
+            "before the method commits the step. Output between steps is not negative either; the arguments at which "
+            "explicit methods evaluate f within a step may be. With `invariants` the result is the nearest point that "
+            "satisfies both.",
+            command=True,
+        ),
+    ]
+    bounds: Annotated[
+        Any,
+        Option(
+            None,
+            "(lower, upper) or scipy.optimize.Bounds",
+            "The same for other bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
+        ),
+    ]
+
+
+class CallingOptions(TypedDict, total=False):
+    """The rest of what describes a problem; positional in SciPy's call."""
+
+    events: Annotated[
+        EventsLike,
+        Option(
+            None,
+            "callable, Event, or list of these",
+            "Functions ``event(t, y, *args)`` whose zeros are located, to a few units in the last place of t. See "
+            "`Event`.",
+        ),
+    ]
+    args: Annotated[
+        Iterable[Any] | None,
+        Option(None, "tuple", "Extra arguments for `fun`, `jac`, `mass`, invariants, events and actions."),
+    ]
+
+
+class SolveOptions(RunOptions, DescribingOptions, total=False):
+    """Those of `solve_ivp` that its signature does not spell out."""
+
+
+class Options(RunOptions, OutputOptions, total=False):
+    """Those of `Problem.solve`."""
+
+
+class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
+    """Those of the suite's functions."""
+
+    vectorized: Annotated[
+        bool, Option(False, "bool", "Whether `fun` takes y of shape (n, k). It is called with k = 1.", flag)
+    ]
+
+
+class EnsembleOptions(
+    SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, FailureOptions, DescribingOptions, total=False
+):
+    """Those of `solve_ensemble` that its signature does not spell out."""
+
+
+class StepperOptions(MethodOptions, DescribingOptions, total=False):
+    """Those of the classes in `invariode.scipy` that their signature does not spell out."""
+
+
+class ExtensionOptions(TypedDict, total=False):
+    """Those that `Solution.extend` may change. With any other the parts would not belong to one solution."""
+
+    t_eval: ArrayLike | None
+    first_step: float | None
+    max_step: float | None
+    callback: Callable[[float, Array], object] | None
+    check: bool
+    max_steps: int | None
+    time_limit: float | None
+    max_points: int | None
+    on_failure: OnFailure
+    on_interrupt: OnInterrupt
+    progress: bool
+
+
+class ProblemArguments(DescribingOptions, CallingOptions, total=False):
+    """The arguments of `Problem`."""
+
+    fun: Function
+    t_span: Span
+    y0: ArrayLike
+    inputs: InputsLike | None
+    name: str | None
+    labels: Sequence[str] | None
+
+
+def table_of(kind: type) -> dict[str, Option]:
+    """The rows of a class, in their order."""
+    rows: dict[str, Option] = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if get_origin(hint) is Annotated:
+            rows[name] = replace(hint.__metadata__[0], type=hint.__origin__)
+    return rows
+
+
+#: All rows by name.
+TABLE: Mapping[str, Option] = table_of(AllOptions)
+
+_OF_A_RUN = table_of(Options)
+_DEFAULTS = {name: row.default for name, row in _OF_A_RUN.items()}
+_OF_SOME_METHODS = frozenset(name for name, row in TABLE.items() if not row.every_method)
+
+_Part = TypeVar("_Part")
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Checks
+
+
+def checked(given: Options, method: Method) -> Options:
+    """All options of a run: those given, each checked, and the defaults. One that the method cannot use draws a
+    warning, an unknown one raises an error."""
+    complete = dict(_DEFAULTS)
+    for name, value in given.items():
+        row = _OF_A_RUN.get(name)
+        if row is None:
+            raise refused(name)
+        if value is row.default:
+            continue
+        complete[name] = row.check(name, value) if value is not None or row.default is not None else None
+        if name in _OF_SOME_METHODS:
+            warn_unused(method, name, value)
+    keep, save = complete["keep"], complete["save"]
+    if save is not None:
+        if keep is not None and keep != save:
+            raise TypeError(
+                f"keep and save are two names for one option, got keep={keep!r} and save={save!r}: give keep"
+            )
+        complete["keep"] = save
+    return cast("Options", complete)
+
+
+def refused(name: str) -> TypeError:
+    """The error for an option that a run cannot have."""
+    if name in ProblemArguments.__annotations__:
+        where = "Problem or solve_ivp" if name in TABLE else "Problem"
+        return TypeError(f"{name} describes the problem: it is an argument of {where}, not an option")
+    return unknown_option(name, TABLE)
+
+
+def warn_unused(method: Method, name: str, given: object) -> None:
+    """A warning if an option was given that the method cannot use."""
+    if name not in method.options and given is not None and given is not False:
+        warn(f"option {name!r} has no effect on {method.name}")
+
+
+def unused(method: MethodName, describing: DescribingOptions) -> None:
+    """The same for what describes the problem. A mass matrix that the method cannot use is an error in the plan."""
+    for name, given in describing.items():
+        if name in _OF_SOME_METHODS and name != "mass":
+            warn_unused(find_method(method)[0], name, given)
+
+
+def parted(options: Mapping[str, Any], kind: type[_Part]) -> tuple[_Part, Any]:
+    """Options in two: those of the class, and the others."""
+    own, others = kind.__annotations__, dict(options)
+    mine = {name: others.pop(name) for name in options if name in own}
+    return cast("_Part", mine), others

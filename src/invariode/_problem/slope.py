@@ -1,0 +1,53 @@
+"""y' as runs compute it, for all who need f outside of a run."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._base.arguments import Array, reals
+from .._functions.compiled import CoreFunction, NativeWithInputs, is_native, native_parameters, to_native
+from .inputs import Input, fed
+
+__all__ = ["Slope"]
+
+
+class Slope(NamedTuple):
+    """f(t, y) of a problem: given the values of its inputs, and its arguments, by machine code where it is such."""
+
+    given: Any  # as users write it
+    inputs: Sequence[Input]
+    args: tuple[Any, ...]
+
+    @property
+    def fun(self) -> Any:
+        """f of (t, y, *args), which gives it the inputs; native if f is."""
+        return fed(self.given, self.inputs)
+
+    def for_core(self, y0: Array, parameters: Array) -> Any:
+        """The same as the core calls it, with the parameters that native functions of the problem have."""
+        n = reals(y0)
+        return to_native("fun", self.fun, n, n, parameters)
+
+    def __call__(self, t: Array, y: Array) -> Array:
+        """The values at points y (n, n_t), one for each t."""
+        rows = np.ascontiguousarray(y.T)
+        values = np.empty_like(rows)
+        fun = self.fun
+        if isinstance(fun, CoreFunction) or not is_native(fun):
+            for value, at, state in zip(values, t.tolist(), rows, strict=True):
+                value[:] = fun(at, state.copy(), *self.args)
+            return values.T
+        n = rows.view(float).shape[1]
+        p = native_parameters(self.args, [fun])
+        vector = ctypes.c_void_p
+        address = to_native("fun", fun, n, n, p).address
+        call = ctypes.CFUNCTYPE(None, ctypes.c_double, vector, vector, vector)(address)
+        fed_by = fun.inputs if isinstance(fun, NativeWithInputs) else []
+        for value, at, state in zip(values, t.tolist(), rows, strict=True):
+            now = np.concatenate([*(one.evaluate(np.array([at]))[0] for one in fed_by), p]) if fed_by else p
+            call(at, state.ctypes.data, value.ctypes.data, now.ctypes.data if len(now) else None)
+        return values.T

@@ -1,0 +1,309 @@
+"""Motion as a film: what `Solution.animate` returns, and the points that it shows. Needs the extra `plot`."""
+
+from __future__ import annotations
+
+import math
+import operator
+import os
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.animation import FuncAnimation, writers
+from matplotlib.ticker import MaxNLocator
+
+from .._base.arguments import Array, positive, shown
+from .._base.style import COLOURS
+from .pictures.curves import curve
+from .result import Result
+
+__all__ = ["Film", "Motion", "film_size", "motion", "polylines"]
+
+#: Seconds of a film without a given length: those of the motion, within these bounds.
+_SHORTEST, _LONGEST = 4.0, 8.0
+
+#: Points of the path drawn behind a point: enough that the eye sees no corners. A run of many steps has several in
+#: each, up to the last number.
+_PATH, _PATH_PER_STEP, _LONGEST_PATH = 2000, 4, 20_000
+
+#: The most parts between numbers at an axis in space, on which more would run together.
+_PARTS = 5
+
+#: Inches: the width of a new figure, its least and largest height, and the room for titles and labels.
+_WIDTH, _LOWEST, _HIGHEST, _WORDS = 5.6, 2.6, 6.2, 0.9
+
+#: Room around the motion, in units of its extent.
+_MARGIN = 0.06
+
+#: An extent is at least this fraction of the largest one, so that motion along a line is visible.
+_THINNEST = 0.2
+
+#: matplotlib's page of controls takes its icons from the network; these signs are in every font.
+_ICONS = {
+    "fa-minus": "−",
+    "fa-plus": "+",
+    "fa-fast-backward": "|◀◀",
+    "fa-fast-forward": "▶▶|",
+    "fa-step-backward": "◀|",
+    "fa-step-forward": "|▶",
+    "fa-pause": "II",
+    "fa-play fa-flip-horizontal": "◀",
+    "fa-play": "▶",
+}
+
+
+class Motion(NamedTuple):
+    """Points at the times of the frames, and between the frames if their paths are drawn."""
+
+    times: Array  # (frames,)
+    points: Array  # (frames, k, 2 or 3)
+    paths: Array  # (1 + finer * (frames - 1), traced, 2 or 3)
+    finer: int
+
+
+def motion(
+    sol: Result,
+    points: Callable[[float, Array], Any] | Array,
+    *,
+    trace: Iterable[int],
+    duration: float | None,
+    fps: float,
+) -> Motion:
+    """What a film of these points shows. `points`: a function, or indices of components (k, 2 or 3)."""
+    times = _frame_times(sol, duration, fps)
+    states = _states(sol)
+    shown = _positions(states, points, times)
+    (traced,) = polylines("trace", [trace], shown.shape[1])
+    if not traced:
+        return Motion(times, shown, shown[:, traced], 1)
+    length = min(max(_PATH, _PATH_PER_STEP * len(sol.t)), _LONGEST_PATH)
+    finer = math.ceil(length / len(times))
+    between = np.interp(np.arange(1 + finer * (len(times) - 1)) / finer, np.arange(len(times)), times)
+    return Motion(times, shown, _positions(states, points, between)[:, traced], finer)
+
+
+def film_size(points: Array) -> tuple[float, float]:
+    """Inches of a new figure that has the shape of the motion."""
+    if points.shape[2] == 3:
+        return _WIDTH, _WIDTH
+    width, height = _extent(*_corners(points))
+    return _WIDTH, float(np.clip(_WORDS + (_WIDTH - _WORDS) * height / width, _LOWEST, _HIGHEST))
+
+
+def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
+    """Equally spaced, from the first time of the solution to the last."""
+    ends = sol.t if sol.sol is None else sol.sol.ts
+    if len(ends) < 2:
+        raise ValueError("the solution has one point, so nothing moves: solve with keep='all', or with dense_output")
+    rate = positive("fps", fps)
+    span = float(abs(ends[-1] - ends[0]))
+    seconds = min(max(span, _SHORTEST), _LONGEST) if duration is None else positive("duration", duration)
+    return np.linspace(ends[0], ends[-1], max(2, round(seconds * rate)))
+
+
+def _states(sol: Result) -> Callable[[Array], Array]:
+    """The solution at any times: (n_t,) to (n, n_t). That of `sol.sol`; else its curve; else the nearest outputs."""
+    if sol.sol is not None:
+        return sol.sol
+    forward = np.sign(sol.t[-1] - sol.t[0])
+    whole = curve(sol)
+    if not whole.smooth:
+        middles = forward * (sol.t[1:] + sol.t[:-1]) / 2
+        return lambda times: sol.y[:, np.searchsorted(middles, forward * times)]
+    there = np.isfinite(whole.t) & np.isfinite(whole.y).all(axis=0)
+    t, y = forward * whole.t[there], whole.y[:, there]
+    return lambda times: np.array([np.interp(forward * times, t, row) for row in y]).reshape(len(y), len(times))
+
+
+def _positions(states: Callable[[Array], Array], points: Callable[[float, Array], Any] | Array, times: Array) -> Array:
+    """Where the points are at these times, (n_t, k, 2 or 3)."""
+    y = states(times)
+    if not callable(points):
+        shown: Array = np.moveaxis(y[points], -1, 0)
+        return _checked(shown)
+    return _checked(np.stack([_placed(points, t, state) for t, state in zip(times, y.T, strict=True)]))
+
+
+def _placed(points: Callable[[float, Array], Any], t: float, y: Array) -> Array:
+    """The points at one time, as (k, 2 or 3)."""
+    placed = np.asarray(points(float(t), y.copy()))
+    found = placed[None, :] if placed.ndim == 1 else placed
+    if found.dtype.kind not in "biuf" or found.ndim != 2 or found.shape[1] not in (2, 3):
+        raise ValueError(
+            f"points(t, y) returned shape {placed.shape} of type {placed.dtype}: return real numbers of shape (k, 2) "
+            "or (k, 3), a row for each point"
+        )
+    return found
+
+
+def _checked(shown: Array) -> Array:
+    if np.iscomplexobj(shown):
+        raise ValueError("the components are complex: give points(t, y) that returns real numbers")
+    bad = ~np.isfinite(shown).all(axis=(0, 2))
+    if bad.any():
+        raise ValueError(f"point {np.flatnonzero(bad)[0]} is not finite in some frame: leave it out of points")
+    return shown
+
+
+def polylines(name: str, groups: Iterable[Any], count: int) -> list[list[int]]:
+    """Groups of points as lists of indices; a single index is a group too."""
+    listed = [list(one) if np.iterable(one) else [one] for one in groups]
+    for group in listed:
+        for one in group:
+            try:
+                inside = 0 <= operator.index(one) < count
+            except TypeError:
+                inside = False
+            if not inside:
+                raise ValueError(f"{name} must name points by indices from 0 to {count - 1}, got {shown(one)}")
+    return listed
+
+
+class Film(FuncAnimation):
+    """Points that move, joined by lines: a ``matplotlib.animation.FuncAnimation``.
+
+    In a notebook it shows itself, with controls. Outside of one, keep a reference as long as the window is open.
+
+    Attributes
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure with the film.
+    times : ndarray, (frames,)
+        The time that each frame shows.
+    points : ndarray, (frames, k, 2 or 3)
+        Where the points are.
+    """
+
+    def __init__(self, ax: Any, shown: Motion, links: list[list[int]], fps: float, line: dict[str, Any]) -> None:
+        self.figure, self.times, self.points = ax.figure, shown.times, shown.points
+        self._shown, self._links = shown, links
+        _frame(ax, shown.points)
+        quiet = {"lw": 0.9, "alpha": 0.6, "zorder": 1.5}
+        self._paths = [_line(ax, COLOURS[k % len(COLOURS)], quiet) for k in range(shown.paths.shape[1])]
+        ink = matplotlib.rcParams["text.color"]
+        self._joined = [_line(ax, ink, {"lw": 2, "solid_capstyle": "round", **line}) for _ in links]
+        self._dots = _line(ax, COLOURS[0], {"ls": "none", "marker": "o", "ms": 7})
+        write = getattr(ax, "text2D", ax.text)  # axes of space have both
+        self._clock = write(0, 1.02, "", transform=ax.transAxes, va="bottom")
+        span = abs(self.times[-1] - self.times[0])
+        self._digits = max(0, 2 - math.floor(math.log10(span))) if span > 0 else 2
+        frames: dict[str, Any] = {"frames": len(self.times), "interval": 1000 / fps}
+        super().__init__(ax.figure, self.show, init_func=lambda: self.show(0), **frames)
+
+    def show(self, frame: int) -> Sequence[Any]:
+        """Draws one frame.
+
+        Parameters
+        ----------
+        frame : int
+            Its number, from 0.
+
+        Returns
+        -------
+        list of matplotlib.artist.Artist
+            What has moved.
+        """
+        here = self.points[frame]
+        for group, line in zip(self._links, self._joined, strict=True):
+            _move(line, here[group])
+        for k, line in enumerate(self._paths):
+            _move(line, self._shown.paths[: 1 + frame * self._shown.finer, k])
+        _move(self._dots, here)
+        self._clock.set_text(f"$t$ = {self.times[frame]:.{self._digits}f}")
+        return [*self._joined, *self._paths, self._dots, self._clock]
+
+    def save(self, filename: str | os.PathLike[str], writer: Any = None, **options: Any) -> None:  # type: ignore[override]  # theirs in **options
+        """Saves the film in the format given by the ending of the name.
+
+        Parameters
+        ----------
+        filename : str or path
+            ``.gif``; ``.html``, a page with controls that needs no network; ``.mp4``, ``.webm`` and whatever else
+            ffmpeg knows, if it is installed.
+        writer : str or matplotlib.animation.AbstractMovieWriter, optional
+            What writes it. Default: chosen by the ending.
+        **options
+            As for ``matplotlib.animation.Animation.save``: fps, dpi and others; for a page, only fps.
+
+        Raises
+        ------
+        RuntimeError
+            ffmpeg is needed and not installed.
+        """
+        ending = Path(filename).suffix.lower()
+        if writer is None and ending in (".html", ".htm"):
+            page = f"<!DOCTYPE html>\n<meta charset='utf-8'>\n<title>{Path(filename).stem}</title>\n"
+            Path(filename).write_text(page + self.to_jshtml(**options), encoding="utf-8")
+            return
+        if writer is None and ending in (".gif", ".apng", ".webp"):
+            writer = "pillow"
+        elif writer is None and not writers.is_available("ffmpeg"):
+            raise RuntimeError(
+                f"{ending or 'this file'} needs the program ffmpeg, not found here: save as .gif or .html"
+            )
+        super().save(os.fspath(filename), writer=writer, **options)
+
+    def to_jshtml(self, fps: int | None = None, embed_frames: bool = True, default_mode: str | None = None) -> str:
+        """HTML that shows the film with its controls, and needs no network.
+
+        Parameters
+        ----------
+        fps, embed_frames, default_mode
+            As in matplotlib. Frames of any size are embedded.
+
+        Returns
+        -------
+        str
+        """
+        with matplotlib.rc_context({"animation.embed_limit": math.inf}):
+            found: str = super().to_jshtml(fps, embed_frames, default_mode)
+        found = re.sub(r"<link rel=\"stylesheet\"\s+href=\"http[^>]*>", "", found)
+        for icon, sign in _ICONS.items():
+            found = found.replace(f'<i class="fa {icon}"></i>', sign)
+        return found
+
+    def _repr_html_(self) -> str:
+        return self.to_jshtml()
+
+
+def _line(ax: Any, colour: Any, properties: dict[str, Any]) -> Any:
+    empty: list[list[float]] = [[], [], []] if ax.name == "3d" else [[], []]
+    return ax.plot(*empty, **{"color": colour, **properties})[0]
+
+
+def _move(line: Any, to: Array) -> None:
+    if to.shape[1] == 2:
+        line.set_data(*to.T)
+    else:
+        line.set_data_3d(*to.T)
+
+
+def _frame(ax: Any, points: Array) -> None:
+    """Limits for the whole motion, and in the plane for whatever else the axes show, with one scale on all axes."""
+    low, high = _corners(points)
+    if len(low) == 2 and ax.has_data():
+        low, high = np.minimum(low, ax.dataLim.min), np.maximum(high, ax.dataLim.max)
+    extent, middle = _extent(low, high), (low + high) / 2
+    for axis, centre, size in zip("xyz", middle, extent, strict=False):
+        getattr(ax, f"set_{axis}lim")(centre - size / 2, centre + size / 2)
+    if len(low) == 3:
+        ax.set_box_aspect(extent)
+        for axis, size in zip((ax.xaxis, ax.yaxis, ax.zaxis), extent, strict=True):
+            parts = max(1, round(_PARTS * size / extent.max()))
+            axis.set_major_locator(MaxNLocator(parts, steps=[1, 2, 5, 10]))
+    else:
+        ax.set_aspect("equal", adjustable="box")
+
+
+def _corners(points: Array) -> tuple[Array, Array]:
+    return points.min(axis=(0, 1)), points.max(axis=(0, 1))
+
+
+def _extent(low: Array, high: Array) -> Array:
+    """How far axes reach, with the room around the motion."""
+    extent = high - low
+    reach: Array = np.maximum(extent, _THINNEST * (extent.max() or 1.0)) * (1 + 2 * _MARGIN)
+    return reach

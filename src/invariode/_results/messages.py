@@ -1,0 +1,407 @@
+"""What is said about how a run ended: what, at which t and h, and what to try."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from .._base.arguments import EPS
+from .._core import Linear, Run, Stepper
+from .._problem.bounds import Limits
+
+#: The most times that a message lists.
+_TIMES = 4
+
+#: Runs that do not fail: status and message, SciPy's if it has them.
+MESSAGES = {
+    "reached_end": (0, "The solver successfully reached the end of the integration interval."),
+    "terminal_event": (1, "A termination event occurred."),
+    "running": (-3, "The run had not ended when this was written: Solution.extend goes on."),
+    "stopped_by_callback": (2, "The callback stopped the integration."),
+}
+
+_LIMITS = {
+    "steps": ("max_steps = {0} is reached", "give a larger max_steps, or looser tolerances"),
+    "time": ("time_limit = {0:g} s is over", "give a larger time_limit, or looser tolerances"),
+    "points": (
+        "{0} points are kept, the most that max_points allows",
+        "give a larger max_points, or keep fewer: t_eval or keep='end'",
+    ),
+    "memory": (
+        "What is kept fills {0} bytes, the most without max_points",
+        "give max_points, or keep less: t_eval or keep='end'",
+    ),
+}
+
+
+class Laws(NamedTuple):
+    """The invariants of a run: names, whether values were demanded, and which may only fall (-1) or rise (1)."""
+
+    names: list[str]
+    demanded: list[bool]
+    senses: list[int]
+
+
+def status_and_message(run: Run, laws: Laws, events: Sequence[str], pairs: bool) -> tuple[int, str]:
+    """The status of the Solution and its message. `events`: their names."""
+    status, message = MESSAGES.get(run.state) or _ended(run, laws, pairs)
+    return status, remarked(message, run, events)
+
+
+def remarked(message: str, run: Run, events: Sequence[str]) -> str:
+    """The message, and what else is to be said of the run."""
+    if run.stiff:
+        message += f" {_sentence(limited_by_stability(run.stiff_since))}"
+    for text in about_jumps(run, events):
+        message += f" {_sentence(text)}"
+    return message
+
+
+def about_jumps(run: Run, events: Sequence[str]) -> list[str]:
+    """The warnings about jumps of f, and of the solution where they accumulate."""
+    texts = [about_jumps_of_fun(run)]
+    if run.accumulation is not None:
+        event, t, interval, count = run.accumulation
+        texts.append(accumulating(events[event], t, interval, count))
+    return [text for text in texts if text]
+
+
+def about_jumps_of_fun(run: Run | Stepper) -> str:
+    """The warning about jumps of f: the solution sticks where f jumps, or they make attempts fail. Empty: none does."""
+    if (since := run.sticks_since) is not None:
+        return sticking(since)
+    return discontinuous(run.discontinuities) if run.discontinuities else ""
+
+
+def limited_by_stability(since: float) -> str:
+    """The warning about an explicit method on a stiff problem."""
+    return f"since t = {since:.6g} most steps are limited by stability, not by accuracy; try ode15s"
+
+
+def discontinuous(times: Sequence[float]) -> str:
+    """The warning about a right-hand side that jumps."""
+    listed = ", ".join(f"{t:.12g}" for t in times[:_TIMES])
+    more = f" and at {len(times) - _TIMES} or more other times (stats.discontinuities)" * (len(times) > _TIMES)
+    return (
+        f"fun looks discontinuous at t = {listed}{more}, where steps fail; give breakpoints=[{listed}"
+        f"{', ...' * (len(times) > _TIMES)}], or an event with an action where y decides when it jumps"
+    )
+
+
+def sticking(since: float) -> str:
+    """The warning about a solution that stays where the right-hand side jumps."""
+    return (
+        f"from t = {since:.6g} on the solution sticks where fun jumps, as with dry friction, and steps become tiny; "
+        "make the jump a steep but continuous function, such as tanh(v / v_s) for sign(v), or describe sticking as a "
+        "state of its own that events with actions begin and end"
+    )
+
+
+def accumulating(event: str, t: float, interval: float, count: int) -> str:
+    """The warning about an event whose actions accumulate."""
+    return (
+        f"{event}: its actions came closer and closer, {count} of them until t = {t:.12g} with {interval:.2g} between "
+        "the last two, and then the solution passed it without one: infinitely many would follow (Zeno), and what "
+        "comes after that t is wrong; end the run there with a terminal event, or let the action put the system to "
+        "rest, with a fun that keeps it there"
+    )
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
+    if run.state == "stopped_by_request":
+        return 2, f"Ctrl-C stopped the integration at t = {run.t!r}."
+    if run.state == "invariant_convicted":
+        return -2, _convicted(run, laws, pairs)
+    if run.state == "start_undefined" and run.singular:
+        return -1, (
+            f"The mass matrix is singular at the start, t = {run.t}: there is no unique slope y'. Try a mass matrix "
+            "that is regular there, or differentiate the constraints until the slopes are determined."
+        )
+    if run.state == "start_undefined":
+        return -1, (
+            f"fun is not finite at the start, t = {run.t}: {_component(run, pairs)} is NaN or infinite. Correct fun or "
+            "y0."
+        )
+    if run.state == "action_out_of_bounds":
+        return -1, (
+            f"After the action at t = {run.t:.6g} component {run.component} is outside its bounds by "
+            "more than the tolerance. Let the action return a point within them."
+        )
+    if run.state == "restart_inconsistent":
+        return -1, (
+            f"No consistent values of the algebraic variables were found after the breakpoint at t = {run.t!r}. Give "
+            "it an action that returns a state near the consistent one."
+        )
+    return -1, _step_failed(run, laws.names, pairs)
+
+
+def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
+    """The text of the ValueError for a start that is outside its bounds."""
+    within = "" if limits is None else f", {limits.lower[component]} to {limits.upper[component]},"
+    return f"{what}[{component}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
+
+
+def limit_reached(run: Run, limit: float, t0: float, tf: float) -> str:
+    """Which limit, of this value, where, how fast the run was, and what to try."""
+    what, advice = _LIMITS[run.limit]
+    text = f"{what.format(limit)} at t = {run.t!r}: "
+    if math.isfinite(tf):
+        text += f"{(run.t - t0) / (tf - t0):.2%} of the interval, "
+    text += f"after {run.steps_to_limit} steps and {run.seconds_to_limit:.3g} s. The next step is of size {run.h:.3g}"
+    if math.isfinite(tf) and run.h > 0:
+        text += f"; the rest takes {abs(tf - run.t) / run.h:.2g} steps of this size"
+    return f"{text}. All results so far are kept. To get further, {advice}; or extend the solution from here."
+
+
+def _component(run: Run, pairs: bool) -> str:
+    return f"component {run.component // 2 if pairs else run.component}"
+
+
+def _step_failed(run: Run, names: list[str], pairs: bool) -> str:
+    where = f"at t = {run.t!r}, where the smallest step allowed is {abs(run.h):.6e}"
+    if run.cause == "not_finite":
+        what = _component(run, pairs) + " of fun is" if run.component >= 0 else "the solution becomes"
+        return (
+            f"{what} NaN or infinite even with the smallest step, {where}. If the solution should not get "
+            "there, try a smaller rtol and atol; if it should, stop it earlier with a terminal event."
+        )
+    if run.cause == "newton" and run.unsolved in _UNDEFINED:
+        return f"{_UNDEFINED[run.unsolved].format(run.unsolved_t)} The run ends at t = {run.t!r}."
+    if run.cause == "newton":
+        return f"{_newton_failed(run, pairs)} {where}. {_NEWTON_REMEDY}"
+    if run.cause == "bounds":
+        return (
+            f"{_component(run, pairs).capitalize()} of y leaves its bounds by more than the tolerance even with the "
+            f"smallest step, {where}: fun drives it out. Check the equations at the bound, or give it an atol > 0."
+        )
+    if run.cause == "projection" and run.finding == "undefined":
+        return (
+            f"Invariant {names[run.finding_invariant]}, or its Jacobian, is not defined where the solution goes, even "
+            f"with the smallest step, {where}. If the solution should not get there, try a smaller atol for the "
+            "components that come close (or a smaller rtol); if it should, stop it earlier with a terminal event."
+        )
+    if run.cause == "projection":
+        return (
+            f"The projection onto the invariants fails even with the smallest step, {where}: "
+            "the tolerance is too loose, or the invariants are nearly singular here. Try a smaller rtol, or fewer "
+            "invariants; at a singular position, as where bars line up, another method or a larger rtol, whose steps "
+            "pass over it."
+        )
+    text = f"Unable to meet the tolerances without reducing the step below its smallest size, {where}."
+    if any((t - run.t) * run.h > 0 for t in run.discontinuities):
+        return text  # what comes after it says why
+    if run.pure_relative:
+        text += (
+            f" {_component(run, pairs).capitalize()} of y is 0 and its atol is 0: pure relative error control is "
+            "impossible there. Give an atol > 0."
+        )
+    else:
+        text += (
+            " The solution may have a singularity there, or fun may jump: try another rtol, stop earlier with a "
+            "terminal event, or give the jumps of fun as breakpoints."
+        )
+    return text
+
+
+#: What users' functions return to GMRES that it cannot use, and what to try; with the t of these functions.
+_UNDEFINED = {
+    "product": (
+        "The product of the Jacobian of fun with a vector, by jac_product or jac, is NaN or infinite at t = {0!r}, and "
+        "with shorter steps too. Correct that function, or leave it out: products are then differences of fun."
+    ),
+    "difference": (
+        "Differences of fun for products of its Jacobian with vectors are NaN or infinite at t = {0!r}, and with "
+        "shorter steps too: fun is not defined all around the solution. Give jac_product, or jac."
+    ),
+    "preconditioner": (
+        "The preconditioner set up at t = {0!r} returns NaN or infinity, and with shorter steps too. Correct it, or "
+        "leave it out."
+    ),
+    "preconditioner_zero": (
+        "The preconditioner set up at t = {0!r} returns 0 for a b that is not 0, so GMRES cannot solve the linear "
+        "systems. It has to return x of (M - c J) x = b, approximately: correct it, or leave it out."
+    ),
+}
+
+#: What helps where Newton's iteration fails.
+_NEWTON_REMEDY = "Check jac, or leave it out; try a smaller rtol, or stop the solution earlier with a terminal event."
+
+
+def _newton_failed(run: Run, pairs: bool) -> str:
+    if run.undefined_mass:
+        return "The mass matrix becomes NaN or infinite, even with the smallest step,"
+    if run.undefined_jacobian:
+        return "The Jacobian of fun is NaN or infinite, even with the smallest step,"
+    if run.singular:
+        return "The iteration matrix M - h c J is singular even with the smallest step,"
+    if run.unsolved == "slow":
+        return (
+            "GMRES does not solve the linear systems of Newton's iteration even with the smallest step (give a better "
+            "preconditioner, or a larger krylov_dimension),"
+        )
+    if run.component >= 0:
+        return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration even with the smallest step,"
+    return (
+        "Newton's iteration does not converge even with the smallest step (a wrong Jacobian, or a jac_sparsity or band "
+        "that misses entries, may be the cause),"
+    )
+
+
+def inconsistent_start(verdict: str, t0: float) -> str:
+    """The text of the ValueError for a start that does not satisfy the algebraic equations."""
+    if verdict == "index_too_high":
+        return (
+            f"the equations with this mass matrix do not form a differential-algebraic system of index 1 at t = {t0}: "
+            "the algebraic equations do not determine the components that mass leaves free. Differentiate the "
+            "constraints until they do"
+        )
+    return (
+        f"y0 does not satisfy the algebraic equations of the singular mass matrix at t = {t0}, and no consistent "
+        "values were found near it: give a y0 for which the algebraic components of fun are zero"
+    )
+
+
+def _convicted(run: Run, laws: Laws, pairs: bool) -> str:
+    names = laws.names
+    if run.finding == "off_value" and laws.senses[run.finding_invariant]:
+        return (
+            f"The action at t = {run.finding_t:.6g} takes {names[run.finding_invariant]} back by "
+            f"{abs(run.finding_size):.6g}, {run.finding_distance:.3g} times the tolerance, which Dissipated excludes. "
+            "Correct the action, or give the event rehold=True."
+        )
+    if run.finding == "off_value":
+        return (
+            f"After the action at t = {run.finding_t:.6g} the solution violates invariant "
+            f"{names[run.finding_invariant]}: g - value = {run.finding_size:.6g}, a distance of "
+            f"{run.finding_distance:.3g} times the tolerance. Let the action return a point of the manifold, or give "
+            "the event rehold=True."
+        )
+    if run.finding == "undefined":
+        return (
+            f"Invariant {names[run.finding_invariant]} is not finite after the action at t = {run.finding_t:.6g}. Let "
+            "the action return a point where it is finite."
+        )
+    if run.finding == "wrong_jacobian":
+        text = _wrong_jacobian_of(run, names, pairs)
+        return text[0].upper() + text[1:]
+    return _not_conserved(run, laws)
+
+
+def _not_conserved(run: Run, laws: Laws) -> str:
+    names, demanded = laws.names, laws.demanded
+    if sense := laws.senses[run.finding_invariant]:
+        return (
+            f"{names[run.finding_invariant]} is not dissipated by fun: at t = {run.finding_t:.6g} it "
+            f"{'rises' if sense < 0 else 'falls'} at the rate {abs(run.finding_size):.6g} "
+            f"({run.finding_distance:.1e} of the size of its terms), and Dissipated(rises={sense > 0}) excludes that. "
+            "Check its formula, its sign and the parameters; no law of this kind holds if something drives the system. "
+            "check=False switches this test off."
+        )
+    text = (
+        f"Invariant {names[run.finding_invariant]} is not conserved by fun: at t = {run.finding_t:.6g}, on the "
+        f"manifold, it changes at the rate {run.finding_size:.6g} ({run.finding_distance:.1e} of the size of its "
+        "terms; for an invariant this is roundoff). "
+    )
+    if demanded[run.finding_invariant]:
+        text += (
+            "A hidden constraint is missing: impose the derivative of this constraint with respect to t "
+            "with it; or the formula is wrong, or not smooth there, like abs at 0. "
+        )
+    else:
+        text += "This is not an invariant of fun: check its formula and the parameters. "
+    return text + "check=False switches this test off."
+
+
+def _wrong_jacobian_of(run: Run, names: list[str], pairs: bool) -> str:
+    name, component = names[run.finding_invariant], run.finding_component
+    text = wrong_jacobian(name, run.finding_t, component, run.finding_size, run.finding_distance, pairs)
+    return text + " check=False switches this test off."
+
+
+def wrong_jacobian(name: str, t: float, component: int, entry: float, quotient: float, pairs: bool) -> str:
+    """What is wrong with the Jacobian of an invariant. `component`: an index into the reals that make up y."""
+    part = (" (real part)", " (imaginary part)")[component % 2] if pairs else ""
+    column = component // 2 if pairs else component
+    return (
+        f"the Jacobian of invariant {name} is wrong at t = {t:.6g}: its entry for y[{column}]{part} is {entry:.9g}, "
+        f"differences of the invariant give {quotient:.9g} (good to about {EPS ** (2 / 3):.0e})."
+    )
+
+
+def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
+    """The text of the InvariantError with which a run was refused at its start."""
+    names = laws.names
+    name = names[run.finding_invariant]
+    if run.finding == "off_value":
+        return (
+            f"y0 is not on the manifold: it violates invariant {name}, g(t0, y0) - value = {run.finding_size:.6g}, a "
+            f"distance of {run.finding_distance:.3g} times the tolerance (rtol = {rtol:.3g}). Correct y0, or project "
+            "it first: y0 = invariode.impose(invariants, t0, y0).y, or for a mechanism problem(..., "
+            'consistent="project")'
+        )
+    if run.finding == "wrong_jacobian":
+        return _wrong_jacobian_of(run, names, pairs)
+    if run.finding == "undefined":
+        return f"invariant {name}, or its Jacobian, is not finite at the start, t = {run.finding_t:.6g}"
+    return _not_conserved(run, laws)
+
+
+_FORMED = {"function": "given", "complex-step": "complex step"}
+
+
+def formed(linear: Linear | None, run: Run) -> str | None:
+    """How the Jacobian of f was computed."""
+    if linear is None:
+        return None
+    text = _FORMED.get(linear.kind, linear.kind)
+    if not math.isnan(run.left_complex_steps):
+        text += f", differences from t = {run.left_complex_steps:.6g} on"
+    if linear.found_pattern:
+        entries, groups = run.pattern
+        text += f"; detected pattern: {entries} entries, {groups} evaluations of f each"
+        text += f" ({linear.found_pattern} found it{f', enlarged {run.enlargements} times' * (run.enlargements > 0)})"
+    return text
+
+
+def complex_steps_left(t: float) -> str:
+    """The text of a warning: complex steps were chosen, and f did not take them."""
+    return (
+        f'jac="complex-step": at t = {t:.6g} fun is not finite for complex y, or drops its imaginary part; differences '
+        "are used from there on. Write fun without abs, real, conj, norms and rounding of y, or use "
+        'jac="differences"'
+    )
+
+
+def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bool) -> str:
+    """The text of a warning: what was said about the Jacobian contradicts fun."""
+    kind, t, row, column, lower, upper, change, predicted = found
+    reals = 2 if pairs else 1
+    i, j = row // reals, column // reals
+    if kind == "matrix":
+        return (
+            f"jac does not fit fun at t = {t:.6g}: within the tolerances of y component {i} of fun changes by "
+            f"{change:.3g}, and jac says {predicted:.3g}. Steps are short then, and ode23s is inaccurate. "
+            'Correct jac (jac="differences" does without it)'
+        )
+    entry = f"at t = {t:.6g} component {i} of fun changes with y[{j}]"
+    if kind == "pattern":
+        return f"jac_sparsity misses the entry ({i}, {j}): {entry}. It is used with what was found; add the entry"
+    return (
+        f"lband and uband miss the entry ({i}, {j}): {entry}. The entries in the bands are right, but take more "
+        f"evaluations of fun, and steps may be short; give lband={-(-lower // reals)}, uband={-(-upper // reals)}"
+    )
+
+
+def harmful_projection(components: str, distance: str) -> str:
+    """The text of an AccuracyWarning: which components projections move, and how far."""
+    return (
+        f"projection moved {components} by {distance}: it corrects other components at the cost of "
+        f"{'these' if ',' in components else 'this one'}, and the solution may then be less accurate than without "
+        "invariants. Try an atol for each component, larger for fast ones (for velocities that of the positions times "
+        "the highest frequency), level= of Invariants for constraints and their rates, or a smaller rtol"
+    )

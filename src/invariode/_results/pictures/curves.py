@@ -1,0 +1,151 @@
+"""Solutions as curves: smooth between the steps, interrupted at jumps, with few enough points to draw."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import Array
+from ..result import Result
+from .canvas import FEW
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["Curve", "curve", "draw_over_t", "interrupted", "line_and_marks", "parts"]
+
+#: Points of a smooth curve, and the most in one step: enough that the eye sees no corners.
+_POINTS, _POINTS_PER_STEP = 4000, 32
+
+#: Up to this many outputs a curve is smoothed by their slopes; with more, the steps are too short to be seen.
+_SLOPES = 20_000
+
+#: Curves over t of more points than this are drawn by columns; a page has about this many.
+_LONG, _COLUMNS = 16_000, 2000
+
+#: With this many changes of direction the lines of a curve touch each other on a page: it is drawn as the range between
+#: its extremes, in columns of this many changes.
+_BUSY, _TURNS = 300, 4
+
+
+class Curve(NamedTuple):
+    """t (k,) and y (n, k), with NaN where the solution jumps."""
+
+    t: Array
+    y: Array
+    smooth: bool  # False: the points of the output, which lines join
+
+
+def curve(sol: Result) -> Curve:
+    """The continuous solution: that of `sol.sol`; else the cubics through outputs and slopes of f; else the outputs."""
+    if sol.sol is not None:
+        return _by_interpolant(sol)
+    slopes = sol._origin and len(sol.t) <= _SLOPES and sol._origin.slopes(sol.t, sol.y)
+    if slopes is None or slopes is False:  # no functions, or too many points
+        return Curve(interrupted(sol, sol.t), interrupted(sol, sol.y), smooth=False)
+    return _by_slopes(sol, slopes)
+
+
+def _by_interpolant(sol: Result) -> Curve:
+    knots = sol.sol.ts
+    inside = _inside(len(knots))
+    pieces = []
+    jumps = np.flatnonzero(np.diff(knots) == 0) + 1
+    for piece in np.split(knots, jumps):
+        t = np.append((piece[:-1, None] + np.diff(piece)[:, None] * inside).ravel(), piece[-1])
+        pieces.append(t)
+    for piece in pieces[:-1]:
+        piece[-1] = np.nextafter(piece[-1], knots[0])  # at the jump itself sol.sol has the later value
+    t = np.concatenate(pieces)
+    cuts = np.cumsum([len(piece) for piece in pieces[:-1]], dtype=int)
+    return Curve(np.insert(t, cuts, np.nan), np.insert(sol.sol(t), cuts, np.nan, axis=1), smooth=True)
+
+
+def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:
+    """Cubic Hermite interpolation: between the steps of a run it is of order 4, enough for the eye. `slopes`: those
+    after and before each point."""
+    x = _inside(len(sol.t))[:, None]
+    t, y, (after, before) = sol.t, sol.y, slopes
+    h = np.diff(t)
+    start, end = y[:, None, :-1], y[:, None, 1:]
+    inside = (
+        (1 + 2 * x) * (1 - x) ** 2 * start
+        + x**2 * (3 - 2 * x) * end
+        + x * (1 - x) * h * ((1 - x) * after[:, None, :-1] - x * before[:, None, 1:])
+    )
+    # by steps, and the points of a step in their order
+    times = np.append((t[:-1] + x * h).T.ravel(), t[-1:])
+    values = np.concatenate([inside.transpose(0, 2, 1).reshape(len(y), h.size * len(x)), y[:, -1:]], axis=1)
+    values[:, :: len(x)] = y  # to the last bit
+    rows = [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(t)]
+    for row in rows:  # between the two values of a jump there is nothing
+        gap = slice((row - 1) * len(x) + 1, row * len(x))
+        values[:, gap] = np.nan
+    if len(x) == 1 and rows:
+        cuts = [row * len(x) for row in rows]
+        times, values = np.insert(times, cuts, np.nan), np.insert(values, cuts, np.nan, axis=1)
+    elif rows:  # one NaN for each jump
+        dropped = [k for row in rows for k in range((row - 1) * len(x) + 2, row * len(x))]
+        times, values = np.delete(times, dropped), np.delete(values, dropped, axis=1)
+    return Curve(times, values, smooth=True)
+
+
+def _inside(knots: int) -> Array:
+    """The points at which a step is drawn, from its start, in units of its size."""
+    count = min(max(_POINTS // max(knots, 1), 1), _POINTS_PER_STEP)
+    return np.arange(count) / count
+
+
+def interrupted(sol: Result, values: Array) -> Array:
+    """Values at the outputs, in the last axis, with NaN where the solution jumps."""
+    cuts = [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(sol.t)]
+    return np.insert(values, cuts, np.nan, axis=-1)
+
+
+def parts(values: Array) -> tuple[list[str], list[Array]]:
+    """A prefix of the label, and real values: one of each, two for complex values."""
+    return (["Re ", "Im "], [values.real, values.imag]) if np.iscomplexobj(values) else ([""], [values])
+
+
+def line_and_marks(
+    sol: Result, smooth: bool, properties: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Properties of the line, and of the marks at the outputs, which a smooth curve has only on request."""
+    look = {"linewidth": 1.4, "markersize": 5, **properties}
+    few = len(sol.t) <= FEW
+    if not smooth:
+        return {"marker": "." if few else "none", **look}, None
+    marker = look.pop("marker", None)
+    if marker is None or str(marker).lower() in ("none", "", " "):
+        return look, None
+    return look, {**look, "marker": marker, "linestyle": "none"}
+
+
+def draw_over_t(ax: Axes, sol: Result, t: Array, y: Array, smooth: bool, properties: dict[str, Any]) -> None:
+    """One component, its marks apart; a long one by columns."""
+    line = line_and_marks(sol, smooth, properties)[0]
+    turns = int(np.count_nonzero(np.diff(np.sign(np.diff(y[np.isfinite(y)])))))
+    busy = turns > _BUSY
+    if len(t) <= _LONG and not busy:
+        ax.plot(t, y, **line)
+        return
+    times, low, high = _columns(t, y, min(turns // _TURNS, _COLUMNS // _TURNS) if busy else _COLUMNS)
+    if busy:
+        shade = {name: line[name] for name in ("color", "label", "zorder") if name in line}
+        ax.fill_between(times, low, high, linewidth=0, alpha=0.3, **shade)
+        edge = {**line, "linewidth": line["linewidth"] / 2, "label": "_nolegend_"}
+        ax.plot(times, low, **edge)
+        ax.plot(times, high, **edge)
+    else:
+        ax.plot(np.repeat(times, 2), np.column_stack([low, high]).ravel(), **line)
+
+
+def _columns(t: Array, y: Array, count: int) -> tuple[Array, Array, Array]:
+    """Times, least and largest values of columns of equally many points."""
+    there = np.isfinite(y)
+    t, y = t[there], y[there]
+    starts = np.linspace(0, len(y), count, endpoint=False).astype(int)
+    times = t[starts]
+    times[-1] = t[-1]
+    return times, np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)

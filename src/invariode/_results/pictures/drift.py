@@ -1,0 +1,113 @@
+"""The drift of invariants from their values, on a logarithmic axis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._base.arguments import EPS, Array, tolerances
+from ..._base.style import LEVELS
+from ..._laws.bound import BoundInvariants, Jump, bind
+from ..._problem.invariants import Invariants, InvariantsLike, to_invariants
+from ..result import Result
+from .canvas import FEW, MOST, drawable, joined, legend, log_axis, new, once, properties, unused
+from .curves import interrupted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw"]
+
+
+def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relative: bool, line: dict[str, Any]) -> Axes:
+    """See `Solution.plot_drift`."""
+    given_ones = to_invariants(invariants)
+    if not given_ones and not len(sol._invariants) and not sol.drift().names:
+        raise ValueError("the run had no invariants: give those to draw, plot_drift(invariants=g)")
+    if not len(sol.t):
+        raise ValueError("the output has no points: t_eval was empty; solve with times in t_eval")
+    g = _bound(sol, given_ones) if given_ones else sol._invariants
+    pieces = g.pieces_of_output(len(sol.t))
+    residual = np.abs(g.residual(sol.t, sol.y, pieces) if given_ones else sol.residual)
+    largest = np.zeros(len(g)) if given_ones else sol._drift.residual[: len(g)]
+    if relative:
+        g, residual, largest = _relative(g, residual, largest)
+    defining = np.diff(pieces, prepend=-1) > 0
+    t = interrupted(sol, sol.t)
+    ax = new(sol) if ax is None else ax
+    ax.set_yscale("log")
+    line, given = properties(line)
+    for name, style, value, r, before in _drifting(g, residual, largest):
+        colour, dashes = unused(ax, style)
+        floor = max(EPS / 2 * max(abs(value), before, r.max(initial=0)), r[r > 0].min(initial=np.inf) / 2)
+        floor = floor if 0 < floor < np.inf else EPS / 2
+        drawn = interrupted(sol, np.where(defining & (r == 0), np.nan, np.maximum(r, floor)))
+        label = joined(drawable(name), given)
+        few = {"linewidth": 1.4, "marker": "." if len(sol.t) <= FEW else "none", "markersize": 5}
+        paint = {**few, "color": colour, "linestyle": dashes[0], "label": label, **line}
+        (curve,) = ax.plot(t, drawn, **paint)
+        if before > 0:
+            ax.plot(sol.t[[0, -1]], [before, before], ":", color=curve.get_color(), lw=1)
+    if largest.any():
+        ax.plot([], [], ":", color="0.5", lw=1, label=once(ax, "largest before\nprojection"))
+    log_axis(ax.yaxis)
+    ax.set_xlabel("$t$")
+    ax.set_ylabel(_label(g, relative))
+    left_out = len(g) > MOST and not _has_levels(g)
+    legend(ax, f"{MOST} of {len(g)} invariants" if left_out else None)
+    return ax
+
+
+def _label(g: BoundInvariants, relative: bool) -> str:
+    kind = "relative residual" if relative else "residual"
+    if len(g) == 1:
+        return f"{kind} of {drawable(g.names[0])}"
+    return f"{kind} |g − value| / |value|" if relative else "residual |g − value|"
+
+
+def _relative(g: BoundInvariants, residual: Array, largest: Array) -> tuple[BoundInvariants, Array, Array]:
+    """The same in units of the values."""
+    if zero := [name for name, value in zip(g.names, g.value, strict=True) if value == 0]:
+        raise ValueError(f"{', '.join(zero)} is held at 0, which has no relative drift: leave out relative=True")
+    size = np.abs(g.value)
+    return replace(g, value=np.sign(g.value)), residual / size[:, None], largest / size
+
+
+def _bound(sol: Result, listed: list[Invariants]) -> BoundInvariants:
+    """Invariants that the run did not have, held at their values at the first output and after each jump."""
+    own, y0 = sol._invariants, sol.y[:, 0].copy()
+    g = bind(listed, float(sol.t[0]), y0, own.args, tolerances(1e-3, 1e-6, y0)[1])
+    jumps = []
+    for row, t, _ in own.jumps:
+        here = slice(row, row + 1)
+        there = g.value + g.departure(sol.t[here], sol.y[:, here])[:, 0] if row < len(sol.t) else g.value
+        jumps.append(Jump(row, t, np.where(g.demanded, g.value, there)))
+    return replace(g, jumps=tuple(jumps), forward=own.forward)
+
+
+def _has_levels(g: BoundInvariants) -> bool:
+    return len({spec.level for spec in g.specs}) > 1
+
+
+def _drifting(g: BoundInvariants, residual: Array, largest: Array) -> list[tuple[str, str | None, Any, Array, Any]]:
+    """Name, dashes if levels tell them, value, residuals and largest one before projection, for each line."""
+    lines = [(name, None, *rest) for name, *rest in zip(g.names, g.value, residual, largest, strict=True)]
+    if not _has_levels(g):
+        return lines[:MOST]
+    levels = np.array([spec.level for spec in g.specs for _ in range(spec.m)])
+    groups = [(level, np.flatnonzero(levels == level)) for level in np.unique(levels)]
+    if len(g) <= MOST:
+        styles = {level: LEVELS[k % len(LEVELS)] for k, (level, _) in enumerate(groups)}
+        return [(name, styles[level], *rest) for level, (name, _, *rest) in zip(levels, lines, strict=True)]
+    return [
+        (
+            f"level {level}: largest of {len(of)}" if len(of) > 1 else g.names[of[0]],
+            LEVELS[k % len(LEVELS)],
+            np.abs(g.value[of]).max(),
+            residual[of].max(axis=0),
+            largest[of].max(),
+        )
+        for k, (level, of) in enumerate(groups)
+    ]

@@ -1,0 +1,93 @@
+"""Many trajectories over t: as bands, as quantiles, or one by one. Imaginary parts are dashed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._base.arguments import Array
+from ..._base.style import COLOURS, LOOK
+from ..result import default_labels
+from .canvas import component, joined, legend, properties, require_matplotlib
+from .curves import parts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw"]
+
+#: The most components that are drawn: the ranges of more would cover each other.
+_MOST = len(COLOURS)
+
+#: The most trajectories that are drawn one by one.
+_THREADS = 500
+
+#: Parts of the trajectories that are below a line.
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axes:
+    """See `EnsembleSolution.plot`."""
+    require_matplotlib()
+    if len(ensemble.t) < 2:
+        raise ValueError("the ensemble has only final states: for a picture solve it with times in t_eval")
+    names = default_labels(ensemble.y.shape[1])
+    those = range(min(len(names), _MOST)) if chosen is None else np.atleast_1d(chosen)
+    rows = [component(names, int(one)) for one in those]
+    ax = _new() if ax is None else ax
+    look, given = properties(line)
+    for place, k in enumerate(rows):
+        for part, values, dashes in zip(*parts(ensemble.y[:, k]), ("-", "--"), strict=False):
+            label = joined(f"{part}{names[k]}", given)
+            own = {
+                "color": COLOURS[place % len(COLOURS)],
+                "linestyle": dashes,
+                "label": label,
+                "linewidth": 1.4,
+                **look,
+            }
+            {"bands": _bands, "quantiles": _quantiles, "spaghetti": _threads}[kind](ax, ensemble.t, values, own)
+    ax.set_xlabel("$t$")
+    if len(rows) == 1:
+        ax.set_ylabel(names[rows[0]])
+    legend(ax, f"{len(rows)} of {len(names)} components" if chosen is None and len(rows) < len(names) else None)
+    return ax
+
+
+def _new() -> Axes:
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    plt.draw_if_interactive()  # type: ignore[no-untyped-call]  # chooses the backend: see `canvas.new_panels`
+    with matplotlib.rc_context(LOOK):
+        ax: Axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")[1]
+    ax.grid(True, color="0.5", alpha=0.2, lw=0.7)
+    return ax
+
+
+def _of_those_there(values: Array) -> tuple[Array, Array]:
+    """Quantiles (5, n_t) of the trajectories that reached each time, and which times any did."""
+    reached = np.asarray(np.isfinite(values).any(axis=0))
+    return np.nanquantile(values[:, reached], _QUANTILES, axis=0), reached
+
+
+def _bands(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
+    levels, reached = _of_those_there(values)
+    for low, high, alpha in ((0, 4, 0.15), (1, 3, 0.25)):
+        ax.fill_between(t[reached], levels[low], levels[high], color=look["color"], alpha=alpha, linewidth=0)
+    ax.plot(t[reached], levels[2], **look)
+
+
+def _quantiles(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
+    levels, reached = _of_those_there(values)
+    for k, (level, width) in enumerate(zip(levels, (0.5, 0.8, 1.4, 0.8, 0.5), strict=True)):
+        ax.plot(t[reached], level, **{**look, "linewidth": width, "label": look["label"] if k == 2 else "_nolegend_"})
+
+
+def _threads(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
+    some = np.unique(np.linspace(0, len(values) - 1, min(len(values), _THREADS)).astype(int))
+    thin = {**look, "linewidth": 0.6, "alpha": max(0.1, min(1.0, 30 / len(some)))}
+    for row in values[some]:
+        ax.plot(t, row, **{**thin, "label": "_nolegend_"})
+    ax.plot([], [], **look)  # the key: one thin line alone is too faint

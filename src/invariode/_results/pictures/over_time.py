@@ -1,0 +1,104 @@
+"""Components over t: one panel, or one for each scale."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._base.arguments import Array
+from ..result import Result
+from .canvas import (
+    MOST,
+    components,
+    drawable,
+    joined,
+    legend,
+    mark,
+    new_panels,
+    occurrences,
+    properties,
+    require_points,
+    unused,
+)
+from .curves import Curve, curve, draw_over_t, line_and_marks, parts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw", "draw_groups", "groups_of_scale"]
+
+#: Components whose sizes differ by more than this cannot be seen on one axis.
+_APART = 1e3
+
+#: More panels would be too small to read: the smallest components then share one.
+_PANELS = 4
+
+#: If there are more components than `MOST`, the number of names in the legend.
+_NAMED = 10
+
+
+def draw(sol: Result, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axes:
+    """See `Solution.plot`."""
+    require_points(sol)
+    those = components(sol, chosen)
+    whole = curve(sol)
+    groups = groups_of_scale(whole.y, those) if ax is None else [those]
+    panels: list[Axes] = list(new_panels(sol, [1] * len(groups))) if ax is None else [ax]
+    draw_groups(panels, sol, whole, groups, line)
+    panels[-1].set_xlabel("$t$")
+    return panels[0]
+
+
+def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list[int]], line: dict[str, Any]) -> None:
+    """A group of components on each panel, with legends or labels."""
+    names = sol._names.components
+    look, given = properties(line)
+    for panel, group in zip(panels, groups, strict=True):
+        _draw_group(panel, sol, whole, group, look, given)
+        if len(group) == 1:
+            panel.set_ylabel(drawable(names[group[0]]))
+        legend(panel, f"{len(group)} components" if len(group) > MOST else None)
+
+
+def groups_of_scale(y: Array, chosen: list[int]) -> list[list[int]]:
+    """Components whose sizes are alike; those of the group with the first component come first."""
+    with np.errstate(invalid="ignore"):
+        sizes = np.nanmax(np.abs(y[chosen]), axis=1, initial=0) if y.shape[1] else np.zeros(len(chosen))
+    order = [k for k in np.argsort(-sizes, kind="stable") if 0 < sizes[k] < np.inf]
+    groups: list[list[int]] = []
+    for place, k in enumerate(order):
+        if not place or (sizes[order[place - 1]] > _APART * sizes[k] and len(groups) < _PANELS):
+            groups.append([])
+        groups[-1].append(k)
+    rest = [k for k in range(len(chosen)) if k not in set(order)]  # zero, or not finite: on any axis
+    if not groups:
+        return [chosen]
+    groups[0] += rest
+    return sorted(([chosen[k] for k in sorted(group)] for group in groups), key=lambda group: chosen.index(group[0]))
+
+
+def _draw_group(ax: Axes, sol: Result, whole: Curve, group: list[int], look: dict[str, Any], given: str | None) -> None:
+    names = sol._names.components
+    named = set(np.linspace(0, len(group) - 1, _NAMED).astype(int)) if len(group) > MOST else range(len(group))
+    for place, k in enumerate(group):
+        colour, dashes = _paint(ax, place, len(group))
+        for style, part, values, points in zip(dashes, *parts(whole.y[k]), parts(sol.y[k])[1], strict=False):
+            label = joined(f"{part}{drawable(names[k])}", given) if place in named else "_nolegend_"
+            own = {"color": colour, "linestyle": style, "label": label, **look}
+            draw_over_t(ax, sol, whole.t, values, whole.smooth, own)
+            if (marks := line_and_marks(sol, whole.smooth, own)[1]) is not None:
+                ax.plot(sol.t, points, **{**marks, "label": "_nolegend_"})
+    for label, marker, times, states in occurrences(sol):
+        values = np.concatenate([part for k in group for part in parts(states[:, k])[1]] or [times[:0]])
+        mark(ax, (np.resize(times, len(values)), values), label, marker)
+
+
+def _paint(ax: Axes, place: int, count: int) -> tuple[Any, tuple[str, str]]:
+    """Colour and dashes: the next free ones for few components, the place in a sequence of colours for many."""
+    if count <= MOST:
+        return unused(ax)
+    import matplotlib
+
+    # the end of the sequence is too light for lines on white
+    return matplotlib.colormaps["viridis"](0.9 * place / (count - 1)), ("-", "--")

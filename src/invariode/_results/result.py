@@ -1,0 +1,512 @@
+"""What comes back from a solve, as data."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, real_numbers
+from .._core import Dense
+from .._laws.bound import BoundInvariants, as_columns
+
+__all__ = [
+    "LIMIT_REACHED",
+    "NOT_CONSERVED",
+    "BeforeProjection",
+    "DenseSolution",
+    "DiscontinuityWarning",
+    "Drift",
+    "Names",
+    "Record",
+    "Result",
+    "Stats",
+    "Steps",
+    "StiffnessWarning",
+    "at_events",
+]
+
+#: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
+#: invariant which f does not conserve.
+LIMIT_REACHED, NOT_CONSERVED = -3, -2
+
+
+def at_events(states: Array) -> Array:
+    """States at the occurrences of an event, (k, n); of none (0,), as SciPy has it."""
+    return states if len(states) else states.reshape(0)
+
+
+class Record(Mapping[str, Any]):
+    """A dataclass whose fields are also items, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
+
+    def __getitem__(self, key: str) -> Any:
+        if key in self.keys():
+            return getattr(self, key)
+        raise KeyError(key)
+
+    def __iter__(self) -> Iterator[str]:
+        return (f.name for f in dataclasses.fields(self) if not f.name.startswith("_"))  # type: ignore[arg-type]  # subclasses are dataclasses
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, key: object) -> bool:
+        return key in list(self)
+
+    __eq__ = object.__eq__  # arrays do not compare to one truth
+    __hash__ = object.__hash__
+
+
+@dataclasses.dataclass(eq=False)
+class Stats(Record):
+    """Counts of a run.
+
+    Attributes
+    ----------
+    steps : int
+        Accepted steps.
+    failed : int
+        Failed attempts.
+    nfev : int
+        Evaluations of f by the method.
+    nfev_check : int
+        Evaluations of f by the tests of invariants and Jacobians, and in search of its jumps; not in `nfev`.
+    njev : int
+        Evaluations of the Jacobian of f.
+    nlu : int
+        Factorisations; with ``linear_solver="gmres"`` set-ups of the preconditioner.
+    nsolve : int
+        Solutions of linear systems.
+    projections : int
+        Projected attempts.
+    skipped : int
+        Attempts whose projection was not needed.
+    clipped : int
+        Steps that ended outside `bounds` by less than the tolerance, and were moved onto them.
+    ng : int
+        Evaluations of the invariants, including those for output between steps.
+    ngjac : int
+        Evaluations of their Jacobians, likewise.
+    ngdiff : int
+        Those of `ng` that served Jacobians: complex steps and differences, and the choice between them at the start.
+    switches : int
+        How often ``method="auto"`` continued with its other method.
+    products : int
+        Products of the Jacobian of f with a vector, with ``linear_solver="gmres"``. By differences each of them is one
+        of `nfev`.
+    linear_iterations : int
+        Iterations of GMRES.
+    derivatives : str or None
+        How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
+        differences', several of these, or None.
+    projected_start : bool
+        y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
+        equations of a singular mass matrix, and was moved.
+    clipped_amount : float
+        The amount that moving steps onto `bounds` has added to the sum of the components, before any invariants were
+        imposed again.
+    mechanics : dict or None
+        For a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were formed
+        ('complex step', 'differences', 'given'), and how often in the whole run each function was called and the matrix
+        of the accelerations was factorised, 'sparse' and 'dense'.
+    stiff_since : float or None
+        From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
+    jacobian : str or None
+        How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
+        differences replaced complex steps, and the sparsity pattern if it was detected; 'products' with
+        ``linear_solver="gmres"``; None for explicit methods.
+    discontinuities : tuple of float
+        Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
+        value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
+    """
+
+    steps: int
+    failed: int
+    nfev: int
+    nfev_check: int
+    njev: int
+    nlu: int
+    nsolve: int
+    projections: int
+    skipped: int
+    clipped: int
+    ng: int
+    ngjac: int
+    ngdiff: int
+    switches: int
+    products: int
+    linear_iterations: int
+    derivatives: str | None
+    projected_start: bool
+    clipped_amount: float = 0.0
+    mechanics: dict[str, Any] | None = None
+    stiff_since: float | None = None
+    jacobian: str | None = None
+    discontinuities: tuple[float, ...] = ()
+
+
+class StiffnessWarning(UserWarning):
+    """Stability, not accuracy, limits the steps of an explicit method: the problem is stiff."""
+
+
+class DiscontinuityWarning(UserWarning):
+    """f looks discontinuous where attempts fail, which `breakpoints` and events save; or the solution sticks where f
+    jumps; or the actions of an event accumulate in a finite time."""
+
+
+class Steps(Record):
+    """The accepted steps, arrays of one value each.
+
+    Attributes
+    ----------
+    t : ndarray of float
+        Where the step ended.
+    h : ndarray of float
+        Its signed size.
+    order : ndarray of int
+        Its order.
+    error : ndarray of float
+        The estimated error e, ``max_i |e_i| / w_i``, in units of rtol.
+    correction : ndarray of float
+        The size of the correction by projection, in the same norm and unit.
+    method : ndarray of str
+        The method that made the step: with ``method="auto"`` one of two. '' in files of former versions.
+    """
+
+    def __init__(self, rows: Array, methods: Sequence[str]) -> None:
+        self._rows = rows  # (n_steps, 6)
+        self._methods = methods  # of which the last column has the numbers
+
+    @cached_property
+    def t(self) -> Array:
+        return self._rows[:, 0].copy()
+
+    @cached_property
+    def h(self) -> Array:
+        return self._rows[:, 1].copy()
+
+    @cached_property
+    def order(self) -> Array:
+        return self._rows[:, 2].astype(np.int32)
+
+    @cached_property
+    def error(self) -> Array:
+        return self._rows[:, 3].copy()
+
+    @cached_property
+    def correction(self) -> Array:
+        return self._rows[:, 4].copy()
+
+    @cached_property
+    def method(self) -> Array:
+        return np.array(self._methods)[self._rows[:, 5].astype(np.int32)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(("t", "h", "order", "error", "correction", "method"))
+
+    def __repr__(self) -> str:
+        return f"Steps({len(self._rows)} steps)"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Drift(Record):
+    """The drift of the invariants; prints as a table. Arrays have one value per invariant.
+
+    Attributes
+    ----------
+    names : list of str
+        The names of the invariants.
+    value : ndarray
+        The value that was held (the first one, if events with actions changed it).
+    residual_before : ndarray
+        Largest ``|g - value|`` of the accepted candidates before projection.
+    distance_before : ndarray
+        The same as a distance from the level set, in units of rtol in the weights of the error test.
+    residual_after : ndarray
+        Largest ``|g - value|`` at the outputs.
+    distance_after : ndarray
+        The same as a distance.
+    correction : float
+        Largest correction of a step, in units of rtol.
+    projections : int
+        Projected attempts.
+    skipped : int
+        Steps that were close enough.
+    """
+
+    names: list[str]
+    value: Array
+    residual_before: Array
+    distance_before: Array
+    residual_after: Array
+    distance_after: Array
+    correction: float
+    projections: int
+    skipped: int
+
+    def __repr__(self) -> str:
+        if not self.names:
+            return "no invariants were imposed"
+        width = max(len("invariant"), *map(len, self.names))
+        lines = [
+            f"{'invariant':<{width}} {'value':>14}  {'residual before, after':>22}  {'distance before, after':>22}",
+            *(
+                f"{name:<{width}} {value:>14.6g}  {before:>11.2e}{after:>11.2e}  {far:>11.2e}{near:>11.2e}"
+                for name, value, before, after, far, near in zip(
+                    self.names,
+                    self.value,
+                    self.residual_before,
+                    self.residual_after,
+                    self.distance_before,
+                    self.distance_after,
+                    strict=True,
+                )
+            ),
+            f"distances in units of the tolerance; largest correction of a step {self.correction:.2e}; "
+            f"{self.projections} projections, {self.skipped} skipped",
+        ]
+        return "\n".join(lines)
+
+
+class BeforeProjection(NamedTuple):
+    """The largest distances of a run's accepted candidates from the manifold."""
+
+    residual: Array  # of each invariant
+    distance: Array
+    correction: float  # of a step
+    all_that_is_known: Drift | None = None  # where the functions are not
+
+
+class DenseSolution:
+    """The solution as a continuous function of t.
+
+    ``sol(t)`` has shape (n,) for a number and (n, n_t) for an array t. At the ends of the steps it returns the stored
+    values; between them the option `interpolation` decides. Outside [t_min, t_max] it extrapolates the outermost step,
+    as SciPy does.
+
+    Attributes
+    ----------
+    ts : ndarray
+        The ends of the steps, the start first.
+    t_min : float
+        Start of the interval.
+    t_max : float
+        End of the interval.
+    """
+
+    def __init__(
+        self, dense: Dense, dtype: np.dtype[Any], invariants: BoundInvariants, imposed: Mapping[str, Any] | None = None
+    ):
+        self._dense = dense
+        self._dtype = dtype
+        self._invariants = invariants
+        self._imposed = imposed
+        self.ts: Array = dense.knots()
+        self.t_min = float(min(self.ts[0], self.ts[-1]))
+        self.t_max = float(max(self.ts[0], self.ts[-1]))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_dense": self._dense.parts()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _dense=Dense.from_parts(**state["_dense"]))
+
+    def __call__(self, t: ArrayLike) -> Array:
+        times = t if isinstance(t, np.ndarray) and t.dtype == float else real_numbers("t", t)
+        if times.ndim > 1:
+            raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
+        g = self._invariants
+        y = as_columns(g.evaluate(self._dense, np.atleast_1d(times)), self._dtype)
+        if self._imposed is not None and y.shape[1]:
+            pieces = g.pieces_at(np.atleast_1d(times), "right")
+            y = g.equalities().impose(np.atleast_1d(times), y, **self._imposed, pieces=pieces).y
+        return y[:, 0] if times.ndim == 0 else y
+
+    def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
+        """The same with its values projected to roundoff."""
+        return DenseSolution(self._dense, self._dtype, self._invariants, {"rtol": rtol, "atol": atol})
+
+
+@dataclasses.dataclass
+class Names:
+    """The names in tables and pictures."""
+
+    problem: str
+    title: str | None  # the problem's name, where one was given
+    labels: list[str] | None
+    size: int
+    events: list[str]
+
+    @property
+    def components(self) -> list[str]:
+        return default_labels(self.size) if self.labels is None else self.labels
+
+
+def default_labels(size: int) -> list[str]:
+    """Made on demand: for a large problem they take more memory than the solution."""
+    return [f"y{i}" for i in range(size)]
+
+
+#: Marks a field that was not given, since None is a value.
+_ABSENT: Any = object()
+
+
+@dataclasses.dataclass(eq=False, repr=False, init=False)
+class Result(dict[str, Any]):
+    """The data of a `Solution`, and what is computed from them.
+
+    As in SciPy, it is a dict whose items are also attributes: the fields, and whatever the user adds. Names that start
+    with an underscore are not items.
+    """
+
+    t: Array
+    y: Array
+    # None or not is known to the caller, who said what to compute: `| Any` spares them a test of it.
+    sol: DenseSolution | Any
+    t_events: list[Array] | Any
+    y_events: list[Array] | Any
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    message: str
+    success: bool
+    stats: Stats
+    steps: Steps | Any
+    t_end: float
+    _invariants: BoundInvariants
+    _rtol: ArrayLike
+    _atol: ArrayLike
+    _drift: BeforeProjection
+    _names: Names
+    _origin: Any  # with the functions, where there are any: see `Solution`
+
+    def __init__(
+        self,
+        *,
+        t: Array,
+        y: Array,
+        sol: DenseSolution | None,
+        t_events: list[Array] | None,
+        y_events: list[Array] | None,
+        nfev: int,
+        njev: int,
+        nlu: int,
+        status: int,
+        message: str,
+        success: bool,
+        stats: Stats,
+        steps: Steps | None,
+        t_end: float,
+        _invariants: BoundInvariants,
+        _rtol: ArrayLike,
+        _atol: ArrayLike,
+        _drift: BeforeProjection,
+        _names: Names,
+        _origin: Any = None,
+        **more: Any,
+    ) -> None:
+        # One by one, and past __setattr__: a short solve takes 30 µs, to which this must not add.
+        self["t"], self["y"], self["sol"] = t, y, sol
+        self["t_events"], self["y_events"] = t_events, y_events
+        self["nfev"], self["njev"], self["nlu"] = nfev, njev, nlu
+        self["status"], self["message"], self["success"] = status, message, success
+        self["stats"], self["steps"], self["t_end"] = stats, steps, t_end
+        if more:
+            self.update(more)
+        own = self.__dict__
+        own["_invariants"], own["_rtol"], own["_atol"] = _invariants, _rtol, _atol
+        own["_drift"], own["_names"], own["_origin"] = _drift, _names, _origin
+
+    def changed(self, **changes: Any) -> Self:
+        """A copy with other values of some fields, and with what the user has added."""
+        own = {name: value for name, value in self.__dict__.items() if name.startswith("_")}
+        return type(self)(**{**self, **own, **changes})
+
+    if not TYPE_CHECKING:  # else a type checker would accept every misspelt field
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for names that are not attributes of the class or the object: items."""
+            value = self.get(name, _ABSENT)
+            if value is _ABSENT:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_") or hasattr(type(self), name):
+            super().__setattr__(name, value)
+        else:
+            self[name] = value
+
+    def __delattr__(self, name: str) -> None:
+        if name in self:
+            del self[name]
+        else:
+            super().__delattr__(name)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *map(str, self)]
+
+    __eq__ = object.__eq__  # arrays do not compare to one truth
+    __hash__ = object.__hash__  # type: ignore[assignment]  # a dict has none
+
+    @property
+    def residual(self) -> Array:
+        """g(t, y) - value of the invariants imposed, (m, n_t), at the outputs t and y as they are now.
+
+        For an `invariode.Dissipated` function, how far it has risen above its lowest earlier output, or fallen
+        below its highest. Each access evaluates the invariants.
+        """
+        if self._drift.all_that_is_known is not None:
+            raise ValueError(
+                "the residuals of this trajectory at its outputs are not known: the ensemble comes from a file or a "
+                "pickle, without functions, or has events whose actions change the values of invariants. drift() has "
+                "the largest residuals; for those at outputs solve this trajectory alone"
+            )
+        return self._invariants.residual(self.t, self.y, self._invariants.pieces_of_output(len(self.t)))
+
+    def drift(self) -> Drift:
+        """A table with the value of each invariant, and its largest residuals before and after projection.
+
+        Those before are at the candidates of the accepted steps; those after are at the outputs, where g and its
+        Jacobian are evaluated when this is called.
+        """
+        if self._drift.all_that_is_known is not None:
+            return self._drift.all_that_is_known
+        g = self._invariants
+        after = g.distance(self.t, self.y, self._rtol, self._atol, g.pieces_of_output(len(self.t)))
+        return Drift(
+            names=list(g.names),
+            value=g.value,
+            residual_before=self._drift.residual[: len(g)],
+            distance_before=self._drift.distance[: len(g)],
+            residual_after=np.abs(self.residual).max(axis=1, initial=0),
+            distance_after=after.max(axis=1, initial=0),
+            correction=self._drift.correction,
+            projections=self.stats.projections,
+            skipped=self.stats.skipped,
+        )
+
+    @property
+    def correction(self) -> Array:
+        """The corrections by projection of the accepted steps, (n_steps,), in units of rtol."""
+        if self.steps is None:
+            raise ValueError('the run did not keep the corrections of its steps: solve with keep="all"')
+        return self.steps.correction
+
+    def __repr__(self) -> str:
+        width = max((len(str(name)) for name in self), default=0)
+        return "\n".join(f"{name:>{width}}: {_shape_or_value(value)}" for name, value in self.items())
+
+
+def _shape_or_value(value: Any) -> Any:
+    """What stands in the table of a result: of arrays the shape, of a continuous solution its interval."""
+    if isinstance(value, np.ndarray):
+        return f"array of shape {value.shape}"
+    if isinstance(value, list) and all(isinstance(one, np.ndarray) for one in value):
+        return "[" + ", ".join(map(_shape_or_value, value)) + "]"
+    return f"function on [{value.t_min}, {value.t_max}]" if isinstance(value, DenseSolution) else value

@@ -1,0 +1,91 @@
+"""The message for a function that cannot be called as the solvers call it."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .._base.arguments import PACKAGE, call_name, reals, shown
+from .._functions.compiled import CompiledFunction, is_native, native_parameters
+from .._problem.description import Description
+
+__all__ = ["explain", "require_values"]
+
+
+def explain(error: TypeError | ValueError, problem: Description) -> None:
+    """Adds a note to an exception that comes from how a function was called; the exception stays the same."""
+    if isinstance(error, TypeError):
+        if problem.args and _is_of_the_call(error) and (found := _not_taking(problem)):
+            several = len(found) > 1
+            error.add_note(
+                f"args = {shown(problem.args)} are passed to all functions of the problem, also to invariants and "
+                f"events, and {' and '.join(found)} {'do' if several else 'does'} not take them: define "
+                f"{'them' if several else 'it'} with (t, y, *args)"
+            )
+    elif "returned shape" in str(error) and ", 1)" in str(error):
+        error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
+
+
+def require_values(problem: Description) -> None:
+    """That a compiled f returns as many values as there are components: if not, its values are NaN in the run.
+
+    Raises
+    ------
+    ValueError
+        It returns another number at the start.
+    """
+    fun, n = problem.fun, reals(problem.y0)
+    if not isinstance(fun, CompiledFunction) or fun.inplace:
+        return
+    t0 = problem.t_span[0]
+    p = [*(np.ravel(one(t0)) for one in problem.inputs), native_parameters(problem.args, [fun])]
+    parameters = np.concatenate(p)
+    try:
+        returned = np.size(fun.jitted(t0, problem.y0.view(float), *([parameters] if len(parameters) else [])))
+    except Exception:  # whatever the user's code raises: there NaN is right
+        return
+    if returned != n:
+        raise ValueError(f"{fun!r} returned {returned} values at t = {t0}, expected {n}, one for each component")
+
+
+def _is_of_the_call(error: TypeError) -> bool:
+    """Whether the call itself failed: no function of the user's was entered, in which anything may fail."""
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    return last is None or last.tb_frame.f_code.co_filename.startswith(PACKAGE)
+
+
+def _not_taking(problem: Description) -> list[str]:
+    """The functions that do not take what they are called with."""
+    fed = {"fun", "jac"}
+    return [
+        name
+        for name, fun in _functions(problem)
+        if not _takes(fun, [*(problem.inputs if name in fed else ()), *problem.args])
+    ]
+
+
+def _functions(problem: Description) -> Iterator[tuple[str, Any]]:
+    """All that are called with t, y and the arguments, and what to call them."""
+    yield "fun", problem.fun
+    yield "jac", problem.matrices.jac
+    yield from ((f"invariant {call_name(one.fun, 'g')}", one.fun) for one in problem.invariants)
+    yield from (("the Jacobian of an invariant", one.jac) for one in problem.invariants)
+    yield from ((f"event {event.__name__}", event.fun) for event in problem.events)
+    yield from ((f"the action of event {event.__name__}", event.action) for event in problem.events)
+
+
+def _takes(fun: Any, args: Iterable[Any]) -> bool:
+    if not callable(fun) or is_native(fun):
+        return True
+    try:
+        inspect.signature(fun).bind(None, None, *args)
+    except TypeError:
+        return False
+    except ValueError:  # a builtin, which has no signature
+        return True
+    return True

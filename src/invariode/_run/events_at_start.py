@@ -1,0 +1,66 @@
+"""Events with `at_start` that are zero where the run starts: they occur there, as in SciPy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._base.arguments import Array
+from .._functions.compiled import event_value, is_native
+from .._problem.description import Description
+from .._results.solution import Solution
+from .plan import Plan, solver
+
+__all__ = ["ended_at_start", "found_at_start", "with_start", "without_start"]
+
+
+def found_at_start(problem: Description, plan: Plan) -> list[int]:
+    """Which events occur at the start. Those with a direction take a step, which shows it."""
+    zero = [e for e, event in enumerate(problem.events) if event.at_start and _value(problem, plan, e) == 0]
+    if any(plan.functions.events[e].direction for e in zero):
+        after = _after_one_step(plan)
+        zero = [e for e in zero if _value(problem, plan, e, *after) * plan.functions.events[e].direction >= 0]
+    return zero
+
+
+def _value(problem: Description, plan: Plan, e: int, t: float | None = None, y: Array | None = None) -> float:
+    """The value of an event, by default at the start."""
+    t, y = problem.t_span[0] if t is None else t, (plan.y0 if y is None else y).copy()
+    fun = problem.events[e].fun
+    if is_native(fun):
+        return event_value(plan.functions.events[e].fun, t, y.view(float), plan.functions.parameters)
+    return float(np.asarray(fun(t, y, *problem.args)).item())
+
+
+def _after_one_step(plan: Plan) -> tuple[float, Array]:
+    """t and y at the end of the first step."""
+    settings = plan.settings._replace(times=None, dense=False, save_all=False, record=False, refine=1)
+    functions = plan.functions._replace(events=[], callback=lambda t, y: True)
+    run = solver(plan._replace(settings=settings, functions=functions)).integrate(plan.y0.view(float))
+    _, _, t_end, y_end = run.take_points()
+    return t_end, y_end
+
+
+def ended_at_start(plan: Plan, found: list[int]) -> bool:
+    """Whether one of them ends the run."""
+    return any(plan.functions.events[e].terminal == 1 for e in found)
+
+
+def without_start(plan: Plan, found: list[int]) -> Plan:
+    """The plan of the rest of the run: nothing, if it ends at the start; else with one occurrence fewer to come."""
+    if ended_at_start(plan, found):
+        t0, times = plan.settings.t0, plan.settings.times
+        times = None if times is None else times[times == t0]
+        return plan._replace(settings=plan.settings._replace(tf=t0, first_step=0.0, times=times))
+    events = list(plan.functions.events)
+    for e in found:
+        events[e] = events[e]._replace(terminal=max(events[e].terminal - 1, 0))
+    return plan._replace(functions=plan.functions._replace(events=events))
+
+
+def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
+    """The solution of that plan, with the occurrences at the start in front."""
+    t_events, y_events = list(sol.t_events), list(sol.y_events)
+    for e in found:
+        t_events[e] = np.concatenate([[plan.settings.t0], t_events[e]])
+        y_events[e] = np.concatenate([plan.y0[None, :], y_events[e]])
+    return sol.changed(t_events=t_events, y_events=y_events)

@@ -1,0 +1,34 @@
+"""Ctrl-C as a request: the run ends after the current step, and returns the results so far."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from .. import _core
+
+__all__ = ["stopped_by_interrupt"]
+
+
+@contextmanager
+def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:
+    """Within the block the first Ctrl-C makes the request; the second is as before. None if no Ctrl-C arrives: outside
+    the main thread, or if the process ignores it."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
+        yield None
+        return
+    request = _core.StopRequest()
+
+    def make(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        request.make()
+
+    signal.signal(signal.SIGINT, make)
+    try:
+        yield request
+    finally:
+        signal.signal(signal.SIGINT, before)

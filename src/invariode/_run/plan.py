@@ -1,0 +1,478 @@
+"""The plan of a run: a problem with a method and its options, checked, in the form the core takes.
+
+It is made in four stages: options, functions, linear algebra, invariants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .. import _core
+from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
+from .._base.failures import InvariantError
+from .._base.files import PathLike
+from .._base.types import MethodName, Numbers, OnFailure, OnInterrupt
+from .._functions.compiled import native_parameters, to_native
+from .._laws.bound import BoundInvariants, InvariantSpec, bind
+from .._problem.bounds import Limits
+from .._problem.breakpoints import Breakpoint, of_inputs, ordered
+from .._problem.description import Description
+from .._problem.events import EventSpec, event_spec
+from .._problem.inputs import fed
+from .._problem.matrices import Matrices
+from .._problem.methods import METHODS, Method, find_method
+from .._problem.options import Options, checked
+from .._results.messages import (
+    MESSAGES,
+    Laws,
+    inconsistent_start,
+    limit_reached,
+    out_of_bounds,
+    refusal,
+    remarked,
+    status_and_message,
+)
+from .._results.result import LIMIT_REACHED, Names
+
+if TYPE_CHECKING:
+    from .._linear.krylov import Krylov
+
+__all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "ordered_breakpoints", "solver"]
+
+#: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
+#: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
+CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
+
+
+class Tolerances(NamedTuple):
+    """The weights of the error test, max(s_i |y_i|, thr_i), for the reals that make up y."""
+
+    rtol: float  # the smallest
+    threshold: float | Array
+    scale: Array | None
+
+
+class Settings(NamedTuple):
+    """How the core goes from t0 to tf, and what it keeps."""
+
+    t0: float
+    tf: float
+    max_step: float
+    first_step: float  # 0: the method chooses
+    refine: int
+    times: Array | None
+    interpolation: str
+    dense: bool
+    save_all: bool
+    record: bool
+    check: bool
+    fsal: str
+    max_order: int
+    bdf: bool
+    prefer_explicit: str  # of the methods that take turns; "": what suits the tolerance
+    prefer_implicit: str
+    iterations: int  # of the projection of a step
+    negligible: float = 0.0  # closer to the manifold than this, in units of rtol, a step is not projected
+    max_steps: int = LARGEST_COUNT
+    time_limit: float = math.inf
+    max_points: int = LARGEST_COUNT
+    max_bytes: int = LARGEST_COUNT
+
+    @property
+    def forward(self) -> float:
+        """The direction of integration."""
+        return 1.0 if self.tf >= self.t0 else -1.0
+
+    def limit(self, kind: str) -> float:
+        """The limit that has this name in the core."""
+        limits = {"steps": self.max_steps, "time": self.time_limit, "points": self.max_points, "memory": self.max_bytes}
+        return limits[kind]
+
+
+class Functions(NamedTuple):
+    """What the core evaluates."""
+
+    n: int  # reals that make up y
+    complex: bool
+    fun: Any
+    args: tuple[Any, ...]
+    parameters: Array  # `args` for native functions
+    linear: _core.Linear | None
+    events: list[EventSpec]
+    breakpoints: list[Breakpoint]
+    callback: Any
+    invariants: list[InvariantSpec]
+    value: Array  # at which they are held
+    limits: Limits | None  # of y
+
+    def in_lanes(self) -> dict[str, Any]:
+        """What is evaluated in each step, as messages call it: f, the first invariant and its Jacobian, events."""
+        functions = {"f": self.fun}
+        for invariant in self.invariants[:1]:
+            functions |= {"the invariant": invariant.fun, "the Jacobian of the invariant": invariant.jac}
+        return functions | {f"event {event.name} ({k})": event.fun for k, event in enumerate(self.events, 1)}
+
+
+class Plan(NamedTuple):
+    """What a run does, and the names in its messages."""
+
+    method: Method
+    tolerances: Tolerances
+    settings: Settings
+    functions: Functions
+    y0: Array  # as far as the algebraic equations of a singular mass matrix have moved it
+    moved: bool
+    bound: BoundInvariants
+    names: list[str]  # of the invariants, algebraic equations last
+    demanded: list[bool]  # of the invariants, whether their values were
+    senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
+    event_names: list[str]
+    records_events: bool  # also none at all, where a list of none was given
+    called: Names  # the names in tables and pictures
+    rtol: Numbers  # as given
+    atol: Numbers
+    progress: bool
+    on_interrupt: OnInterrupt
+    on_failure: OnFailure
+    checkpoint: PathLike | None
+    checkpoint_every: float  # seconds
+
+    @property
+    def laws(self) -> Laws:
+        """What messages say of the invariants."""
+        return Laws(self.names, self.demanded, self.senses)
+
+    def holding(self, value: Array) -> Plan:
+        """The same with the invariants held at these values."""
+        functions = self.functions._replace(value=value)
+        return self._replace(functions=functions, bound=replace(self.bound, value=value))
+
+    def verdict(self, run: _core.Run) -> tuple[int, str]:
+        """The status of the run and its message."""
+        ended = MESSAGES.get(run.state)
+        if ended is not None and not run.remarkable:
+            return ended
+        if run.state == "limit_reached":
+            limit = self.settings.limit(run.limit)
+            message = limit_reached(run, limit, self.settings.t0, self.settings.tf)
+            return LIMIT_REACHED, remarked(message, run, self.event_names)
+        return status_and_message(run, self.laws, self.event_names, self.functions.complex)
+
+    def exception(self, run: _core.Run) -> ValueError | None:
+        """The exception that a single solve raises if the run ended like this."""
+        state = run.state
+        if state in MESSAGES:
+            return None
+        if state == "invariant_refused":
+            text = refusal(run, self.laws, self.tolerances.rtol, self.functions.complex)
+            return InvariantError(text)
+        if state == "start_contradicts":
+            return InvariantError(
+                f"no point near y0 is within the bounds and has the values of the invariants: {', '.join(self.names)}. "
+                "Widen the bounds, or correct the values"
+            )
+        if state == "start_out_of_bounds":
+            return ValueError(out_of_bounds("y0", run.component, self.functions.limits))
+        if state == "event_undefined":
+            return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
+        if state == "action_undefined":
+            at_event = run.event < len(self.event_names)
+            what = f"of event {self.event_names[run.event]}" if at_event else "in breakpoints"
+            return ValueError(f"the action {what} returned NaN at t = {run.t}")
+        return None
+
+
+def solver(plan: Plan) -> _core.Solver:
+    """The plan handed to the core: a solver with functions of its own."""
+    functions = plan.functions
+    problem = _core.Problem(
+        n=functions.n,
+        complex=functions.complex,
+        fun=functions.fun,
+        args=functions.args,
+        parameters=functions.parameters,
+        linear=functions.linear,
+        events=[_core.Event(*spec) for spec in functions.events],
+        breakpoints=[_core.Breakpoint(*point) for point in functions.breakpoints],
+        callback=functions.callback,
+        invariants=[_core.Invariant(*spec) for spec in functions.invariants],
+        value=functions.value,
+        lower=None if functions.limits is None else functions.limits.lower,
+        upper=None if functions.limits is None else functions.limits.upper,
+    )
+    settings = _core.Settings(plan.settings)
+    return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
+
+
+def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
+    """The plan, with everything that the core needs but y0."""
+    chosen, implied = find_method(method)
+    _require_linear_solver(chosen, given.get("linear_solver"))
+    options = checked(given, chosen)
+    if options["prefer"]:
+        _require_linear_solver(find_method(options["prefer"][1])[0], options["linear_solver"])
+    if options["bdf"] is None:
+        options["bdf"] = implied.get("bdf", False)
+    if problem.matrices.mass is not None and "mass" not in chosen.options:
+        raise ValueError(
+            f"mass: {chosen.name} is explicit and cannot use a mass matrix; use ode15s or radau, or solve M y' = f for "
+            "y' in fun"
+        )
+    rtol, atol = options["rtol"], options["atol"]
+    weights = Tolerances(*tolerances(rtol, atol, problem.y0))
+    settings = _settings(problem, chosen, options)
+    if options["calibrate"] and "calibrate" in chosen.options:
+        weights = _calibrated(weights, settings.max_order or chosen.order)
+    breakpoints = ordered_breakpoints(problem, options["breakpoints"])
+    parameters, fun = _native_functions(problem, breakpoints)
+    linear, y0 = _linear_algebra(problem, chosen, options, fun, parameters, weights)
+    bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
+    if bound.specs:
+        bound.forward = settings.forward
+        _require_free_directions(bound, problem)
+        iterations = bound.iterations or settings.iterations
+        settings = settings._replace(iterations=iterations, negligible=bound.negligible)
+    event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
+    return Plan(
+        method=chosen,
+        tolerances=weights,
+        settings=settings,
+        functions=_functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints),
+        y0=y0,
+        moved=y0 is not problem.y0,
+        bound=bound,
+        names=_names(bound, linear),
+        demanded=bound.demanded,
+        senses=bound.senses,
+        event_names=event_names,
+        records_events=problem.records_events,
+        called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
+        rtol=kept(rtol),
+        atol=kept(atol),
+        progress=options["progress"],
+        on_interrupt=options["on_interrupt"],
+        on_failure=options["on_failure"],
+        checkpoint=options["checkpoint"],
+        checkpoint_every=options["checkpoint_every"],
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Options
+
+
+def _settings(problem: Description, method: Method, options: Options) -> Settings:
+    t0, tf = problem.t_span
+    span = abs(tf - t0)
+    t_eval = options["t_eval"]
+    times = None if t_eval is None else output_times(t_eval, t0, tf)
+    keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
+    if keep == "end" and (times is not None or options["dense_output"]):
+        raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
+    if options["refine"] > 1 and (times is not None or keep == "end"):
+        other = "t_eval" if times is not None else 'keep="end"'
+        warn(f"refine has no effect together with {other}")
+    max_points, max_bytes = _most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0))
+    explicit_one, implicit_one = options["prefer"] or ("", "")
+    first, largest = options["first_step"], options["max_step"]
+    if first is not None and first > span:
+        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {shown(first)}")
+    return Settings(
+        t0=t0,
+        tf=tf,
+        max_step=span / 10 if largest is None else largest,
+        first_step=0.0 if first is None else first,
+        refine=options["refine"],
+        times=times,
+        interpolation=options["interpolation"],
+        dense=options["dense_output"],
+        save_all=keep != "end",
+        record=keep == "all",
+        check=options["check"],
+        fsal=options["fsal"],
+        max_order=_highest_order(method, options["max_order"]),
+        bdf=bool(options["bdf"]),
+        prefer_explicit=explicit_one,
+        prefer_implicit=implicit_one,
+        iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
+        max_steps=options["max_steps"] or LARGEST_COUNT,
+        time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
+        max_points=max_points,
+        max_bytes=max_bytes,
+    )
+
+
+def _calibrated(weights: Tolerances, order: int) -> Tolerances:
+    """Tolerances of the steps for errors of the size of these ('NDF'). atol / rtol stays as it is."""
+    factor = CALIBRATION * (weights.rtol / CALIBRATED_AT) ** (1 / order)
+    return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
+
+
+#: What is kept without `max_points`. With a few components this many points are less than a gigabyte.
+_MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
+
+
+def _most_kept(points: int | None, demanded: int, n: int) -> tuple[int, int]:
+    """The limits of what is kept: points and bytes. `demanded`: times of output, which somebody wants."""
+    if points is not None:
+        return points, LARGEST_COUNT
+    size = 8 * (n + 1)  # of t and y, doubles
+    return _MOST_POINTS + demanded, _MOST_BYTES + demanded * size
+
+
+def _highest_order(method: Method, order: int | None) -> int:
+    """0: the method's own."""
+    if order is None or "max_order" not in method.options:
+        return 0
+    if not method.min_order <= order <= method.order:
+        raise ValueError(f"max_order must be from {method.min_order} to {method.order} for {method.name}, got {order}")
+    return order
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Functions
+
+
+def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
+    """Where a run of the problem starts anew: the breakpoints, and where its inputs jump, in their order."""
+    if not given and not problem.inputs:
+        return []
+    return ordered([*(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
+
+
+def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tuple[Array, Any]:
+    """The parameters of native functions, and f as the core calls it."""
+    p = native_parameters(problem.args, _called(problem, breakpoints))
+    return p, problem.slope.for_core(problem.y0, p)
+
+
+def _called(problem: Description, breakpoints: list[Breakpoint]) -> Iterator[Any]:
+    yield from (problem.fun, problem.matrices.jac, problem.matrices.jac_product)
+    yield from (f for one in problem.invariants for f in (one.fun, one.jac))
+    yield from (f for event in problem.events for f in (event.fun, event.action))
+    yield from (point.action for point in breakpoints)
+
+
+def _functions(
+    problem: Description,
+    fun: Any,
+    parameters: Array,
+    linear: _core.Linear | None,
+    bound: BoundInvariants,
+    callback: Any,
+    breakpoints: list[Breakpoint],
+) -> Functions:
+    n = reals(problem.y0)
+    return Functions(
+        n=n,
+        complex=problem.y0.dtype.kind == "c",
+        fun=fun,
+        args=problem.args,
+        parameters=parameters,
+        linear=linear,
+        events=[event_spec(event, n, parameters) for event in problem.events],
+        breakpoints=[
+            point._replace(action=to_native("the action in breakpoints", point.action, n, n, parameters))
+            for point in breakpoints
+        ],
+        callback=callback,
+        invariants=bound.specs,
+        value=bound.value,
+        limits=problem.limits,
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Linear algebra
+
+
+def _linear_algebra(
+    problem: Description, method: Method, options: Options, fun: Any, parameters: Array, weights: Tolerances
+) -> tuple[_core.Linear | None, Array]:
+    """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
+    matrix ask for it."""
+    if "jac" not in method.options:
+        return None, problem.y0
+    # SciPy's sparse matrices take longer to import than everything else
+    from .._linear.matrices import Start, prepare, too_large_to_be_dense
+
+    t0, y0 = problem.t_span[0], problem.y0
+    matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
+    direct = options["linear_solver"] == "direct"
+    if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
+        return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
+    compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
+    limits = problem.limits
+    inside = y0 if limits is None else limits.nearest(y0)
+    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, limits, compiled)
+    linear = prepare(matrices, start, _matrix_free(problem, matrices, options, parameters))
+    if not linear.algebraic:
+        return linear, y0
+    if options["linear_solver"] == "gmres":
+        raise ValueError(
+            "linear_solver='gmres' cannot be used with a singular mass matrix, whose algebraic equations need the "
+            "Jacobian as a matrix: use linear_solver='direct' with jac_sparsity, or lband and uband"
+        )
+    if any(event.action for event in problem.events):
+        raise ValueError("actions of events are not possible with a singular mass matrix")
+    algebraic = _core.Problem(
+        n=reals(y0),
+        complex=y0.dtype.kind == "c",
+        fun=fun,
+        args=problem.args,
+        parameters=parameters,
+        linear=linear,
+        **({} if limits is None else limits._asdict()),
+    )
+    y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
+    if verdict in ("index_too_high", "not_found"):
+        raise ValueError(inconsistent_start(verdict, t0))
+    return linear, y.view(y0.dtype) if verdict == "corrected" else y0
+
+
+def _require_linear_solver(method: Method, chosen: object) -> None:
+    """`chosen` may be anything: options are checked later."""
+    needs_exact_solutions = "jac" in method.options and "linear_solver" not in method.options
+    if isinstance(chosen, str) and chosen == "gmres" and needs_exact_solutions:
+        others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
+        raise ValueError(
+            f"linear_solver='gmres': {method.name} has no iteration that would correct what GMRES leaves, which would "
+            f"lower its order; use one of {others}, or linear_solver='direct' with jac_sparsity"
+        )
+
+
+def _matrix_free(problem: Description, matrices: Matrices, options: Options, parameters: Array) -> Krylov | None:
+    from .._linear.krylov import krylov, unused_without_krylov
+
+    if options["linear_solver"] == "direct":
+        unused_without_krylov(matrices, options["krylov_dimension"])
+        return None
+    if problem.inputs and (matrices.jac_product is not None or matrices.preconditioner is not None):
+        raise ValueError(
+            "jac_product and preconditioner are not possible together with inputs: call the inputs inside these "
+            "functions, and pass them to the problem by args"
+        )
+    return krylov(matrices, problem.y0, problem.args, parameters, options["krylov_dimension"])
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Invariants
+
+
+def _require_free_directions(bound: BoundInvariants, problem: Description) -> None:
+    if not bound.along_steps or (problem.limits is None and problem.matrices.mass is None):
+        return
+    what = "bounds" if problem.limits is not None else "a mass matrix"
+    raise ValueError(
+        f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
+        'use direction="gradient"'
+    )
+
+
+def _names(bound: BoundInvariants, linear: _core.Linear | None) -> list[str]:
+    """Of all that is kept: the invariants, then the algebraic equations."""
+    algebraic = linear.algebraic if linear else 0
+    return [*bound.names, *(f"algebraic equation {i + 1}" for i in range(algebraic))]

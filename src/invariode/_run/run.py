@@ -1,0 +1,500 @@
+"""A run: a plan carried out by the core, its results as a Solution, and the extension of a finished one."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+from typing import Any, NamedTuple, Protocol, cast
+
+import numpy as np
+
+from .. import _core
+from .._base.arguments import Array, kept, number, output_times, shown, warn
+from .._base.failures import FailureWarning, InvariantError, SolveError
+from .._base.progress import run_bar
+from .._base.types import MethodName, OnFailure
+from .._functions.compiled import CoreFunction
+from .._laws.bound import Jump, as_columns
+from .._problem.breakpoints import to_breakpoints
+from .._problem.description import Description
+from .._problem.invariants import AccuracyWarning
+from .._problem.methods import find_method
+from .._problem.options import ExtensionOptions, Options
+from .._results.messages import (
+    MESSAGES,
+    about_jumps,
+    complex_steps_left,
+    formed,
+    harmful_projection,
+    limited_by_stability,
+    misfit,
+)
+from .._results.result import (
+    LIMIT_REACHED,
+    NOT_CONSERVED,
+    BeforeProjection,
+    DenseSolution,
+    DiscontinuityWarning,
+    Stats,
+    Steps,
+    StiffnessWarning,
+    at_events,
+)
+from .._results.solution import Solution
+from .calls import explain, require_values
+from .checkpoint import Checkpoint
+from .events_at_start import ended_at_start, found_at_start, with_start, without_start
+from .identity import identity_of_run
+from .interruption import stopped_by_interrupt
+from .plan import Plan, make_plan, ordered_breakpoints, solver
+
+__all__ = ["RunOrigin", "Solved", "Source", "concluded", "presented", "solve"]
+
+
+class Resumed(NamedTuple):
+    """Where a run continues from."""
+
+    memory: bytes  # of the run that was interrupted
+    anew: bool  # the method is to start again
+
+
+class Source(Protocol):
+    """The problem, method and options of a run."""
+
+    @property
+    def problem(self) -> Description:
+        """The problem, with the whole interval if the run continues another."""
+
+    @property
+    def method(self) -> MethodName:
+        """The method, by the name given."""
+
+    @property
+    def options(self) -> Options:
+        """The options as given."""
+
+
+class Solved(NamedTuple):
+    """A problem solved by a method with options."""
+
+    problem: Description
+    method: MethodName
+    options: Options
+
+
+@dataclasses.dataclass(eq=False, slots=True)
+class RunOrigin:
+    """What a solution was made from, and where it ended: what is needed to continue it."""
+
+    source: Source
+    t: float
+    y: Array
+    next_h: float | None  # None: the method is to choose
+    memory: bytes
+    imposed: bool = False
+    checkpoint: Checkpoint | None = None
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        return type(None), ()  # functions do not travel with a pickled solution
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> RunOrigin:
+        return self
+
+    def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+        return _extended(self, sol, t_end, options)
+
+    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        about, arrays = identity_of_run(self.source.problem, self.source.method, self.source.options)
+        memory = np.frombuffer(self.memory, dtype=np.uint8)
+        of_identity = {f"identity.{name}": one for name, one in arrays.items()}
+        return (
+            {"identity": about, "next_h": self.next_h, "imposed": self.imposed, "memory_version": _core.MEMORY_VERSION},
+            {"memory": memory, "y": self.y, **of_identity},
+        )
+
+    def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
+        problem, options = self.source.problem, self.source.options
+        known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
+        if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
+            return None
+        if not np.allclose(y[:, -1], self.y, rtol=1e-2, atol=0):  # the user has changed its units
+            return None
+        given = options.get("breakpoints")
+        points = ordered_breakpoints(problem, () if given is None else to_breakpoints("breakpoints", given))
+        jumps = np.isin(t, [point.t for point in points])
+        stiff = "jac" in find_method(self.source.method)[0].options
+        return self._slopes_of_shape(t, y, jumps) if stiff else self._sides(t, y, jumps)
+
+    def _sides(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
+        """Those of f. `jumps`: where it may differ from one side to the other."""
+        slope = self.source.problem.slope
+        after = before = slope(np.where(jumps, np.nextafter(t, self.forward * np.inf), t), y)
+        if jumps.any():
+            before = after.copy()
+            before[:, jumps] = slope(np.nextafter(t[jumps], -self.forward * np.inf), y[:, jumps])
+        return after, before
+
+    def _slopes_of_shape(self, t: Array, y: Array, jumps: Array) -> tuple[Array, Array]:
+        """Those of monotone cubics between the jumps, for implicit methods: f at stiff solutions magnifies their
+        errors, and its cubics overshoot."""
+        from scipy.interpolate import PchipInterpolator
+
+        reals = np.ascontiguousarray(y.T).view(float)
+        after, before = np.zeros_like(reals), np.zeros_like(reals)
+        twice = np.append(np.diff(t) == 0, False)  # a jump of y, after which its next piece begins
+        ends = np.flatnonzero(twice | (jumps & ~np.append(False, twice[:-1])))
+        begins = np.append(0, ends + twice[ends])
+        for begin, end in zip(begins, np.append(ends, len(t) - 1), strict=True):
+            piece = slice(begin, end + 1)
+            if end > begin:
+                at = self.forward * t[piece]
+                slopes = self.forward * PchipInterpolator(at, reals[piece])(at, 1)
+                after[begin:end], before[begin + 1 : end + 1] = slopes[:-1], slopes[1:]
+        return as_columns(after, y.dtype), as_columns(before, y.dtype)
+
+    def field(self, y: Array) -> Array | None:
+        problem = self.source.problem
+        if problem.matrices.mass is not None:
+            return None
+        return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
+
+    def imposing(self) -> RunOrigin:
+        return dataclasses.replace(self, imposed=True)
+
+    @property
+    def forward(self) -> float:
+        """The direction of integration, 0 if there was nothing to integrate."""
+        return float(np.sign(self.source.problem.t_span[1] - self.source.problem.t_span[0]))
+
+
+def solve(problem: Description, method: MethodName, options: Options) -> Solution:
+    """See `Problem.solve`."""
+    try:
+        return _solved(problem, method, options)
+    except (TypeError, ValueError) as error:
+        explain(error, problem)
+        raise
+
+
+def _solved(problem: Description, method: MethodName, options: Options) -> Solution:
+    plan = make_plan(problem, method, options)
+    given = cast("Options", {name: value for name, value in options.items() if name != "progress"})
+    for name in ("t_eval", "rtol", "atol", "breakpoints"):
+        if name in given:
+            given[name] = kept(given[name])
+    source = Solved(problem, method, given)
+    if problem.events and any(event.at_start for event in problem.events) and (found := found_at_start(problem, plan)):
+        rest = without_start(plan, found)
+        sol = with_start(_carried_out(rest, source, checkpoint=_new_checkpoint(plan, source, found)), plan, found)
+        if ended_at_start(plan, found) and sol.success:
+            status, message = MESSAGES["terminal_event"]
+            sol = sol.changed(status=status, message=message)
+    else:
+        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source))
+    return concluded(sol, plan.on_failure)
+
+
+def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
+    """The solution as the user gets it; if it failed, with the warning that is asked for.
+
+    Raises
+    ------
+    SolveError
+        It failed, and is to raise.
+    """
+    y_events = sol["y_events"]  # items are faster than attributes: see `Result`
+    if y_events is not None:
+        sol["y_events"] = [at_events(states) for states in y_events]
+    if sol["success"] or on_failure == "return":
+        return sol
+    if on_failure == "warn":
+        warn(sol.message, FailureWarning)
+        return sol
+    raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
+
+
+def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
+    """The files of a new run. `at_start`: the events that have occurred where it starts."""
+    if plan.checkpoint is None:
+        if "checkpoint_every" in source.options:
+            warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
+        return None
+    who = partial(identity_of_run, source.problem, source.method, source.options)
+    return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# One run
+
+
+def _carried_out(
+    plan: Plan, source: Source, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
+) -> Solution:
+    """The solution of a plan, or of what is left of it."""
+    core = solver(plan)
+    keep = None if checkpoint is None else partial(_keep, checkpoint, core, plan, source)
+    with ExitStack() as around:
+        if checkpoint is not None:
+            around.callback(checkpoint.release)
+        run = _integrated(core, plan, source.problem.name, resumed, keep)
+    sol = presented(run, plan, source, core.members, checkpoint)
+    sol.stats.mechanics = _work(core, source.problem.fun)
+    return _examined(sol, source.problem)
+
+
+def _examined(sol: Solution, problem: Description) -> Solution:
+    """The solution of a mechanism, which fails if a constraint that is not imposed does not hold."""
+    if not isinstance(problem.fun, CoreFunction) or not sol.success:
+        return sol
+    y = np.asarray(sol.y)
+    weights = np.maximum(sol._rtol * np.abs(y), np.reshape(sol._atol, (-1, 1)))
+    objection = problem.fun.objection(sol.t, y, problem.args, weights)
+    if objection is None:
+        return sol
+    return sol.changed(status=-2, message=f"{objection[0].upper()}{objection[1:]}.", success=False)
+
+
+def presented(
+    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None = None
+) -> Solution:
+    """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
+    took turns."""
+    if exception := plan.exception(run):
+        raise exception
+    if run.state == "start_undefined":
+        require_values(source.problem)
+    sol = _solution(run, plan, source, members, checkpoint)
+    if plan.names:
+        _warn_of_projection(run, plan, sol)
+    if not math.isnan(run.left_complex_steps) and source.problem.matrices.jac is not None:
+        warn(complex_steps_left(run.left_complex_steps))
+    if run.misfit is not None:
+        warn(misfit(run.misfit, plan.functions.complex))
+    if run.remarkable:
+        _warn_of_steps(run, plan)
+    return sol
+
+
+def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
+    if run.stiff:
+        warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
+    for text in about_jumps(run, plan.event_names):
+        warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
+
+
+def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
+    """What a mechanical system has cost."""
+    work: Any = core.motion_work if isinstance(fun, CoreFunction) else None
+    return None if work is None else {"derivatives": dict(fun.derivatives)} | work
+
+
+def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source, part: _core.Run) -> None:
+    """Writes what has come since the last time."""
+    if plan.exception(part) is not None:
+        return
+    memory, running = np.frombuffer(part.memory, dtype=np.uint8), part.state == "running"
+    sol = _solution(part, plan, source, core.members, checkpoint)
+    sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
+    origin = cast("RunOrigin", sol._origin)
+    about = {"next_h": origin.next_h, "memory_version": _core.MEMORY_VERSION}
+    checkpoint.keep(sol, running, {"memory": memory, "y_end": origin.y, "value": sol._invariants.value}, about)
+
+
+def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
+    if dropped := run.dropped:
+        _warn_dropped(dropped, run.dropped_at, plan.names, sol._drift, along_steps=plan.bound.along_steps)
+    harmed = run.harmed
+    if harmed >= 0 and sol.success:
+        component = sol._names.components[harmed // 2 if plan.functions.complex else harmed]
+        warn(harmful_projection(component, f"{run.harm:.2g} times its estimated errors"), AccuracyWarning)
+
+
+def _integrated(
+    core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
+) -> _core.Run:
+    """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
+    every = plan.checkpoint_every
+    with ExitStack() as around:
+        told = request = None
+        if plan.progress:
+            told = around.enter_context(run_bar(name, plan.settings.t0, plan.settings.tf))
+        if plan.on_interrupt == "return":
+            request = around.enter_context(stopped_by_interrupt())
+        if resumed is not None:
+            return core.resume(*resumed, told, request, keep, every)
+        return core.integrate(plan.y0.view(float), told, request, keep, every)
+
+
+def _solution(
+    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None
+) -> Solution:
+    dtype = plan.y0.dtype
+    status, message = plan.verdict(run)
+    bound = plan.bound
+    if jumps := run.take_jumps():
+        bound = bound.jumped(jumps, forward=plan.settings.forward)
+    dense = run.take_dense()
+    t, y, t_end, y_end = run.take_points()
+    happened = run.take_events() if plan.records_events else None
+    stats = _stats(run, plan)
+    next_h = run.next_h if plan.method.fixed_order and stats.steps else None
+    return Solution(
+        t=t,
+        y=y,
+        sol=None if dense is None else DenseSolution(dense, dtype, bound),
+        t_events=None if happened is None else [times for times, _ in happened],
+        y_events=None if happened is None else [points.view(dtype) for _, points in happened],
+        nfev=stats.nfev,
+        njev=stats.njev,
+        nlu=stats.nlu,
+        status=status,
+        message=message,
+        success=status >= 0,
+        stats=stats,
+        steps=Steps(run.take_steps(), members) if plan.settings.record else None,
+        t_end=t_end,
+        _invariants=bound,
+        _drift=BeforeProjection(*run.take_drift()) if plan.names else _NO_DRIFT,
+        _rtol=plan.rtol,
+        _atol=plan.atol,
+        _names=plan.called,
+        _origin=RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
+    )
+
+
+#: Of a run without invariants.
+_NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
+
+
+def _stats(run: _core.Run, plan: Plan) -> Stats:
+    if not plan.names:  # in the order of COUNTS, of which the last three are warnings
+        stats = Stats(*run.counts[:-3], None, plan.moved, run.clipped)
+    else:
+        stats = Stats(
+            *run.counts[:-3],
+            derivatives=" and ".join(sorted(set(run.derivatives))) or None,
+            projected_start=run.projected_start or plan.moved,
+            clipped_amount=run.clipped,
+        )
+        stats.ng += plan.bound.evaluations
+        stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
+    stats.jacobian = formed(plan.functions.linear, run)
+    if run.remarkable:
+        stats.stiff_since = run.stiff_since if run.stiff else None
+        stats.discontinuities = tuple(run.discontinuities)
+    return stats
+
+
+def _warn_dropped(
+    dropped: list[int], first: float, names: list[str], drift: BeforeProjection, *, along_steps: bool
+) -> None:
+    listed = ", ".join(names[i] for i in dropped)
+    several = len(dropped) > 1
+    off = max(drift.distance[i] for i in dropped)
+    if off <= 1:
+        then = f"That does no harm: {'they were' if several else 'it was'} off by at most {off:.2g} of the tolerance."
+    else:
+        then = (
+            f"{'They were' if several else 'It was'} off by up to {off:.2g} tolerances before a projection: impose "
+            "fewer invariants, or try a smaller rtol."
+        )
+    if along_steps:
+        warn(
+            f"the stages of steps do not lead to the values of {listed}, first at t = {first:.6g}: "
+            f"{'they depend' if several else 'it depends'} on other invariants, or stages are nearly orthogonal to "
+            f"{'their gradients' if several else 'its gradient'}. {then} direction='gradient' reaches more."
+        )
+        return
+    warn(
+        f"{'invariants' if several else 'invariant'} {listed} {'are' if several else 'is'} redundant, first at "
+        f"t = {first:.6g} (dependent on the others to within rtol, or stationary there), and "
+        f"{'were' if several else 'was'} left out in such steps. {then}"
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Its extension
+
+
+def _extended(origin: RunOrigin, old: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+    if not (old.success or old.status == LIMIT_REACHED):
+        raise ValueError(f"a run that failed cannot be extended: {old.message}")
+    tf = number("t_end", t_end)
+    forward = origin.forward or float(np.sign(tf - origin.t))
+    if not forward * (tf - origin.t) > 0:
+        raise ValueError(
+            f"t_end must be beyond the end of the run, t = {origin.t}, in its direction; got {shown(t_end)}"
+        )
+    problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
+    whole = problem.replace(t_span=(problem.t_span[0], tf))
+    given = cast("Options", {**options_of_run, "first_step": None, **options})
+    now = given.copy()
+    if options_of_run.get("t_eval") is not None or options.get("t_eval") is not None:
+        now["t_eval"], given["t_eval"] = _times(origin, old, options.get("t_eval"), forward, tf)
+    anew = now["first_step"] is not None
+    if not anew and origin.next_h is not None:  # for a method that has to start again: the run ended inside a step
+        now["first_step"] = min(origin.next_h, abs(tf - origin.t))
+    given.pop("progress", None)
+
+    plan = make_plan(whole, method, now).holding(old._invariants.last_value)
+    if origin.checkpoint is not None:
+        origin.checkpoint.go_on(old.stats.mechanics)
+    new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
+    points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
+    return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
+
+
+def _times(origin: RunOrigin, old: Solution, t_eval: Any, forward: float, tf: float) -> tuple[Array, Array]:
+    """The remaining times of output, or those given; and the same with those beyond tf, for a further extension."""
+    if origin.source.options.get("t_eval") is None:
+        raise ValueError("the run has output at its steps, and so must its extension: leave out t_eval")
+    times = np.asarray(origin.source.options["t_eval"], dtype=float)
+    beyond = times[forward * (times - tf) > 0]
+    if t_eval is not None:
+        now = output_times(t_eval, origin.t, tf)
+        if len(old.t) and len(now) and now[0] == old.t[-1]:
+            now = now[1:]  # it is there already
+    else:
+        now = times[(forward * (times - origin.t) > 0) & (forward * (tf - times) >= 0)]
+    return now, np.concatenate([now, beyond])
+
+
+def _joined(old: Solution, new: Solution, points: int, forward: float) -> Solution:
+    """One solution of two parts, of which the second goes on where the first ended, and has the counts of both.
+    `points`: outputs of the first."""
+    jumps = tuple(Jump(row + points, t, value) for row, t, value in new._invariants.jumps)
+    bound = dataclasses.replace(old._invariants, jumps=old._invariants.jumps + jumps, forward=forward, evaluations=0)
+    sol = None
+    if old.sol is not None and new.sol is not None:
+        sol = DenseSolution(old.sol._dense.joined(new.sol._dense), old.y.dtype, bound, old.sol._imposed)
+    t_events = y_events = None
+    if old.t_events is not None and new.t_events is not None and old.y_events is not None and new.y_events is not None:
+        t_events = [np.concatenate(parts) for parts in zip(old.t_events, new.t_events, strict=True)]
+        n = len(old.y)
+        y_events = [
+            np.concatenate([part.reshape(-1, n) for part in parts])
+            for parts in zip(old.y_events, new.y_events, strict=True)
+        ]
+    steps = None
+    if old.steps is not None and new.steps is not None:
+        steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)
+    return new.changed(
+        t=np.concatenate([old.t[:points], new.t]),
+        y=np.concatenate([old.y[:, :points], new.y], axis=1),
+        sol=sol,
+        t_events=t_events,
+        y_events=y_events,
+        stats=dataclasses.replace(new.stats, mechanics=_summed(old.stats.mechanics, new.stats.mechanics)),
+        steps=steps,
+        _invariants=bound,
+    )
+
+
+def _summed(first: dict[str, Any] | None, then: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What a mechanical system has cost: it counts for itself, in each part."""
+    if first is None or then is None:
+        return then
+    return {name: of if name == "derivatives" else of + then[name] for name, of in first.items()}

@@ -1,0 +1,122 @@
+"""`solve_ivp`: SciPy's call, with invariants."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable
+from typing import Any, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import flag, function
+from .._base.types import EventsLike, Function, MethodName, Span
+from .._functions.compiled import is_native
+from .._problem.docstrings import documented
+from .._problem.options import (
+    CallingOptions,
+    DescribingOptions,
+    OutputOptions,
+    SolveOptions,
+    parted,
+    table_of,
+    unused,
+)
+from .._results.solution import Solution
+from .problem import Problem
+
+__all__ = ["solve_ivp"]
+
+
+@documented(
+    by_position=[*table_of(OutputOptions), *table_of(CallingOptions), "vectorized", "invariants"],
+    options=[name for name in table_of(SolveOptions) if name != "invariants"],
+)
+def solve_ivp(
+    fun: Function,
+    t_span: Span,
+    y0: ArrayLike,
+    method: MethodName = "ode45",
+    t_eval: ArrayLike | None = None,
+    dense_output: bool = False,
+    events: EventsLike = None,
+    vectorized: bool = False,
+    args: Iterable[Any] | None = None,
+    **options: Unpack[SolveOptions],
+) -> Solution:
+    """Solves an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
+
+    The positional arguments, the fields of the result and the attributes of events are those of
+    `scipy.integrate.solve_ivp`.
+
+    Parameters
+    ----------
+    fun : callable
+        ``fun(t, y, *args)``: the derivative, a sequence or array of shape (n,); y has shape (n,). Machine code is
+        accepted too, here as for all other functions: see `compile`.
+    t_span : (float, float)
+        (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
+        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
+    y0 : array_like of shape (n,)
+        Initial state, real or complex. Complex states are weighted as pairs of reals.
+    method : str, default 'ode45'
+        A name in `METHODS`, or SciPy's name of the same method ('RK23', 'RK45', 'DOP853',
+        'Radau', 'BDF', 'LSODA').
+    {by_position}
+
+    Other Parameters
+    ----------------
+    {options}
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    TypeError, ValueError
+        Wrong arguments; an unknown option; a function that returns the wrong shape.
+    InvariantError
+        At the start, y0 is off a demanded value, a Jacobian is wrong, or an invariant is not conserved.
+
+    Warns
+    -----
+    UserWarning
+        An option that the method cannot use, a tolerance that was raised, redundant invariants.
+
+    Notes
+    -----
+    A numerical failure is a value: ``success`` is False, and ``message`` says why. Exceptions in the user's functions
+    are passed on unchanged.
+
+    References
+    ----------
+    L. F. Shampine, Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def pendulum(t, y):
+    ...     return [y[1], -np.sin(y[0])]
+    >>> def energy(t, y):
+    ...     return y[1] ** 2 / 2 - np.cos(y[0])
+    >>> sol = iv.solve_ivp(pendulum, (0, 100), [1.0, 0.0], invariants=energy)
+    >>> bool(abs(sol.residual).max() < 1e-6)
+    True
+    """
+    describing, running = parted(options, DescribingOptions)
+    unused(method, describing)
+    alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
+    problem = Problem(alone, t_span, y0, args=args, events=events, **describing)
+    return problem.solve(method, t_eval=t_eval, dense_output=dense_output, **running)
+
+
+def one_column(fun: Any) -> Callable[..., Any]:
+    """A function of columns y (n, k) as a function of one y, with its name."""
+    function("fun", fun, "f(t, y)")
+
+    @functools.wraps(fun)
+    def alone(t: float, y: Any, *args: Any) -> Any:
+        return np.asarray(fun(t, y[:, None], *args)).ravel()
+
+    return alone

@@ -1,0 +1,51 @@
+"""The methods under their own names, `ode45` and the others, made from the registry.
+
+The stub beside this file, for type checkers, is made from it too: ``make stubs``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Unpack
+
+from numpy.typing import ArrayLike
+
+from .._base.types import Function, Span
+from .._problem.docstrings import documented
+from .._problem.methods import METHODS, Method
+from .._problem.options import AllOptions, table_of
+from .._results.solution import Solution
+from .ivp import solve_ivp
+
+
+def _function_of(method: Method) -> Callable[..., Solution]:
+    """`solve_ivp` with the method, and its own number of points per step unless other options fix the output."""
+
+    def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
+        kept = (options.get("keep"), options.get("save"))
+        if options.get("t_eval") is None and not any(isinstance(one, str) and one == "end" for one in kept):
+            options.setdefault("refine", method.refine)
+        return solve_ivp(fun, t_span, y0, method.name, **options)
+
+    solve.__name__ = solve.__qualname__ = method.name
+    solve.__doc__ = f"""`solve_ivp` with {method.summary}.
+
+    Parameters
+    ----------
+    fun, t_span, y0
+        As in `solve_ivp`.
+    {{options}}
+
+    Returns
+    -------
+    Solution
+
+    Notes
+    -----
+    {method.family}. {method.source}.
+    """
+    return documented({"refine": method.refine}, options=table_of(AllOptions))(solve)
+
+
+__all__ = [*METHODS]
+globals().update({name: _function_of(method) for name, method in METHODS.items()})

@@ -1,0 +1,377 @@
+"""`odeint`: the call of SciPy's interface to ODEPACK, on the methods of this package."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import (
+    Array,
+    as_array,
+    call_name,
+    flag,
+    function,
+    number,
+    positive_integer,
+    real_numbers,
+    shown,
+    warn,
+)
+from .._base.types import Function, MethodName, Numbers
+from .._functions.compiled import is_native
+from .._problem.invariants import InvariantsLike
+from .._problem.methods import METHODS, find_method
+from .._problem.options import Options
+from .._results.solution import Solution
+from .problem import Problem
+
+__all__ = ["odeint"]
+
+#: SciPy's tolerances: the square root of the rounding unit of a double.
+_TOLERANCE = 1.49012e-8
+
+_BY_ORDER = " or ".join(f"method={name!r}" for name in ("ode113", "ode15s"))
+
+#: The value of `mused` for a method: 1 for those without Jacobians, 2 for the others.
+_NONSTIFF, _STIFF = 1, 2
+
+
+def odeint(
+    func: Function,
+    y0: ArrayLike,
+    t: ArrayLike,
+    args: Iterable[Any] = (),
+    Dfun: Any = None,
+    col_deriv: bool | int = 0,
+    full_output: bool | int = 0,
+    ml: int | None = None,
+    mu: int | None = None,
+    rtol: Numbers | None = None,
+    atol: Numbers | None = None,
+    tcrit: ArrayLike | None = None,
+    h0: float = 0.0,
+    hmax: float = 0.0,
+    hmin: float = 0.0,
+    ixpr: bool | int = 0,
+    mxstep: int = 0,
+    mxhnil: int = 0,
+    mxordn: int = 12,
+    mxords: int = 5,
+    printmessg: bool | int = 0,
+    tfirst: bool | int = False,
+    *,
+    method: MethodName | None = None,
+    invariants: InvariantsLike | None = None,
+) -> Any:
+    """Solves y' = f(y, t) with the call of `scipy.integrate.odeint`.
+
+    Parameters
+    ----------
+    func : callable
+        ``func(y, t, *args)``, or ``func(t, y, *args)`` with ``tfirst=True``: the derivative, of shape (n,).
+    y0 : array_like of shape (n,), or a number
+        Initial state, at ``t[0]``.
+    t : array_like of shape (n_t,)
+        Times of the output, in rising or falling order; they may repeat.
+    args : tuple, optional
+        Extra arguments of `func`, ``Dfun`` and `invariants`.
+    Dfun : callable, optional
+        The Jacobian of `func`, called in the same way. With `ml` or `mu` its bands, with entry
+        (i, j) at ``[i - j + mu, j]``.
+    col_deriv : bool, default False
+        Whether ``Dfun`` returns the transpose.
+    full_output : bool, default False
+        Whether a dictionary is also returned.
+    ml, mu : int, optional
+        Diagonals of the Jacobian below and above the main one that can differ from zero.
+    rtol, atol : float or array_like of shape (n,), default 1.49012e-8
+        Tolerances, as in `solve_ivp`.
+    tcrit : array_like, optional
+        Times at which the derivative jumps or is singular: no step goes across, and the method starts again there.
+    h0 : float, default 0
+        Size of the first step; 0: chosen from f(y0, t0).
+    hmax : float, default 0
+        Largest step; 0: limited only by the tolerances.
+    mxstep : int, default 0
+        Most steps between two times of the output; 0: no limit.
+    mxordn, mxords : int, default 12 and 5
+        Highest order of ode113 and of ode15s, with ``method`` of that name. 'auto' uses all orders, and a warning says
+        so where lower ones are asked for.
+    printmessg : bool, default False
+        Whether the message is printed.
+    hmin, ixpr, mxhnil : optional
+        No effect; a warning says so.
+    tfirst : bool, default False
+        Whether t is the first argument of `func` and ``Dfun``.
+    method : str, optional
+        A name in `METHODS`. Default: 'auto', which switches between ode113 and ode15s as the problem requires.
+    invariants : callable, Invariants, or list of these, optional
+        What the solution keeps, ``g(t, y, *args)``: see `solve_ivp`.
+
+    Returns
+    -------
+    y : ndarray, (n_t, n)
+        The solution, one row per time; NaN at times that were not reached.
+    infodict : dict
+        With `full_output`. Arrays of one value for each time except the first: `hu`, the size of the step that reached
+        it; `tcur`, where that step ended; `nqu`, its order; `nst`, the steps so far; `nfe`, the evaluations of f and
+        `nje` those of its Jacobian (without ``Dfun`` the total, at every time); `mused`, 1 if that step was made by a
+        method without Jacobians and 2 otherwise. Also the `message`. ODEPACK's `tolsf`, `tsw`, `lenrw`, `leniw` and
+        `imxer` have no meaning here.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As for `solve_ivp`, and if `func` or ``Dfun`` returns the wrong shape.
+
+    Warns
+    -----
+    scipy.integrate.ODEintWarning
+        The run stopped before the last time.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def pendulum(y, t, b, c):
+    ...     theta, omega = y
+    ...     return [omega, -b * omega - c * np.sin(theta)]
+    >>> y = iv.odeint(pendulum, [3.0, 0.0], np.linspace(0, 10, 101), args=(0.25, 5.0))
+    >>> y.shape
+    (101, 2)
+    """
+    _warn_idle({"hmin": number("hmin", hmin), "ixpr": _switch("ixpr", ixpr), "mxhnil": number("mxhnil", mxhnil)})
+    asked, first = _times(t), _switch("tfirst", tfirst)
+    full = _switch("full_output", full_output)
+    most = positive_integer("mxstep", mxstep) if _integer("mxstep", mxstep) else 0
+    bands = (_count("ml", ml), _count("mu", mu)) if ml is not None or mu is not None else (None, None)
+    counter = _Counter(asked.times, most, full)
+    problem = Problem(
+        _in_order(func, "func", first, counter.calls if full else None),
+        (float(asked.times[0]), float(asked.times[-1])),
+        np.atleast_1d(as_array("y0", y0)),
+        args=args,
+        invariants=invariants,
+        jac=None if Dfun is None else _jacobian(Dfun, first, _switch("col_deriv", col_deriv), counter),
+        lband=bands[0],
+        uband=bands[1],
+        name=call_name(func, "func"),
+    )
+    chosen = "auto" if method is None else method
+    options: Options = {
+        "rtol": _TOLERANCE if rtol is None else rtol,
+        "atol": _TOLERANCE if atol is None else atol,
+        "max_step": number("hmax", hmax) or np.inf,
+        **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}),
+    }
+    parts = _run(problem, chosen, options, _pieces(asked.times, tcrit), number("h0", h0), counter)
+    message = _message(parts[-1], counter)
+    if _switch("printmessg", printmessg):
+        print(message)
+    y = _rows(parts, asked)
+    return (y, _information(parts, asked, counter, message)) if full else y
+
+
+def _switch(name: str, value: object) -> bool:
+    """A flag of ODEPACK's, which may be an integer."""
+    return flag(name, value) if isinstance(value, (bool, np.bool_)) else _integer(name, value) != 0
+
+
+def _count(name: str, value: object) -> int:
+    """A number of steps or diagonals; None and negative ones are 0."""
+    return 0 if value is None else max(_integer(name, value), 0)
+
+
+def _integer(name: str, value: object) -> int:
+    try:
+        return operator.index(value)  # type: ignore[arg-type]  # what is none is told apart right here
+    except TypeError:
+        raise TypeError(f"{name} must be an integer or a flag, got {shown(value)}") from None
+
+
+def _warn_idle(given: dict[str, float]) -> None:
+    """A warning for each given parameter that controls only ODEPACK's internals."""
+    for name in (name for name, value in given.items() if value):
+        warn(f"{name} has no effect: it controls ODEPACK's internals; leave it out")
+
+
+def _highest_order(method: MethodName, limits: dict[str, int]) -> Options:
+    about = find_method(method)[0]
+    if "prefer" in about.options and any(limits[name] < METHODS[name].order for name in limits):
+        warn(f"mxordn and mxords have no effect on {about.name}: for formulas of low order give {_BY_ORDER}")
+    if about.name not in limits:
+        return {}
+    return {"max_order": min(positive_integer("mxordn and mxords", limits[about.name]), about.order)}
+
+
+class _Times(NamedTuple):
+    """The requested times: without repetitions, and the index of each in that list."""
+
+    times: Array
+    place: Array
+
+
+def _times(t: ArrayLike) -> _Times:
+    given = np.atleast_1d(real_numbers("t", t))
+    steps = np.diff(given)
+    if given.ndim != 1 or not given.size or not ((steps >= 0).all() or (steps <= 0).all()):
+        raise ValueError("t must be a list of times in rising or falling order; they may repeat. Sort it")
+    new = np.concatenate([[True], steps != 0])
+    return _Times(given[new], np.cumsum(new) - 1)
+
+
+@dataclass
+class _Counter:
+    """Counts during a run, and the step limit between two times of the output."""
+
+    times: Array
+    most: int  # steps between them; 0: any number
+    counting: bool
+    calls: list[int] = field(default_factory=lambda: [0])  # of f, so far
+    jacobians: int = 0
+    after: list[tuple[int, int]] = field(default_factory=list)  # both, after each step
+    place: int = 0  # in which interval the last step ended
+    steps: int = 0  # in this interval
+
+    @property
+    def callback(self) -> Callable[[float, Array], bool] | None:
+        """For the run; None where nothing is counted."""
+        return self.step if self.most or self.counting else None
+
+    def step(self, t: float, y: Array) -> bool:
+        """An accepted step; whether it was one too many."""
+        if self.counting:
+            self.after.append((self.calls[0], self.jacobians))
+        forward = 1.0 if self.times[-1] >= self.times[0] else -1.0
+        place = int(np.searchsorted(forward * self.times, forward * t))
+        self.steps = self.steps + 1 if place == self.place else 1
+        self.place = place
+        return bool(self.most) and self.steps >= self.most and place < len(self.times) and t != self.times[place]
+
+
+def _in_order(fun: Any, name: str, tfirst: bool, calls: list[int] | None = None) -> Any:
+    """A function of (y, t, ...), or of (t, y, ...) already, as one of (t, y, ...), which may count its calls."""
+    if is_native(fun):
+        if not tfirst:
+            raise TypeError(f"{name} is machine code, which takes t first: give tfirst=True")
+        return fun
+    function(name, fun, "f(t, y)" if tfirst else "f(y, t)")
+    if calls is None and tfirst:
+        return fun
+
+    @functools.wraps(fun)
+    def ordered(t: float, y: Array, *args: Any) -> Any:
+        if calls is not None:
+            calls[0] += 1
+        return fun(t, y, *args) if tfirst else fun(y, t, *args)
+
+    return ordered
+
+
+def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> Any:
+    ordered = _in_order(dfun, "Dfun", tfirst)
+    if is_native(ordered):
+        if transposed:
+            raise TypeError("Dfun is machine code: give the Jacobian by rows, without col_deriv")
+        return ordered
+
+    @functools.wraps(dfun)
+    def jacobian(t: float, y: Array, *args: Any) -> Any:
+        counter.jacobians += 1
+        value = ordered(t, y, *args)
+        return np.transpose(value) if transposed else value
+
+    return jacobian
+
+
+def _pieces(times: Array, tcrit: ArrayLike | None) -> list[Array]:
+    """The times of the output, cut where the method must start again; each piece begins where the last ends."""
+    forward = 1.0 if times[-1] >= times[0] else -1.0
+    low, high = sorted((times[0], times[-1]))
+    points = np.zeros(0) if tcrit is None else np.atleast_1d(real_numbers("tcrit", tcrit))
+    cuts = [times[0], *(forward * np.unique(forward * points[(points > low) & (points < high)])), times[-1]]
+    inside = [times[(forward * times > forward * a) & (forward * times < forward * b)] for a, b in pairwise(cuts)]
+    return [
+        np.unique(forward * np.array([a, *ts, b])) * forward for a, ts, b in zip(cuts, inside, cuts[1:], strict=False)
+    ]
+
+
+def _run(
+    problem: Problem, method: MethodName, options: Options, pieces: list[Array], h0: float, counter: _Counter
+) -> list[Solution]:
+    """The solutions on the pieces, up to the first that does not reach its end."""
+    parts: list[Solution] = []
+    for times in pieces:
+        t0, tf = float(times[0]), float(times[-1])
+        y0 = parts[-1].y[:, -1] if parts else problem.y0
+        now = cast("Options", {**options, "t_eval": times, "keep": "all", "callback": counter.callback})
+        now["breakpoints"] = [t for t in (t0, tf) if t not in (pieces[0][0], pieces[-1][-1])]
+        if h0:
+            now["first_step"] = min(h0, abs(tf - t0)) or None
+        parts.append(problem.replace(t_span=(t0, tf), y0=y0).solve(method, **now))
+        if parts[-1].status != 0:
+            break
+    return parts
+
+
+def _message(last: Solution, counter: _Counter) -> str:
+    """How the run ended; a warning if that was not at the last time."""
+    from scipy.integrate import ODEintWarning
+
+    if last.status == 0:
+        return "Integration successful."
+    message = last.message
+    if last.status == 2:
+        message = f"More than mxstep = {counter.most} steps between two times, at t = {last.t_end:.6g}: raise mxstep."
+    warn(message, ODEintWarning)
+    return message
+
+
+def _rows(parts: list[Solution], asked: _Times) -> Array:
+    """The solution at the requested times, (n_t, n)."""
+    times = np.concatenate([part.t for part in parts])
+    states = np.concatenate([part.y.T for part in parts])
+    rows = np.full((len(asked.times), states.shape[1]), np.nan, dtype=states.dtype)
+    found, at = _matched(asked.times, times)
+    rows[found] = states[at]
+    y: Array = rows[asked.place]
+    return y
+
+
+def _matched(asked: Array, times: Array) -> tuple[Array, Array]:
+    """The index of each requested time in the output: a critical point ends one piece and starts the next."""
+    forward = 1.0 if asked[-1] >= asked[0] else -1.0
+    at = np.searchsorted(forward * times, forward * asked)
+    reached = at < len(times)
+    reached[reached] = times[at[reached]] == asked[reached]
+    return np.flatnonzero(reached), at[reached]
+
+
+def _information(parts: list[Solution], asked: _Times, counter: _Counter, message: str) -> dict[str, Any]:
+    """What full_output tells of each time but the first."""
+    ends, sizes, orders = (
+        np.concatenate([getattr(part.steps, name) for part in parts]) for name in ("t", "h", "order")
+    )
+    forward = 1.0 if asked.times[-1] >= asked.times[0] else -1.0
+    times = asked.times[asked.place][1:]
+    steps = np.minimum(np.searchsorted(forward * ends, forward * times), max(len(ends) - 1, 0))
+    counts = np.array(counter.after, dtype=np.int64).reshape(-1, 2)
+    used = [_STIFF if "jac" in METHODS[name].options else _NONSTIFF for part in parts for name in part.steps.method]
+    if not len(ends):  # nothing to integrate
+        steps = steps[:0]
+    return {
+        "hu": sizes[steps],
+        "tcur": ends[steps],
+        "nqu": orders[steps],
+        "nst": (steps + 1).astype(np.int64),
+        "nfe": counts[steps, 0],
+        "nje": counts[steps, 1] if counter.jacobians else np.full(len(steps), sum(part.njev for part in parts)),
+        "mused": np.array(used, dtype=np.int64)[steps],
+        "message": message,
+    }

@@ -1,0 +1,128 @@
+"""The problem: what describes it, and `solve`."""
+
+from __future__ import annotations
+
+from typing import Unpack
+
+from .._base.types import MethodName
+from .._problem.description import Description
+from .._problem.docstrings import documented
+from .._problem.options import CallingOptions, DescribingOptions, Options, table_of
+from .._results.result import default_labels
+from .._results.solution import Solution
+from .._run.run import solve
+from .prepared import PreparedSolver
+
+__all__ = ["Problem"]
+
+
+@documented(describing=[*table_of(CallingOptions), *table_of(DescribingOptions)])
+class Problem(Description):
+    """An initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, with what is known about its solution.
+
+    Parameters
+    ----------
+    fun : callable
+        ``f(t, y, *args)``, the derivative, a sequence or array of shape (n,). y is a new array if the last one is still
+        referenced, so it may be kept; the function may return the same buffer every time.
+    t_span : (float, float)
+        (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
+        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
+    y0 : array_like of shape (n,)
+        Initial state, real or complex.
+    {describing}
+    inputs : Input or list of Input, optional
+        Tabulated functions of t: `fun` and `jac` are called with their values after y, ``f(t, y, u, *args)``; native
+        ones find these at the beginning of p. A run starts anew where an input jumps, as at `breakpoints`.
+    name : str, optional
+        For tables and plots.
+    labels : sequence of n str, optional
+        Names of the components.
+
+    Raises
+    ------
+    TypeError
+        An argument of a wrong type, such as a `fun` that is not callable.
+    ValueError
+        y0 or `t_span` is not finite (tf may be infinite) or of a wrong shape; the number of `labels` is not n; an input
+        does not cover `t_span`; a constant `jac`, `mass` or `jac_sparsity` is no matrix of n components. What functions
+        return is checked by `solve`.
+
+    Notes
+    -----
+    A problem does not change: `replace` makes another one.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def orbit(t, y):
+    ...     return [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])]
+    >>> problem = iv.Problem(orbit, (0, 10), [1.0, 3.0], labels=["prey", "predators"])
+    >>> problem
+    Problem('orbit', t_span=(0.0, 10.0), n=2)
+    >>> problem.solve("ode23", rtol=1e-4).success
+    True
+    """
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the components."""
+        return default_labels(len(self.y0)) if self._labels is None else self._labels
+
+    @documented(options=table_of(Options))
+    def solve(self, method: MethodName = "ode45", **options: Unpack[Options]) -> Solution:
+        """Solves the problem.
+
+        Parameters
+        ----------
+        method : str, default 'ode45'
+            A name in `METHODS`, or SciPy's name of the same method.
+        {options}
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        TypeError, ValueError, InvariantError
+            As for `solve_ivp`. The warnings are the same too.
+        """
+        return solve(self, method, options)
+
+    @documented(options=table_of(Options))
+    def prepare(self, method: MethodName = "ode45", **options: Unpack[Options]) -> PreparedSolver:
+        """A solver for this problem with any y0, args and interval, which checks everything else only once.
+
+        For loops of short solves: fitting, shooting, Monte Carlo. A call costs a few µs beyond its steps if all
+        functions are native and `keep` is 'end' or 'outputs'. If the problem must be checked again for another
+        y0, other arguments or another interval, as for Python functions with invariants or a Jacobian, for algebraic
+        equations or mechanical systems, and for `t_eval` on another interval, a call costs as much as a solve.
+
+        Parameters
+        ----------
+        method : str, default 'ode45'
+            As in `solve`.
+        {options}
+
+        Returns
+        -------
+        PreparedSolver
+            Called as ``solver(y0=..., args=..., t_span=...)``, by any number of threads at once, it returns the
+            `Solution` that ``problem.replace(y0=..., args=..., t_span=...).solve(method, **options)`` returns.
+
+        Raises
+        ------
+        TypeError, ValueError, InvariantError
+            As for `solve`. The warnings are the same too.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def decay(t, y, rate):
+        ...     return [-rate * y[0]]
+        >>> solver = iv.Problem(decay, (0, 1), [1.0], args=(1.0,)).prepare("dop853", rtol=1e-9, keep="end")
+        >>> [round(float(solver(args=(rate,)).y[0, -1]), 4) for rate in (1.0, 2.0, 3.0)]
+        [0.3679, 0.1353, 0.0498]
+        """
+        return PreparedSolver(self, method, options)

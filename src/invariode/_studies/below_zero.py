@@ -1,0 +1,49 @@
+"""Solutions that fall below zero where they should not: seen by comparison with a more accurate one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array
+
+__all__ = ["BelowZero", "Lowest", "below_zero"]
+
+#: Below zero by more than this, in units of atol, is more than the noise that a tolerance allows.
+NOTABLE = 100
+
+
+class BelowZero(NamedTuple):
+    """The component that falls farthest, in units of atol, and where to."""
+
+    component: int
+    value: float
+
+    def told(self, label: str) -> str:
+        """In words, as a finding."""
+        return f"{label} falls to {self.value:.1e}, where a more accurate solution stays above 0"
+
+
+class Lowest:
+    """A callback that notes the least values of a real solution at its steps."""
+
+    def __init__(self, y0: Array) -> None:
+        self.values = y0.copy()
+
+    def __call__(self, t: float, y: Array) -> bool:
+        if y.dtype.kind != "c":
+            np.fmin(self.values, y, out=self.values)
+        return False
+
+
+def below_zero(y0: Array, lowest: Array, accurate: Array, atol: ArrayLike) -> BelowZero | None:
+    """What falls below zero by more than 100 atol, of the components that start at or above zero and stay there, to
+    within atol, in a more accurate solution. `lowest`, `accurate`: the least values of both. Nothing of complex states.
+    """
+    if np.iscomplexobj(y0) or not len(y0):
+        return None
+    depth = np.where((y0 >= 0) & (accurate >= -np.asarray(atol)) & (lowest < -NOTABLE * np.asarray(atol)), -lowest, 0.0)
+    deepest = int(np.argmax(depth / np.maximum(atol, np.finfo(float).tiny)))
+    return BelowZero(deepest, float(lowest[deepest])) if depth[deepest] > 0 else None

@@ -1,0 +1,302 @@
+"""The check of invariants before a run: a report on them at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _core
+from .._base.arguments import Array, flag, number, quietly, reals, state, tolerances
+from .._base.notebook import html_of_check
+from .._base.types import Function, Numbers
+from .._functions.compiled import native_parameters
+from .._laws.bound import BoundInvariants, bind
+from .._problem.description import Description
+from .._problem.invariants import InvariantsLike, to_invariants
+from .._results.messages import wrong_jacobian
+from .._run.run import solve
+
+__all__ = ["CheckReport", "check_invariants"]
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """A report on invariants at a point; prints as a table. Arrays have one value per invariant.
+
+    Attributes
+    ----------
+    names : list of str
+    value : ndarray
+        The value held or demanded.
+    residual : ndarray
+        g(t, y) - value.
+    distance : ndarray
+        The residual as a distance from the level set, in units of rtol.
+    rate : ndarray
+        d/dt of the invariant along f, at the nearest point of the manifold.
+    angle : ndarray
+        The rate in units of the size of its terms: roundoff for an invariant.
+    detectable : ndarray
+        The smallest angle that the check can distinguish from roundoff and from errors in the derivatives. (A run
+        detects smaller ones if its tolerance requires it.)
+    redundant : ndarray of bool
+        Dependent on the others.
+    stationary : ndarray of bool
+        The gradient is 0.
+    conserved : ndarray of bool
+        The rate is roundoff, at the point and at others near it: the angle is at most `detectable`. For
+        `invariode.Dissipated` functions, a rate of the right sign suffices.
+    senses : list of int
+        -1: it may only fall as t grows; 1: it may only rise; 0: it must be conserved.
+    on_manifold : ndarray of bool
+        The distance is at most 1.
+    derivatives : list of str
+        How the gradient was computed.
+    findings : list of str
+        What is wrong or worth knowing, in words; empty if all is well.
+    ok : bool
+        All are conserved and on the manifold, and no Jacobian is wrong. (Redundant ones do no harm.)
+    """
+
+    names: list[str]
+    value: Array
+    residual: Array
+    distance: Array
+    rate: Array
+    angle: Array
+    detectable: Array
+    redundant: Array
+    stationary: Array
+    conserved: Array
+    senses: list[int]
+    on_manifold: Array
+    derivatives: list[str]
+    findings: list[str]
+    ok: bool
+
+    def __str__(self) -> str:
+        width = max([len("invariant"), *map(len, self.names)])
+        lines = [f"{'invariant':<{width}} {'value':>13} {'residual':>10} {'rate':>10} {'of its terms':>13}  conserved"]
+        for i, name in enumerate(self.names):
+            lines.append(
+                f"{name:<{width}} {self.value[i]:>13.6g} {self.residual[i]:>10.2e} {self.rate[i]:>10.2e} "
+                f"{self.angle[i]:>13.1e}  {self.verdict(i)}"
+            )
+        return "\n".join(lines + self.findings)
+
+    __repr__ = __str__
+
+    def verdict(self, i: int) -> str:
+        """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
+        return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
+
+    def _repr_html_(self) -> str:
+        return html_of_check(self)
+
+
+def check_invariants(
+    fun: Function,
+    invariants: InvariantsLike,
+    t: float,
+    y: ArrayLike,
+    args: Iterable[Any] = (),
+    *,
+    rtol: Numbers = 1e-3,
+    atol: Numbers = 1e-6,
+    nearby: bool = True,
+) -> CheckReport:
+    """Checks whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.
+
+    Parameters
+    ----------
+    fun : callable
+        ``f(t, y, *args)``.
+    invariants : callable, Invariants, or list of these
+        As for `solve_ivp`.
+    t : float
+        The time.
+    y : array_like of shape (n,)
+        The point.
+    args : tuple, optional
+        Extra arguments of the functions.
+    rtol : float or array_like of shape (n,), default 1e-3
+    atol : float or array_like of shape (n,), default 1e-6
+        The weights ``max(|y|, atol / rtol)`` in which gradients and distances are measured.
+    nearby : bool, default True
+        Whether to test also at points near this one and along a short run: at points of rest and of symmetry many
+        functions look conserved.
+
+    Returns
+    -------
+    CheckReport
+        Whether they are finite, on the manifold, independent and conserved on the manifold (constraints are invariant
+        only there), and their Jacobians right.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A function returns the wrong shape, or is not finite at the point.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> report = iv.check_invariants(lambda t, y: [y[1], -y[0]], lambda t, y: y[0]**2 + 1.1 * y[1]**2, 0, [1.0, 0.5])
+    >>> report.ok
+    False
+    """
+    at, point = number("t", t), state(y)
+    listed = to_invariants(invariants)
+    if not listed:
+        raise ValueError("check_invariants needs at least one invariant")
+    problem = Description(fun, (at, np.inf), point, args=args, invariants=listed)
+    return checked_at(problem, at, point, rtol=rtol, atol=atol, nearby=flag("nearby", nearby))
+
+
+def checked_at(
+    given: Description, at: float, point: Array, *, rtol: Numbers, atol: Numbers, nearby: bool
+) -> CheckReport:
+    """The report on the invariants of a problem at a point."""
+    extra, listed = given.args, given.invariants
+    least, threshold, scale = tolerances(rtol, atol, point)
+    bound = bind(listed, at, point, extra, threshold)
+    p = native_parameters(extra, [given.fun, *(f for one in listed for f in (one.fun, one.jac))])
+    problem = _core.Problem(
+        n=reals(point),
+        complex=np.iscomplexobj(point),
+        fun=given.slope.for_core(point, p),
+        args=extra,
+        parameters=p,
+        invariants=[_core.Invariant(*spec) for spec in bound.specs],
+        value=bound.value,
+    )
+    weights = _core.Tolerances(least, threshold, scale)
+    found = _core.examine(at, point.view(float), problem, weights)
+    if found is None:
+        raise ValueError(
+            f"an invariant, its Jacobian, or fun is not finite at t = {at}, y = {point}: give a point where all are"
+        )
+    report = _report(found, bound, at, np.iscomplexobj(point))
+    if not (nearby and report.conserved.any()):
+        return report
+    others = _points_nearby(
+        Description(given.fun, (at, given.t_span[1]), point, args=extra, inputs=given.inputs, name=given.name)
+    )
+    return _with_points(report, [_examined(*other, problem, weights) for other in others])
+
+
+#: Points near the one that is checked, and their distance in units of the sizes of the components.
+_NEARBY, _SPREAD = 4, 0.05
+
+#: The short run: the number of steps of ode45, and of points checked among them.
+_STEPS, _ALONG = 20, 4
+
+
+def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
+    """Points of a short run, and others around the start, in every direction; the same ones every time."""
+    t, y = problem.t_span[0], problem.y0
+    run: list[tuple[float, Array]] = []
+
+    def note(at: float, state: Array) -> bool:
+        run.append((at, state.copy()))
+        return len(run) >= _STEPS
+
+    # outside its domain f may raise anything: the part of the run so far is enough
+    with quietly(), suppress(Exception):
+        solve(problem, "ode45", {"callback": note, "keep": "end", "max_step": np.inf})
+    sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
+    sizes[sizes == 0] = sizes.max(initial=0) or 1.0
+    random = np.random.default_rng(0)
+    around = random.standard_normal((_NEARBY, len(y)))
+    if np.iscomplexobj(y):
+        around = around + 1j * random.standard_normal((_NEARBY, len(y)))
+    along = [run[i] for i in np.unique(np.linspace(0, len(run) - 1, min(_ALONG, len(run))).astype(int))]
+    return [*along, *((t, y + _SPREAD * sizes * direction) for direction in around)]
+
+
+class _Elsewhere(NamedTuple):
+    """What was found at another point."""
+
+    t: float
+    y: Array
+    found: _core.Examination
+
+
+def _examined(t: float, y: Array, problem: _core.Problem, weights: _core.Tolerances) -> _Elsewhere | None:
+    """The examination; None if something is not defined there."""
+    try:
+        found = _core.examine(t, y.view(float), problem, weights)
+    except Exception:  # from a user's function, at a point that the user did not choose
+        return None
+    return None if found is None else _Elsewhere(t, y, found)
+
+
+#: Words for messages: an invariant is ..., or it ...
+_CONSERVED = ("conserved", "changes")
+
+
+def _with_points(report: CheckReport, others: list[_Elsewhere | None]) -> CheckReport:
+    """The report, with those refused that are conserved only at its point."""
+    conserved, findings = report.conserved.copy(), []
+    for i in np.flatnonzero(report.conserved):
+        there = [other for other in others if other is not None and not other.found.conserved[i]]
+        if there:
+            worst = max(there, key=lambda other: float(other.found.angle[i]))
+            conserved[i] = False
+            kept, does = (
+                ("dissipated", "falls" if report.senses[i] > 0 else "rises") if report.senses[i] else _CONSERVED
+            )
+            findings.append(
+                f"{report.names[i]} is not {kept} by fun: it looks so at this point, but at t = {worst.t:.6g}, "
+                f"y = {np.array2string(worst.y, precision=4, threshold=8)}, it {does} at the rate "
+                f"{worst.found.rate[i]:.3g} ({worst.found.angle[i]:.1e} of its terms)"
+            )
+    if not findings:
+        return report
+    return replace(report, conserved=conserved, findings=[*report.findings, *findings], ok=False)
+
+
+def _report(found: _core.Examination, bound: BoundInvariants, t: float, pairs: bool) -> CheckReport:
+    """`pairs`: the reals that make up y are pairs."""
+    stationary = found.gradient == 0
+    redundant, conserved = found.redundant.astype(bool), found.conserved.astype(bool)
+    on_manifold = found.distance <= 1
+    kinds = [one.jac if isinstance(one.jac, str) else "given" for one in bound.specs for _ in range(one.m)]
+    senses = np.array(bound.senses)
+    findings = [
+        *_each(bound.names, ~conserved & (senses == 0), "{} is not conserved by fun"),
+        *_each(bound.names, ~conserved & (senses < 0), "{} is not dissipated by fun: it rises"),
+        *_each(bound.names, ~conserved & (senses > 0), "{} is not dissipated by fun: it falls"),
+        *_each(bound.names, ~on_manifold, "the point is not on the manifold of {}"),
+        *_each(bound.names, stationary & (senses == 0), "{} is stationary here: it holds nothing"),
+        *_each(bound.names, redundant & ~stationary, "{} is redundant here: the others imply it"),
+    ]
+    wrong = found.wrong_jacobian
+    if wrong is not None:
+        i, j, entry, quotient = wrong
+        findings.append(wrong_jacobian(bound.names[i], t, j, entry, quotient, pairs))
+    return CheckReport(
+        names=list(bound.names),
+        value=bound.value,
+        residual=found.residual,
+        distance=found.distance,
+        rate=found.rate,
+        angle=found.angle,
+        detectable=found.detectable,
+        stationary=stationary,
+        redundant=redundant,
+        conserved=conserved,
+        senses=bound.senses,
+        on_manifold=on_manifold,
+        derivatives=kinds,
+        findings=findings,
+        ok=bool(conserved.all() and on_manifold.all() and wrong is None),
+    )
+
+
+def _each(names: list[str], where: Array, text: str) -> list[str]:
+    return [text.format(names[i]) for i in np.flatnonzero(where)]

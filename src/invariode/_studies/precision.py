@@ -1,0 +1,427 @@
+"""Work and precision: the cost of runs with all methods, plain and projected, and of projection at equal error."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import groupby
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csc_array
+
+from .._base.arguments import EPS, Array
+from .._base.failures import InvariantError
+from .._linear.matrices import null_basis
+from .._problem.methods import METHODS, Method
+from .._results.result import StiffnessWarning
+from .._results.solution import Solution
+from .._solve.problem import Problem
+from .below_zero import BelowZero, Lowest, below_zero
+
+__all__ = ["WAYS", "Judgement", "NoReferenceError", "Reference", "Row", "Run", "able", "best", "compare_runs", "judge"]
+__all__ += ["power", "reference", "unprojected"]
+
+#: With and without projection.
+WAYS = ("plain", "projected")
+
+#: Two solutions by different formulas give a reference and its accuracy, at the first of these rtol with which
+#: both reach the end.
+_EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", {}))
+_IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
+_TIGHT = (1e-12, 1e-11, 1e-10)
+
+#: A run of the reference may take this many times the limit of the others.
+_PATIENCE = 6
+
+#: A problem is stiff if ode45 takes this many times the steps of ode15s, and this many more, at rtol 1e-3.
+_STIFF, _FEW = 20, 1000
+
+#: To be timed, runs are repeated up to this often, or until this many seconds are spent; the smallest time counts.
+_REPEATS, _BUDGET = 10, 0.2
+
+#: Errors below this many times the disagreement of the references say nothing.
+_FLOOR = 3
+
+#: Ratios of costs closer to 1 than this favour neither.
+_MARGIN = 0.1
+
+
+class NoReferenceError(Exception):
+    """No two methods agree on the final state."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The final state, how it was computed, and how far two methods disagree on it.
+
+    Attributes
+    ----------
+    y, size : ndarray, (n,)
+        The state, and the largest size of each component along the solution, by which errors are measured.
+    by : str
+        The methods and their tolerance.
+    status : int
+        0 for the end of the interval, 1 for a terminal event.
+    agreement : float
+        The error of the second solution if the first is right.
+    lowest : ndarray, (n,), or None
+        The least value of each component along the solution, where it is real and known.
+    """
+
+    y: Array
+    size: Array
+    by: str
+    status: int
+    agreement: float
+    lowest: Array | None = None
+
+    @property
+    def floor(self) -> float:
+        """Below it, errors are unknown."""
+        return _FLOOR * max(self.agreement, EPS)
+
+    def below_zero(self, y0: Array, lowest: Lowest, atol: float) -> BelowZero | None:
+        """What becomes negative, and does not along the solution."""
+        return None if self.lowest is None else below_zero(y0, lowest.values, self.lowest, atol)
+
+    def error(self, y: Array) -> float:
+        """The largest error of a component, relative to its largest size along the solution."""
+        error = float((np.abs(y - self.y) / self.size).max(initial=0))
+        return error if math.isfinite(error) else math.inf
+
+
+@dataclass(frozen=True)
+class Run:
+    """One method at one tolerance: error, evaluations of f (the tests of invariants too), of g, and of its Jacobian.
+
+    `problem`: why there is no error, else None. `derivatives`: how the Jacobian was computed. `below_zero`: what the
+    reference does not do.
+    """
+
+    error: float
+    f: int
+    g: int
+    jacobians: int
+    seconds: float
+    problem: str | None = None
+    message: str = ""
+    derivatives: str | None = None
+    below_zero: BelowZero | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """The runs of a method at one tolerance; `projected` is None if there is nothing to project."""
+
+    method: str
+    rtol: float
+    plain: Run
+    projected: Run | None
+
+    def run(self, way: str) -> Run | None:
+        return self.plain if way == "plain" else self.projected
+
+
+class _Limit:
+    """A callback that stops after some seconds or steps, and tells `lowest` on the way."""
+
+    def __init__(self, seconds: float, steps: float = math.inf, lowest: Lowest | None = None) -> None:
+        self._end, self._left, self._lowest = perf_counter() + seconds, steps, lowest
+
+    def __call__(self, t: float, y: Array) -> bool:
+        self._left -= 1
+        if self._lowest:
+            self._lowest(t, y)
+        return self._left < 0 or perf_counter() > self._end
+
+
+def able(problem: Problem) -> list[Method]:
+    """The methods that can solve the problem."""
+    mass = problem.matrices.mass
+    if mass is None:
+        return list(METHODS.values())
+    regular = not callable(mass) and null_basis(csc_array(mass)).shape[1] == 0
+    return [m for m in METHODS.values() if m.mass == "any" or (m.mass == "regular" and regular)]
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The reference
+
+
+@contextmanager
+def _stiffness_untold() -> Iterator[None]:
+    """Explicit methods are tried on stiff problems on purpose: the figures tell."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StiffnessWarning)
+        yield
+
+
+def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
+    """The final state by two methods with stringent tolerances, without projection: Runge-Kutta and Adams; for stiff
+    problems and those with a mass matrix NDF and BDF. `ratio` is atol / rtol."""
+    plain = unprojected(problem)
+    pairs = [_IMPLICIT] if problem.matrices.mass is not None or _stiff(plain, seconds) else [_EXPLICIT, _IMPLICIT]
+    obstacles: list[str] = []
+    for pair in pairs:
+        for rtol in _TIGHT:
+            found = []
+            for name, options in pair:
+                limit = _Limit(_PATIENCE * seconds)
+                with _stiffness_untold():
+                    sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, callback=limit, **options)
+                if sol.status not in (0, 1):
+                    why = sol.message if sol.status < 0 else f"It takes longer than {_PATIENCE * seconds:g} s (limit)."
+                    obstacles.append(f"{name}, rtol {power(rtol)}: {why}")
+                    break
+                found.append(sol)
+            if len(found) == len(pair) and found[0].status == found[1].status:
+                return _agreed(found[0], found[1], _names(pair, rtol))
+            if not found:
+                break  # tighter or looser, the first method cannot solve this problem
+    first = obstacles[0] if obstacles else "They end at different events."
+    raise NoReferenceError(f"No two methods reach the end with stringent tolerances. {first}")
+
+
+def _stiff(problem: Problem, seconds: float) -> bool:
+    implicit = problem.solve("ode15s", callback=_Limit(seconds))
+    if implicit.status not in (0, 1):
+        return False
+    steps = _STIFF * implicit.stats.steps + _FEW
+    with _stiffness_untold():
+        return problem.solve("ode45", callback=_Limit(seconds, steps), keep="end").status not in (0, 1)
+
+
+def _agreed(first: Solution, second: Solution, by: str) -> Reference:
+    size = np.abs(first.y).max(axis=1)
+    size[size == 0] = size.max(initial=0) or 1.0
+    found = Reference(first.y[:, -1], size, by, first.status, 0.0)
+    lowest = None if np.iscomplexobj(first.y) else np.fmin(first.y.min(axis=1), second.y.min(axis=1))
+    return Reference(found.y, size, by, first.status, found.error(second.y[:, -1]), lowest)
+
+
+def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
+    return " and ".join(name + (" as BDF" if options else "") for name, options in pair) + f" at rtol {power(rtol)}"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The runs
+
+
+def compare_runs(
+    problem: Problem, methods: Sequence[str], rtols: Sequence[float], ratio: float, seconds: float, truth: Reference
+) -> Iterator[Row]:
+    """All runs, method by method, by names that `solve` takes, from the crudest tolerance on. A method that takes too
+    long is given up.
+
+    Raises InvariantError if a run finds that f does not conserve an invariant.
+    """
+    plain = unprojected(problem)
+    for method in methods:
+        for rtol in rtols:
+            options = {"method": method, "rtol": rtol, "atol": ratio * rtol, "keep": "end"}
+            row = Row(method, rtol, *_measured(problem, plain, options, seconds, truth))
+            if row.projected and row.projected.problem == "refused":
+                raise InvariantError(row.projected.message)
+            yield row
+            if any(run is not None and run.problem == "too long" for run in (row.plain, row.projected)):
+                break
+
+
+def _measured(
+    problem: Problem, plain: Problem, options: dict[str, Any], seconds: float, truth: Reference
+) -> tuple[Run, Run | None]:
+    """Plain and projected in turn, so that disturbances of the machine affect both."""
+    ways = [plain, problem] if problem.invariants else [plain]
+    runs: list[tuple[Problem, Solution, float]] = []
+    below: list[BelowZero | None] = []
+    for way in ways:
+        lowest = Lowest(way.y0)
+        limit = _Limit(seconds, lowest=lowest)
+        sol, spent = _timed(lambda way=way, limit=limit: way.solve(callback=limit, **options))  # type: ignore[misc]  # mypy and defaults of lambdas
+        runs.append((way, sol, spent))
+        below.append(None if sol.status == 2 else truth.below_zero(way.y0, lowest, options["atol"]))
+        if sol.status == 2:
+            break
+    times = [spent for _, _, spent in runs]
+    repeats = min(_REPEATS, int(_BUDGET / max(sum(times), 1e-9)))
+    if repeats:
+        times = [math.inf] * len(runs)
+    for _ in range(repeats):
+        for i, (way, _, _) in enumerate(runs):
+            times[i] = min(times[i], _timed(lambda way=way: way.solve(**options))[1])  # type: ignore[misc]  # the same
+    measured = [_run(sol, time, truth, low) for (_, sol, _), time, low in zip(runs, times, below, strict=True)]
+    if len(measured) < len(ways):  # plain took too long
+        measured.append(measured[0])
+    return measured[0], measured[1] if problem.invariants else None
+
+
+def _timed(solve: Callable[[], Solution]) -> tuple[Solution, float]:
+    start = perf_counter()
+    with _stiffness_untold():
+        sol = solve()
+    return sol, perf_counter() - start
+
+
+def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | None) -> Run:
+    problem, message = None, ""
+    if sol.status == 2:
+        problem = "too long"
+    elif sol.status == -2:
+        problem, message = "refused", sol.message
+    elif sol.status == -1:
+        problem, message = "failed", sol.message
+    elif sol.status != truth.status:
+        problem = "no event" if truth.status else "event"
+    error = math.inf if problem else truth.error(sol.y[:, -1])
+    stats = sol.stats
+    f = sol.nfev + stats.nfev_check
+    return Run(error, f, stats.ng, stats.ngjac, seconds, problem, message, stats.derivatives, below)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Cost at equal error
+
+
+class _Curve:
+    """The cost of an error: interpolated, in logarithms, between the runs that no other run beats in both."""
+
+    def __init__(self, runs: Sequence[Run], cost: str, floor: float) -> None:
+        points = sorted((getattr(run, cost), max(run.error, floor)) for run in runs if math.isfinite(run.error))
+        errors: list[float] = []
+        costs: list[float] = []
+        for price, error in points:
+            if not errors or error < errors[-1]:
+                errors.append(error)
+                costs.append(max(price, 1e-9))
+        self._errors, self._costs = np.log(errors[::-1]), np.log(costs[::-1])
+        self.least, self.largest, self.dearest = (errors[-1], errors[0], costs[-1]) if errors else (math.inf, 0.0, 0.0)
+
+    def __call__(self, error: float) -> float:
+        """The cost of at most this error; infinite if no run has it."""
+        if error < self.least * (1 - 1e-12):
+            return math.inf
+        return float(np.exp(np.interp(math.log(error), self._errors, self._costs)))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The cost of projection at equal error, projected / plain, at the powers of ten that both ways reach.
+
+    Attributes
+    ----------
+    method : str
+        Its name, or '' for the best method each.
+    errors, time, f : list of float
+        The errors, from the largest on, and the ratios of costs there.
+    by : list of (str, str)
+        The methods compared at each error: plain, projected.
+    """
+
+    method: str
+    errors: list[float]
+    time: list[float]
+    f: list[float]
+    by: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def kind(self) -> tuple[str, float | None]:
+        """'worth it', 'not', 'even', 'mixed', or 'above' or 'below' an error, in time."""
+        return judge(self.errors, self.time)
+
+
+def judge(errors: Sequence[float], ratios: Sequence[float]) -> tuple[str, float | None]:
+    """What ratios of costs say: one verdict for all errors, or one that changes at an error, which is the last one of
+    those for which it is worth it."""
+    signs = [(e, r < 1) for e, r in zip(errors, ratios, strict=True) if abs(math.log(r)) > -math.log(1 - _MARGIN)]
+    if not errors:
+        return "unknown", None
+    if not signs:
+        return "even", None
+    pieces = [(worth, [e for e, _ in group]) for worth, group in groupby(signs, key=lambda sign: sign[1])]
+    if len(pieces) == 1:
+        return ("worth it" if pieces[0][0] else "not"), None
+    if len(pieces) == 2:
+        return ("above", pieces[0][1][-1]) if pieces[0][0] else ("below", pieces[1][1][0])
+    return "mixed", None
+
+
+def judgements(rows: Sequence[Row], floor: float) -> list[Judgement]:
+    """Of each method against itself."""
+    found = []
+    for method, group in groupby(rows, key=lambda row: row.method):
+        own = list(group)
+        time, f = (_curves(own, cost, floor) for cost in ("seconds", "f"))
+        errors = _decades(max(c.least for c in time), min(c.largest for c in time))
+        ratios = [[c[1](e) / c[0](e) for e in errors] for c in (time, f)]
+        found.append(Judgement(method, errors, ratios[0], ratios[1]))
+    return found
+
+
+def best(rows: Sequence[Row], floor: float) -> Judgement:
+    """Compares, at each error, the cheapest methods that reach it, plain and projected.
+
+    Errors are left out that a method which is cheaper so far might reach with a tighter tolerance than those tried.
+    """
+    by_method = {method: list(group) for method, group in groupby(rows, key=lambda row: row.method)}
+    time, f = ({m: _curves(own, cost, floor) for m, own in by_method.items()} for cost in ("seconds", "f"))
+    least = max(min(c[way].least for c in time.values()) for way in (0, 1))
+    largest = min(max(c[way].largest for c in time.values()) for way in (0, 1))
+    found = Judgement("", [], [], [])
+    for error in _decades(least, largest):
+        (plain, by_plain), (projected, by_projected) = (_cheapest(time, way, error) for way in (0, 1))
+        (plain_f, _), (projected_f, _) = (_cheapest(f, way, error) for way in (0, 1))
+        if all(math.isfinite(cost) for cost in (plain, projected, plain_f, projected_f)):
+            found.errors.append(error)
+            found.time.append(projected / plain)
+            found.f.append(projected_f / plain_f)
+            found.by.append((by_plain, by_projected))
+    return found
+
+
+def _cheapest(curves: Mapping[str, tuple[_Curve, _Curve]], way: int, error: float) -> tuple[float, str]:
+    """The least cost of the error and the method that has it; infinite if it may be another one's."""
+    cost, method = min((c[way](error), method) for method, c in curves.items())
+    open_ended = any(c[way].least > error and 0 < c[way].dearest < cost for c in curves.values())
+    return (math.inf if open_ended else cost), method
+
+
+def cheapest(rows: Sequence[Row], floor: float) -> tuple[float, str, float] | None:
+    """Of plain runs: an error in the middle of those that were reached, the method that is cheapest there, its time."""
+    by_method = {method: list(group) for method, group in groupby(rows, key=lambda row: row.method)}
+    curves = {method: _Curve([row.plain for row in own], "seconds", floor) for method, own in by_method.items()}
+    errors = _decades(min(c.least for c in curves.values()), max(c.largest for c in curves.values()))
+    if not errors:
+        return None
+    error = errors[len(errors) // 2]
+    seconds, method = min((curve(error), method) for method, curve in curves.items())
+    return error, method, seconds
+
+
+def _curves(rows: Sequence[Row], cost: str, floor: float) -> tuple[_Curve, _Curve]:
+    return (
+        _Curve([row.plain for row in rows], cost, floor),
+        _Curve([row.projected for row in rows if row.projected is not None], cost, floor),
+    )
+
+
+def _decades(least: float, largest: float) -> list[float]:
+    """The powers of ten between the two, the largest first; if no power lies between, their geometric mean."""
+    if not 0 < least < largest < math.inf:
+        return []
+    powers = range(math.floor(math.log10(largest)), math.ceil(math.log10(least)) - 1, -1)
+    return [10.0**k for k in powers] or [math.sqrt(least * largest)]
+
+
+def unprojected(problem: Problem) -> Problem:
+    """The same problem without its invariants."""
+    return problem.replace(invariants=None)
+
+
+def power(error: float) -> str:
+    """An error in one digit: 1e-4, not 1e-04."""
+    return f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")
