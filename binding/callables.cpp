@@ -7,6 +7,7 @@
 #include <numpy/arrayobject.h>
 
 #include <algorithm>
+#include <cassert>
 #include <cstdio>
 #include <new>
 #include <stdexcept>
@@ -82,6 +83,7 @@ bool PythonFunction::reusable(PyArrayObject* a, npy_intp size) const {
 }
 
 PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
+  assert(part < 2);
   npy_intp size = part == 0 ? takes_.n : takes_.second;
   PyArrayObject* a = std::exchange(spare_[part], nullptr);
   if (!reusable(a, size)) {
@@ -102,6 +104,7 @@ PyObject* PythonFunction::time_for(double t, const double*& y) const {
 }
 
 bool PythonFunction::call(double t, const double* y, double* out) {
+  assert(PyGILState_Check() == 1 && PyErr_Occurred() == nullptr);
   if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
   PyObject* time = time_for(t, y);
   PyArrayObject* parts[2] = {array_for(0, y), nullptr};
@@ -232,6 +235,7 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
     return false;
   }
   const auto copy = [&](PyArrayObject* from) {
+    assert(PyArray_SIZE(from) == returns_.size());
     std::copy_n(static_cast<const double*>(PyArray_DATA(from)), returns_.size() * (returns_.complex ? 2 : 1), out);
   };
   if (PyArray_TYPE(array) == type && PyArray_ISCARRAY_RO(array)) {
@@ -369,6 +373,7 @@ class NativeFunction final : public Callable {
       input.evaluate(t, p);
       p += input.size();
     }
+    assert(p + parameters_.size() == with_inputs_.data() + with_inputs_.size());
     std::copy(parameters_.begin(), parameters_.end(), p);
   }
 

@@ -239,7 +239,7 @@ FinishedRun travel(Run& run, const BoundSolver& self, const Beginning& begin, co
 FinishedRun travel(const BoundSolver& self, const Beginning& begin, const nb::object& told, StopRequest* request,
                    const nb::object& kept, double every) {
   Run run(self.solver);
-  if (request != nullptr) run.integration().heed(request->made);
+  if (request != nullptr) run.integration().stop_on(request->made);
   return travel(run, self, begin, told, kept, every);
 }
 
@@ -711,8 +711,8 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
-      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
-      .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
+      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().manifold().harm().component; })
+      .def_prop_ro("harm", [](Stepper& s) { return s.integration().manifold().harm().ratio; })
       .def_prop_ro(
           "stiff_since",
           [](Stepper& s) {
@@ -730,10 +730,10 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro("nfev_check",
                    [](Stepper& s) {
                      const Integration& loop = s.integration();
-                     return loop.discontinuities().evaluations() + loop.step().linear_work().checks;
+                     return loop.discontinuities().evaluations() + linear_work(loop.step()).checks;
                    })
-      .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
-      .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
+      .def_prop_ro("njev", [](Stepper& s) { return linear_work(s.integration().step()).jacobians; })
+      .def_prop_ro("nlu", [](Stepper& s) { return linear_work(s.integration().step()).factorizations; });
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 #pragma once
 // What a run remembers between two steps, as bytes: it goes on from them as if it had never been interrupted.
 
+#include <cassert>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -58,6 +59,7 @@ class Archive {
 
   /// What was written, once.
   [[nodiscard]] Memory take() {
+    assert(!reading_);
     const std::uint8_t whole = whole_ ? 1 : 0;
     std::memcpy(written_.data() + sizeof(version), &whole, sizeof(whole));
     return std::move(written_);
@@ -154,6 +156,16 @@ class Archive {
   Memory written_;
   std::span<const std::byte> source_;
   std::size_t place_ = 0;
+};
+
+/// What takes part in the memory of a run.
+class Archived {
+ public:
+  virtual void state(Archive& archive) = 0;
+
+ protected:
+  Archived() = default;
+  ~Archived() = default;
 };
 
 }  // namespace invariode

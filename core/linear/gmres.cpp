@@ -1,6 +1,7 @@
 #include "linear/gmres.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 #include "weights.hpp"
@@ -75,6 +76,7 @@ Gmres<Scalar>::Gmres(std::size_t n, std::size_t dimension, KrylovMemory& memory)
 template <class Scalar>
 GmresResult Gmres<Scalar>::solve(LinearOperator<Scalar>& A, const double* w, double tolerance, Scalar* x) {
   basis_ = memory_.as<Scalar>();
+  assert(tolerance > 0 && (basis_ != nullptr || n_ == 0));  // the memory has not been given back
   scratch_ = basis_ + (dimension_ + 1) * n_;
   tried_ = nullptr;
   for (std::size_t i = 0; i < n_; ++i) {

@@ -2,6 +2,7 @@
 // Restarted GMRES for systems whose matrix is known by its products alone (Saad & Schultz, SIAM J. Sci. Stat. Comput. 7
 // (1986) 856-869), in the weights of the error test (Brown & Hindmarsh, Appl. Math. Comput. 31 (1989) 40-91).
 
+#include <cassert>
 #include <complex>
 #include <cstddef>
 #include <cstdint>
@@ -91,8 +92,14 @@ class Gmres {
   void add_solution(const double* w, Scalar* x);
   void combine(std::size_t count, std::size_t first, std::size_t size, Scalar* out) const;
 
-  Scalar* basis(std::size_t j) { return basis_ + j * n_; }
-  Scalar& H(std::size_t i, std::size_t j) { return hessenberg_[j * (dimension_ + 1) + i]; }
+  Scalar* basis(std::size_t j) {
+    assert(j <= dimension_);
+    return basis_ + j * n_;
+  }
+  Scalar& H(std::size_t i, std::size_t j) {
+    assert(i <= dimension_ && j < dimension_);
+    return hessenberg_[j * (dimension_ + 1) + i];
+  }
 
   std::size_t n_, dimension_;
   KrylovMemory& memory_;

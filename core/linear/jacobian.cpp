@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -268,6 +269,7 @@ Status Jacobian::complete(Callback& f, double t, const double* y, const double* 
 }
 
 Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
+  assert(slope != nullptr);
   drowned_.reserve(matrix_.n());  // once: a copy has no room yet, and later evaluations are not to allocate
   std::copy(y, y + matrix_.n(), point_.begin());
   for (const std::vector<std::size_t>& group : groups_) {

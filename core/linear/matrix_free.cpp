@@ -1,6 +1,7 @@
 #include "linear/matrix_free.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace invariode {
@@ -72,6 +73,7 @@ void MatrixFree::take_scratch(double* part, double* product) {
 }
 
 void MatrixFree::reach(double t, const double* y) {
+  assert(std::isfinite(t));
   t_ = t;
   y_ = y;
 }
@@ -137,6 +139,7 @@ GmresResult MatrixFree::solve(double c, const Matrix* mass, const double* w, dou
 }
 
 GmresResult MatrixFree::solve(Complex c, const Matrix* mass, const double* w, double tolerance, Complex* b) {
+  assert(complex_gmres_);
   complex_c_ = c;
   mass_ = mass;
   return explained(*complex_gmres_, complex_gmres_->solve(*this, w, tolerance, b));

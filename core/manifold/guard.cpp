@@ -1,6 +1,7 @@
 #include "manifold/guard.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -211,6 +212,7 @@ Finding Guard::start_rate(double t, const double* y, const double* f, double h) 
 }
 
 Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
+  assert(std::isfinite(h) && h != 0 && at.m() == invariants_.m());
   if (const Finding seen = look_along_flow(at, t, f, h, steps); seen.kind != Finding::Kind::none) return seen;
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);

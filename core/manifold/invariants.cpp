@@ -1,6 +1,7 @@
 #include "manifold/invariants.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -37,6 +38,7 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
     any_one_sided_ = any_one_sided_ || block.sense != 0;
     along_steps_ = along_steps_ || block.along_steps;
   }
+  assert(sense_.size() == m() && weights.size() == n_);
   note_kinds();
 }
 

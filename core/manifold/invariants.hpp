@@ -2,6 +2,7 @@
 // The invariants as functions: residual, Jacobian, derivative with respect to t.
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -56,7 +57,10 @@ class Invariants {
   /// Of `calls`, those for Jacobians.
   [[nodiscard]] std::int64_t derivative_calls() const { return derivative_calls_; }
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
-  [[nodiscard]] bool by_differences(std::size_t i) const { return increment_[i] != 0; }
+  [[nodiscard]] bool by_differences(std::size_t i) const {
+    assert(i < m());
+    return increment_[i] != 0;
+  }
   [[nodiscard]] bool all_by_differences() const;
   /// What the worst derivatives are good to, relative to the terms of their row: ε^{2/3}, ε^{1/2}, or 0 without
   /// differences.
@@ -65,7 +69,10 @@ class Invariants {
   bool leave_complex_steps(std::size_t i);
   /// Values, kinds of derivatives, counts.
   void state(Archive& archive);
-  [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
+  [[nodiscard]] bool certain(std::size_t i) const {
+    assert(i < m());
+    return certain_[i] != 0;
+  }
   /// Of invariant i: 0, −1 or 1, as of its block.
   [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }
   [[nodiscard]] bool any_one_sided() const { return any_one_sided_; }

@@ -2,10 +2,11 @@
 // Numerical differentiation formulas of order 1 to 5 (and backward differentiation formulas) in backward differences at
 // a quasi-constant step (docs/algorithms.md, 'NDF'; Shampine & Reichelt, The MATLAB ODE Suite, 1997, section 2).
 
+#include <cassert>
 #include <vector>
 
+#include "implicit_step.hpp"
 #include "methods/newton.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
@@ -13,7 +14,7 @@ namespace invariode {
 void newton_backward(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// The code ode15s, for M y' = f(t, y).
-class Ndf final : public Step {
+class Ndf final : public Step, public ImplicitStep {
  public:
   static constexpr int highest_order = 5;
 
@@ -58,8 +59,13 @@ class Ndf final : public Step {
 
  private:
   void restart(double t, const double* y, double h, int order);
-  double* D(int j) { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
-  [[nodiscard]] const double* D(int j) const { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
+  double* D(int j) { return differences_.data() + at(j); }
+  [[nodiscard]] const double* D(int j) const { return differences_.data() + at(j); }
+  /// Where difference j begins; one past the last is the end.
+  [[nodiscard]] std::size_t at(int j) const {
+    assert(j >= 1 && static_cast<std::size_t>(j - 1) * n() <= differences_.size());
+    return static_cast<std::size_t>(j - 1) * n();
+  }
   Outcome first_slope(double t, const double* y);
   void rescale_memory(double h);
   void predict();

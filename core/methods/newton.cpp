@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -381,6 +382,7 @@ Outcome Newton::prepare(double c, double t1) {
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
                              double* y) {
+  assert(c != 0 && std::isfinite(c));
   const std::size_t n = weights_.size();
   const auto norm = [&](const double* v) { return max_norm(n, [v, w](std::size_t i) { return v[i] / w[i]; }); };
   std::fill(d, d + n, 0);
@@ -425,6 +427,7 @@ Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->
 Newton::Result Newton::solve_linear(double tolerance, double* b) {
   count_solve();
   if (!matrix_free()) {
+    assert(has_factors());
     lu_->solve(b);
     return Result::converged;
   }

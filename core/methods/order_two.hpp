@@ -5,15 +5,15 @@
 #include <cstddef>
 #include <vector>
 
+#include "implicit_step.hpp"
 #include "methods/newton.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
 /// A step of M y' = f(t, y) whose stages are y = base + d z with M z = h f, for one d, so that one matrix, M − d h J,
 /// serves all of them and the error estimate. The formula derives from it: what it takes as base, predicts as ψ = d z,
 /// and estimates.
-class OrderTwo : public Step {
+class OrderTwo : public Step, public ImplicitStep {
  public:
   static constexpr int formula_order = 2;
 

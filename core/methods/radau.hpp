@@ -3,13 +3,14 @@
 // Equations II, 2nd ed., 1996, section IV.8, and Stiff differential equations solved by Radau methods, J. Comput. Appl.
 // Math. 111 (1999) 93-111).
 
+#include <cassert>
 #include <complex>
 #include <memory>
 #include <vector>
 
+#include "implicit_step.hpp"
 #include "methods/radau_formula.hpp"
 #include "methods/radau_systems.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
@@ -19,7 +20,7 @@ namespace invariode {
 /// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, a real one and complex
 /// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n: that takes one J
 /// for all stages, and matrix-free it is that at (t, y), all through the step.
-class Radau final : public Step {
+class Radau final : public Step, public ImplicitStep {
  public:
   static constexpr int lowest_order = 5;
   static constexpr int highest_order = 13;
@@ -58,7 +59,10 @@ class Radau final : public Step {
 
  private:
   [[nodiscard]] std::size_t stages() const { return formula_->stages; }
-  double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
+  double* Z(std::size_t stage) {
+    assert(stage < stages());
+    return increments_.data() + stage * n();
+  }
   [[nodiscard]] const double* last_increment() const { return increments_.data() + (stages() - 1) * n(); }
   [[nodiscard]] double norm(const double* v) const;
   /// M at t₁; null: the identity.

@@ -1,6 +1,7 @@
 #include "methods/rosenbrock.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -103,6 +104,7 @@ Outcome Rosenbrock::stages() {
 }
 
 void Rosenbrock::solve(std::vector<double>& b) {
+  assert(jacobian_.has_factors());
   jacobian_.count_solve();
   lu_->solve(b.data());
 }

@@ -5,14 +5,14 @@
 #include <memory>
 #include <vector>
 
+#include "implicit_step.hpp"
 #include "methods/newton.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
 /// The code ode23s, for M y' = f(t, y) with a constant regular M: linearly implicit, one factorisation and three
 /// solutions a step, no iteration. J and ∂f/∂t are taken anew in every step.
-class Rosenbrock final : public Step {
+class Rosenbrock final : public Step, public ImplicitStep {
  public:
   static constexpr int formula_order = 2;
 

@@ -1,10 +1,11 @@
 #include "methods/switching.hpp"
 
+#include <cassert>
 #include <cmath>
 #include <utility>
 
+#include "detect/stiffness.hpp"
 #include "linear/matrix.hpp"
-#include "stiffness.hpp"
 
 namespace invariode {
 namespace {
@@ -38,11 +39,13 @@ Switching::Switching(Callback& f, const Weights& weights, Members members)
     : Step(f, weights),
       explicit_(std::move(members.explicit_one)),
       implicit_(std::move(members.implicit_one)),
+      algebra_(dynamic_cast<ImplicitStep*>(implicit_.get())),
       active_(explicit_ ? explicit_.get() : implicit_.get()),
       matrix_free_(members.matrix_free),
       differences_(members.differences),
       least_patience_(trial_cost + members.jacobian_cost),
       patience_(least_patience_) {
+  assert(active_ != nullptr && !implicit_ == (algebra_ == nullptr));
   if (!explicit_ || !implicit_) return;
   for (std::vector<double>* v : {&start_y_, &vector_, &product_}) v->resize(n());
   if (matrix_free_ && differences_) f_value_.resize(n());
@@ -78,7 +81,7 @@ Outcome Switching::start(double t, const double* y, const Span& span) {
 
 /// Evaluations of f so far, and products with J that take none.
 std::int64_t Switching::cost() const {
-  return f_.calls() + (matrix_free_ && !differences_ ? implicit_->linear_work().products : 0);
+  return f_.calls() + (matrix_free_ && !differences_ ? algebra_->linear_work().products : 0);
 }
 
 void Switching::begin_turn() {
@@ -157,8 +160,7 @@ bool Switching::reject(Cause cause, double hmin) {
 }
 
 void Switching::end_attempts() {
-  for (Step* member : {explicit_.get(), implicit_.get()})
-    if (member != nullptr) member->end_attempts();
+  if (algebra_ != nullptr) algebra_->end_attempts();
 }
 
 /// Of both members: where the first step after a hand-over fails, the one before goes on.
@@ -215,7 +217,7 @@ void Switching::watch_explicit(double calls) {
 
 void Switching::watch_implicit(double calls) {
   average(implicit_calls_, calls);
-  if (const std::int64_t taken = implicit_->linear_work().jacobians;
+  if (const std::int64_t taken = algebra_->linear_work().jacobians;
       !matrix_free_ && (taken != jacobians_ || turn_.steps == 1)) {
     jacobians_ = taken;
     static_cast<void>(find_radius());  // of a matrix, it calls nothing
@@ -258,8 +260,8 @@ Status Switching::find_radius() {
 
 /// The vector times J.
 Status Switching::multiply_vector() {
-  if (matrix_free_) return implicit_->multiply_jacobian(f_value_.data(), vector_.data(), product_.data());
-  implicit_->jacobian()->multiply(vector_.data(), product_.data());
+  if (matrix_free_) return algebra_->multiply_jacobian(f_value_.data(), vector_.data(), product_.data());
+  algebra_->jacobian()->multiply(vector_.data(), product_.data());
   return Status::ok;
 }
 

@@ -8,8 +8,9 @@
 #include <memory>
 #include <vector>
 
+#include "composite_step.hpp"
+#include "implicit_step.hpp"
 #include "methods/extensions.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
@@ -20,7 +21,7 @@ namespace invariode {
 /// stability limits as a trial of the implicit one takes, so that waiting and trying cost about the same. The implicit
 /// member hands back when the explicit one, with the longest step that is stable for the Jacobian at hand, would be
 /// cheaper. A turn that was no faster than the steps before it makes the next one harder to begin.
-class Switching final : public Step {
+class Switching final : public Step, public ImplicitStep, public CompositeStep {
  public:
   /// One of them may be null: the other one is then alone. `jacobian_cost`: evaluations of f that a Jacobian takes.
   /// `matrix_free`: the implicit one knows the Jacobian by its products, which are differences of f or cost as much.
@@ -55,7 +56,7 @@ class Switching final : public Step {
   [[nodiscard]] double stability() const override { return implicit_ ? 0 : explicit_->stability(); }
   [[nodiscard]] const double* slope() const override { return active_->slope(); }
   [[nodiscard]] int undefined_component() const override { return active_->undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return implicit_ ? implicit_->linear_work() : LinearWork(); }
+  [[nodiscard]] LinearWork linear_work() const override { return algebra_ ? algebra_->linear_work() : LinearWork(); }
   [[nodiscard]] int member() const override { return active_ == explicit_.get() ? 0 : 1; }
   [[nodiscard]] std::int64_t switches() const override { return switches_; }
 
@@ -94,6 +95,7 @@ class Switching final : public Step {
   Status multiply_vector();
 
   std::unique_ptr<Step> explicit_, implicit_;
+  ImplicitStep* algebra_;  // of the implicit member; null without one
   Step* active_;
   const bool matrix_free_, differences_;
   Turn turn_;

@@ -189,7 +189,7 @@ void EnsembleResult::add_alone(const Left& left) {
 
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
   if (n_t == 0) return;
-  for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, &run.points.y[j * n], 1);
+  for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, run.points.y.data() + j * n, 1);
 }
 
 /// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them.

@@ -2,11 +2,11 @@
 
 #include <stdexcept>
 
-#include "confined.hpp"
+#include "functions/confined.hpp"
 #include "linear/groups.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
-#include "slope.hpp"
+#include "manifold/slope.hpp"
 
 namespace invariode {
 namespace {

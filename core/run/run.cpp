@@ -104,7 +104,6 @@ void Run::keep_within_bounds() {
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
   const bool implicit = solver_.method().implicit();
   bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass)).callback();
-  manifold_.bounded_slope = &*bounded_slope_;
   method_f_ = &bounded_f_;
 }
 
@@ -165,14 +164,19 @@ Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> va
 void Run::start_loop() {
   std::unique_ptr<Step> step =
       solver_.method().step(*method_f_, solver_.weights(), solver_.options(), linear_algebra());
-  Integration::Breaks breaks{solver_.problem().breakpoints, &piece_, {}};
+  const Problem& all = solver_.problem();
+  LoopFunctions functions{.f = f_,
+                          .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
+                          .events = all.events,
+                          .breakpoints = all.breakpoints,
+                          .piece = &piece_,
+                          .callback = all.callback};
   if (mass_ && mass_->singular())
-    breaks.consistent = [this](double t, double* y) {
+    functions.consistent = [this](double t, double* y) {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
     };
-  integration_.emplace(std::move(step), solver_.weights(), f_, manifold_, solver_.problem().events, std::move(breaks),
-                       solver_.problem().callback, solver_.settings());
+  integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
 }
 
 Consistency Run::prepare(double t0, double* y0) {
@@ -212,20 +216,20 @@ void Run::describe_invariants(RunResult& result) const {
   if (!steps_) return;
   for (const InvariantBlock& block : steps_->blocks())
     if (!block.certain) result.derivatives.push_back(block.derivative);
-  result.projected_start = integration_->guard()->projected_start();
-  const Projector& projector = *integration_->projector();
+  result.projected_start = integration_->manifold().guard()->projected_start();
+  const Projector& projector = *integration_->manifold().projector();
   const std::vector<char> dropped = projector.dropped();
   for (std::size_t i = 0; i < dropped.size(); ++i)
     if (dropped[i] != 0) result.dropped.push_back(static_cast<int>(i));
   result.dropped_at = projector.dropped_at();
-  result.harm = integration_->harm();
+  result.harm = integration_->manifold().harm();
 }
 
 /// All but the arrays.
 void Run::describe(RunResult& result) const {
   const Integration& loop = *integration_;
   result.n = loop.step().n();
-  result.drift = loop.drift;
+  result.drift = loop.manifold().drift;
   result.state = loop.state();
   result.report = loop.report();
   result.counts = loop.counts();
@@ -233,11 +237,11 @@ void Run::describe(RunResult& result) const {
   result.discontinuities = loop.discontinuities().found();
   result.sticks_since = loop.discontinuities().sticks_since();
   result.accumulation = loop.accumulation();
-  result.switches = loop.step().switches();
-  result.linear = loop.step().linear_work();
+  result.switches = loop.switches();
+  result.linear = linear_work(loop.step());
   count_evaluations(result);
   describe_invariants(result);
-  result.clipped = loop.clipped;
+  result.clipped = loop.manifold().clipped;
   result.t_end = loop.t();
   result.next_h = loop.step().h();
 }
@@ -246,11 +250,12 @@ RunResult Run::take_result() {
   Integration& loop = *integration_;
   RunResult result;
   describe(result);
-  result.points = std::move(loop.points);
-  result.occurrences = std::move(loop.occurrences);
-  result.record = std::move(loop.steps);
-  result.jumps = std::move(loop.jumps);
-  result.dense = std::move(loop.dense);
+  Output& output = loop.output();
+  result.points = std::move(output.points);
+  result.occurrences = std::move(output.occurrences);
+  result.record = std::move(output.steps);
+  result.jumps = std::move(output.jumps);
+  result.dense = std::move(output.dense);
   if (solver_.settings().output_at_times || result.points.t.empty())
     result.y_end.emplace(loop.y(), loop.y() + result.n);
   return result;
@@ -258,25 +263,26 @@ RunResult Run::take_result() {
 
 RunResult Run::result_since(Marks& marks) const {
   const Integration& loop = *integration_;
+  const Output& output = loop.output();
   RunResult result;
   describe(result);
   result.y_end.emplace(loop.y(), loop.y() + result.n);
-  if (solver_.settings().save_all) result.points = loop.points.from(marks.points, result.n);
-  result.record.append(loop.steps.data() + marks.steps, loop.steps.size() - marks.steps);
-  marks.occurrences.resize(loop.occurrences.size());
-  for (std::size_t e = 0; e < loop.occurrences.size(); ++e) {
-    result.occurrences.push_back(loop.occurrences[e].from(marks.occurrences[e], result.n));
-    marks.occurrences[e] = loop.occurrences[e].t.size();
+  if (solver_.settings().save_all) result.points = output.points.from(marks.points, result.n);
+  result.record.append(output.steps.data() + marks.steps, output.steps.size() - marks.steps);
+  marks.occurrences.resize(output.occurrences.size());
+  for (std::size_t e = 0; e < output.occurrences.size(); ++e) {
+    result.occurrences.push_back(output.occurrences[e].from(marks.occurrences[e], result.n));
+    marks.occurrences[e] = output.occurrences[e].t.size();
   }
-  for (; marks.jumps < loop.jumps.size(); ++marks.jumps) {
-    Jump& jump = result.jumps.emplace_back(loop.jumps[marks.jumps]);
+  for (; marks.jumps < output.jumps.size(); ++marks.jumps) {
+    Jump& jump = result.jumps.emplace_back(output.jumps[marks.jumps]);
     jump.row -= solver_.settings().save_all ? marks.points : 0;
   }
-  marks.points = loop.points.t.size();
-  marks.steps = loop.steps.size();
-  if (loop.dense) {
-    result.dense.emplace(loop.dense->from(marks.knots));
-    marks.knots = loop.dense->knots().size() - 1;
+  marks.points = output.points.t.size();
+  marks.steps = output.steps.size();
+  if (output.dense) {
+    result.dense.emplace(output.dense->from(marks.knots));
+    marks.knots = output.dense->knots().size() - 1;
   }
   return result;
 }

@@ -11,14 +11,14 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "confined.hpp"
+#include "functions/confined.hpp"
+#include "functions/piece.hpp"
 #include "integrate.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "manifold/invariants.hpp"
-#include "piece.hpp"
+#include "manifold/slope.hpp"
 #include "run/problem.hpp"
-#include "slope.hpp"
 
 namespace invariode {
 
@@ -146,7 +146,7 @@ class Run {
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too
   std::optional<Invariants> between_;  // where those differ, the user's invariants alone
   Invariants* users_invariants_ = nullptr;
-  Integration::Manifold manifold_;
+  ManifoldTerms manifold_;
 
   std::optional<Integration> integration_;
   std::int64_t prepared_ = 0;  // evaluations of invariants by `prepare`,

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cassert>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -64,6 +65,7 @@ class Crew {
   /// The next index of worker number `own`: of its share, then of parts of the others'. False: there are no more, or
   /// the rest is cancelled.
   bool next(std::size_t own, std::uint32_t& index) {
+    assert(own < shares_.size());
     do {
       if (cancelled()) return false;
       if (shares_[own].take(index)) return true;
@@ -94,6 +96,7 @@ class Crew {
   /// This many workers have ended, or never began.
   void leave(std::size_t workers) {
     const std::scoped_lock lock(mutex_);
+    assert(workers <= running_);
     running_ -= workers;
     ended_.notify_one();
   }

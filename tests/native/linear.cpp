@@ -489,7 +489,7 @@ TEST(a_singular_iteration_matrix_ends_the_run_and_is_told) {
   Mass mass(diagonal({1}), {}, Mass::Basis(1, 0));
   const Jacobian jacobian({.kind = Jacobian::Kind::constant}, diagonal({0}), weights);
   auto step = named("ode15s").step(f, weights, {}, {.jacobian = &jacobian, .mass = &mass});
-  Integration integration(std::move(step), weights, f, {}, {}, {}, {}, {.tf = 1, .hmax = 0.1});
+  Integration integration(std::move(step), weights, {}, {.f = f}, {.tf = 1, .hmax = 0.1});
   CHECK(integration.start(problem.y0.data()) == State::running);
   CHECK(integration.advance() == State::running);
   mass = Mass(diagonal({0}), {}, Mass::Basis(1, 0));  // from here on nothing determines y'

@@ -1,6 +1,7 @@
 #pragma once
 // The functions of a problem as a piece between two breakpoints sees them (docs/algorithms.md, 'Breakpoints').
 
+#include <cassert>
 #include <cmath>
 #include <deque>
 #include <limits>
@@ -24,6 +25,7 @@ class Piece {
 
   /// From now on the piece between the times `from` and `to`. What is not a breakpoint bounds nothing.
   void enter(double from, bool from_breakpoint, double to, bool to_breakpoint) {
+    assert(!std::isnan(from) && !std::isnan(to));
     constexpr double infinity = std::numeric_limits<double>::infinity();
     const double forward = to >= from ? infinity : -infinity;
     const double first = from_breakpoint ? std::nextafter(from, forward) : -forward;
