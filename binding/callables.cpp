@@ -125,10 +125,10 @@ bool PythonFunction::call(double t, const double* y, double* out) {
 }
 
 PyObject* PythonFunction::call_with(PyObject* time, PyArrayObject* const* parts) {
-  constexpr std::size_t few = 8;
+  constexpr std::size_t on_stack = 8;
   const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
-  if (extra > few) return call_with_tuple(time, parts);
-  PyObject* arguments[few + 4];
+  if (extra > on_stack) return call_with_tuple(time, parts);
+  PyObject* arguments[on_stack + 4];
   std::size_t count = 1;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
   arguments[count++] = time;
   arguments[count++] = reinterpret_cast<PyObject*>(parts[0]);

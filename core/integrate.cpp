@@ -96,7 +96,7 @@ void Integration::move_start(double t, const double* y) {
 
 /// Builds the method's memory at (t, y), at the start and after a jump.
 bool Integration::start_memory(double t, const double* y) {
-  left_ = false;
+  memory_outdated_ = false;
   discontinuities_.restart();
   switch (step_->start(t, y, aim_.span(t))) {
     case Outcome::ok: return true;
@@ -117,7 +117,7 @@ bool Integration::watch_events(Outcome outcome) {
 }
 
 bool Integration::nothing_to_integrate() {
-  left_ = true;
+  memory_outdated_ = true;
   reached_.t = settings_.tf;
   emitter_.constant(y0_.data());
   return end(State::reached_end);
@@ -254,7 +254,7 @@ bool Integration::settle_at_bounds() {
 /// From y, beside the start of the step.
 bool Integration::start_step_anew(const double* y) {
   reached_ = {t0_, y0_.data()};
-  leave_step(y);
+  discard_step(y);
   return start_memory(reached_.t, reached_.y) && watch_events(events_.restart(reached_.t, reached_.y)) && begin_step();
 }
 
@@ -331,8 +331,8 @@ bool Integration::find_events() {
     }
   }
   const bool cut = events_.terminal() || events_.acts();
-  reached_ = cut && events_.occurrences().back().t != t1 ? Point{events_.occurrences().back().t, event_y_.data()}
-                                                         : Point{t1, y1};
+  reached_ = cut && events_.occurrences().back().t != t1 ? Reached{events_.occurrences().back().t, event_y_.data()}
+                                                         : Reached{t1, y1};
   return true;
 }
 
@@ -361,7 +361,7 @@ bool Integration::conclude() {
   if (events_.terminal()) return end(State::terminal_event);
   if (stop != 0)  // the jump does not come
     return unless_stopped(emitter_.emit_times(reached_, false)) && end(State::stopped_by_callback);
-  if (keeps_last_ && !keep_step_left()) return false;
+  if (keeps_last_ && !keep_step_before_jump()) return false;
   if (events_.acts() && !jump()) return false;
   if (!aim_.lands()) return true;
   if (breaks_.at(reached_.t) && !pass_breakpoint()) return false;
@@ -390,7 +390,7 @@ bool Integration::reach(Limit limit) {
 // -------------------------------------------------------------------------------------------------------------- jumps
 
 /// The last step, which nobody can look into once the method has started again at its end.
-bool Integration::keep_step_left() {
+bool Integration::keep_step_before_jump() {
   last_one_.reset();
   if (!jumps_here()) return true;
   last_one_ = last_step();
@@ -398,10 +398,10 @@ bool Integration::keep_step_left() {
 }
 
 /// What is known of the step that has ended does not hold at (reached t, y), where the solution goes on.
-void Integration::leave_step(const double* y) {
+void Integration::discard_step(const double* y) {
   if (y != y0_.data()) move_start(reached_.t, y);
   interpolant_.restart();
-  left_ = true;
+  memory_outdated_ = true;
   manifold_.forget();
   report_.t = reached_.t;
   reached_.y = y0_.data();
@@ -410,7 +410,7 @@ void Integration::leave_step(const double* y) {
 /// Takes the actions of the events at the point reached, where the step was cut, and starts again from what they
 /// return, put back onto constraints of velocities.
 bool Integration::jump() {
-  leave_step(event_y_.data());
+  discard_step(event_y_.data());
   bool rehold = true;
   return take_actions(rehold) && go_on_from_jump(rehold);
 }
@@ -456,7 +456,7 @@ void Integration::begin_piece() {
 
 /// Starts again at the point reached, in the next piece, from what the actions return.
 bool Integration::pass_breakpoint() {
-  leave_step(reached_.y);
+  discard_step(reached_.y);
   begin_piece();
   bool acts = false, moved = false;
   for (; breaks_.at(reached_.t); breaks_.pass()) {

@@ -127,9 +127,9 @@ class Integration {
   bool emit(bool jumps_here);
   [[nodiscard]] bool jumps_here() const;
   bool conclude();
-  bool keep_step_left();
+  bool keep_step_before_jump();
   void move_start(double t, const double* y);
-  void leave_step(const double* y);
+  void discard_step(const double* y);
   bool jump();
   bool take_actions(bool& rehold);
   bool take(Callback& action);
@@ -169,12 +169,12 @@ class Integration {
   Attempted attempt_;
   double t0_ = 0;  // where the step starts
   std::vector<double> y0_;
-  Point reached_{0, nullptr};            // its end, or the event that has cut it
+  Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event
   std::vector<double> before_;           // an action
   bool keeps_last_ = false;              // see `keep_last_step`
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
-  bool left_ = false;                    // the method's memory is not that of the point reached
+  bool memory_outdated_ = false;         // the method's memory is not that of the point reached
   bool in_step_ = false;                 // a limit was reached between two attempts
   bool anew_ = false;                    // the memory that was read is not enough: the method starts again
 };

@@ -12,7 +12,7 @@ bool Integration::between_steps() const {
   const bool ended_there = state_ == State::running || state_ == State::reached_end || state_ == State::limit_reached ||
                            state_ == State::stopped_by_request ||
                            (state_ == State::stopped_by_callback && !events_.acts());
-  return ended_there && !left_ && !breaks_.at(reached_.t) && reached_.t == step_->t();
+  return ended_there && !memory_outdated_ && !breaks_.at(reached_.t) && reached_.t == step_->t();
 }
 
 void Integration::state(Archive& archive) {
@@ -52,7 +52,7 @@ State Integration::resume(bool anew) {
   limits_.begin(counts_.steps);
   if (state_ == State::interrupted) return state_;
   report_.t = reached_.t;
-  anew = left_ = anew || anew_;
+  anew = memory_outdated_ = anew || anew_;
   if (anew && !breaks_.at(reached_.t)) {
     bool moved = false;
     if (!make_consistent(moved)) return state_;
@@ -72,7 +72,7 @@ bool Integration::start_again() {
   in_step_ = false;
   if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
   if (breaks_.at(reached_.t)) return pass_breakpoint();
-  leave_step(reached_.y);
+  discard_step(reached_.y);
   if (!start_memory(reached_.t, reached_.y)) return false;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   return true;

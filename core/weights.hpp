@@ -76,7 +76,7 @@ class Weights {
  public:
   Weights(double rtol, std::vector<double> threshold, std::vector<double> scale)
       : rtol_(rtol), threshold_(std::move(threshold)), scale_(std::move(scale)) {
-    assert(rtol_ > 0 && (scale_.empty() || scale_.size() == threshold_.size()));
+    assert(rtol_ > 0);
     for (double& thr : threshold_) thr = std::max(thr, std::numeric_limits<double>::min());
   }
 

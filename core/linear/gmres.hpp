@@ -79,7 +79,7 @@ class Gmres {
   [[nodiscard]] std::size_t n() const { return n_; }
   /// How much smaller than a vector its product has been in the last solve, at most 1: a residual is about that much
   /// smaller than the error of x. Small where a preconditioner is crude, or of another scale than A.
-  [[nodiscard]] double shrinkage() const { return shrinkage_; }
+  [[nodiscard]] double least_singular_value() const { return least_singular_value_; }
   /// All iterations so far: one product each.
   [[nodiscard]] std::int64_t iterations() const { return iterations_; }
   void state(Archive& archive) { archive(iterations_); }
@@ -113,7 +113,7 @@ class Gmres {
   const Scalar* tried_ = nullptr;     // see `tried`
   std::size_t columns_ = 0;           // of the present cycle
   double size_ = 0;                   // of the residual that was formed last
-  double shrinkage_ = 1;
+  double least_singular_value_ = 1;
   std::int64_t iterations_ = 0;
 };
 

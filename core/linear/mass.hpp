@@ -25,10 +25,10 @@ class Mass {
   /// for all t, where each column has a row in which the others are zero; r = 0 for a regular M.
   Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis);
 
-  /// M(t) is to be called by way of what `see` makes of it.
-  template <class See>
-  void see(See&& see) {
-    if (function_) function_ = see(function_);
+  /// M(t) is to be called by way of what `wrap` makes of it.
+  template <class Wrap>
+  void wrap(Wrap&& wrap) {
+    if (function_) function_ = wrap(function_);
   }
 
   /// Takes M at t, if it depends on t.

@@ -273,7 +273,7 @@ void Matrix::provide() {
 }
 
 void Matrix::multiply(const double* x, double* y) const {
-  assert(x != y);
+  assert(x != y || n() == 0);
   std::fill(y, y + n(), 0);
   for_each([&](std::size_t i, std::size_t j, double a) { y[i] += a * x[j]; });
 }

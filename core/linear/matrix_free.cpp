@@ -123,13 +123,14 @@ Status MatrixFree::apply(Complex* b) {
 }
 
 bool MatrixFree::negligible(const double* w, double tolerance, const double* b) const {
-  return max_norm(gmres_.n(), [b, w](std::size_t i) { return b[i] / w[i]; }) <= gmres_.shrinkage() * tolerance;
+  return max_norm(gmres_.n(), [b, w](std::size_t i) { return b[i] / w[i]; }) <=
+         gmres_.least_singular_value() * tolerance;
 }
 
 /// Both parts of b: w belongs to each.
 bool MatrixFree::negligible(const double* w, double tolerance, const Complex* b) const {
   return max_norm(2 * gmres_.n(), [b = reals(b), w](std::size_t i) { return b[i] / w[i / 2]; }) <=
-         complex_gmres_->shrinkage() * tolerance;
+         complex_gmres_->least_singular_value() * tolerance;
 }
 
 GmresResult MatrixFree::solve(double c, const Matrix* mass, const double* w, double tolerance, double* b) {

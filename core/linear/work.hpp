@@ -22,9 +22,9 @@ struct LinearWork {
   std::int64_t jacobians = 0, factorizations = 0, solves = 0, products = 0, iterations = 0;
   Unsolved unsolved = Unsolved::none;
   double unsolved_t = 0;
-  std::int64_t complex_calls = 0;                                        ///< of f at complex y, for Jacobians
-  double left_complex_steps = std::numeric_limits<double>::quiet_NaN();  ///< t at which differences replaced them
-  std::int64_t enlargements = 0;                                         ///< of a sparsity pattern that was found,
+  std::int64_t complex_calls = 0;                                             ///< of f at complex y, for Jacobians
+  double abandoned_complex_steps = std::numeric_limits<double>::quiet_NaN();  ///< t at which differences replaced them
+  std::int64_t enlargements = 0;                                              ///< of a sparsity pattern that was found,
   std::int64_t entries = 0, groups = 0;  ///< its entries, and the evaluations of f that differences take with it
   std::int64_t checks = 0;               ///< evaluations of f that tested Jacobians
   std::optional<Misfit> misfit;

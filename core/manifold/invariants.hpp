@@ -30,7 +30,7 @@ struct InvariantBlock {
   bool held = false;               ///< its value is what g was, not one that is demanded
   int sense = 0;                   ///< 0: it keeps its value; −1: in the direction of integration it never rises above
                                    ///< it; 1: never falls below it
-  bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
+  bool untested = false;           ///< true of every solution, as algebraic equations are: not tested
   bool along_steps = false;        ///< its correction is sought among the directions that its step is made of
   int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
   std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
@@ -66,12 +66,12 @@ class Invariants {
   /// differences.
   [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
-  bool leave_complex_steps(std::size_t i);
+  bool abandon_complex_steps(std::size_t i);
   /// Values, kinds of derivatives, counts.
   void state(Archive& archive);
-  [[nodiscard]] bool certain(std::size_t i) const {
+  [[nodiscard]] bool untested(std::size_t i) const {
     assert(i < m());
-    return certain_[i] != 0;
+    return untested_[i] != 0;
   }
   /// Of invariant i: 0, −1 or 1, as of its block.
   [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }
@@ -130,7 +130,7 @@ class Invariants {
   RowLayout layout_;
   double derivative_error_ = 0;
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
-  std::vector<char> certain_;
+  std::vector<char> untested_;
   std::vector<int> sense_;
   bool any_one_sided_ = false, along_steps_ = false;
   std::int64_t derivative_calls_ = 0;

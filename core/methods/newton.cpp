@@ -310,7 +310,7 @@ LinearWork AgingJacobian::work() const {
     work.unsolved_t = free_->unsolved_t();
   }
   work.complex_calls = jacobian_.complex_calls();
-  work.left_complex_steps = jacobian_.left_complex_steps();
+  work.abandoned_complex_steps = jacobian_.abandoned_complex_steps();
   work.enlargements = jacobian_.enlargements();
   work.entries = static_cast<std::int64_t>(jacobian().rows.size());
   work.groups = static_cast<std::int64_t>(jacobian_.groups());

@@ -23,8 +23,8 @@ constexpr double explicit_gain = 0.5;        // the explicit member's steps are 
 constexpr double overhead = 1;               // of an implicit step, in evaluations of f
 constexpr int favourable_steps = 10;         // after which the implicit member hands back
 constexpr double growing = 1.1;              // where |h| still grows so fast, it tells nothing of the cost
-constexpr double backoff = 4;                // of patience, after a trial that has failed
-constexpr double most_patience = 64;         // in units of the least: a problem may become stiff at last
+constexpr double backoff = 4;                // of the threshold, after a trial that has failed
+constexpr double highest_threshold = 64;     // in units of the least: a problem may become stiff at last
 constexpr double room = 100;                 // of the first |h| above hmin: it starts at a low order, with caution
 constexpr int most_failures = 8;             // attempts of a first step before the other member goes on
 constexpr double remembered = 0.9;           // of the average cost of a step
@@ -43,8 +43,8 @@ Switching::Switching(Callback& f, const Weights& weights, Members members)
       active_(explicit_ ? explicit_.get() : implicit_.get()),
       matrix_free_(members.matrix_free),
       differences_(members.differences),
-      least_patience_(trial_cost + members.jacobian_cost),
-      patience_(least_patience_) {
+      least_trial_threshold_(trial_cost + members.jacobian_cost),
+      trial_threshold_(least_trial_threshold_) {
   assert(active_ != nullptr && !implicit_ == (algebra_ == nullptr));
   if (!explicit_ || !implicit_) return;
   for (std::vector<double>* v : {&start_y_, &vector_, &product_}) v->resize(n());
@@ -102,7 +102,7 @@ Outcome Switching::hand_over(const Span& span) {
   Step& next = to_implicit ? *implicit_ : *explicit_;
   switch (next.start(t_, y(), span)) {
     case Outcome::stop: return Outcome::stop;
-    case Outcome::not_finite: gain_patience(); return Outcome::ok;
+    case Outcome::not_finite: raise_trial_threshold(); return Outcome::ok;
     case Outcome::ok: break;
   }
   if (next.h() < room * span.hmin) {
@@ -124,7 +124,7 @@ Outcome Switching::hand_over(const Span& span) {
 
 /// Would the explicit member spend more on the rest of the interval than on a trial?
 bool Switching::pays(double distance) const {
-  return active_ != explicit_.get() || distance / h_ * explicit_calls_ > patience_;
+  return active_ != explicit_.get() || distance / h_ * explicit_calls_ > trial_threshold_;
 }
 
 /// A first |h| is chosen with caution. Steps that were short for the sake of stability are accurate for the implicit
@@ -137,13 +137,15 @@ double Switching::first_h_after(const Step& next, double before) const {
 void Switching::judge_implicit_turn() {
   const double speed = std::abs(t_ - turn_.t) / static_cast<double>(cost() - turn_.calls);
   if (speed < turn_.speed_before)
-    gain_patience();
+    raise_trial_threshold();
   else
-    patience_ = least_patience_;
+    trial_threshold_ = least_trial_threshold_;
 }
 
 /// The next trial has to wait longer.
-void Switching::gain_patience() { patience_ = std::min(backoff * patience_, most_patience * least_patience_); }
+void Switching::raise_trial_threshold() {
+  trial_threshold_ = std::min(backoff * trial_threshold_, highest_threshold * least_trial_threshold_);
+}
 
 /// Where the first step after a hand-over fails again and again, the member before goes on.
 bool Switching::reject(Cause cause, double hmin) {
@@ -153,7 +155,7 @@ bool Switching::reject(Cause cause, double hmin) {
   if (more && ++turn_.failures < most_failures) return true;
   active_ = active_ == explicit_.get() ? implicit_.get() : explicit_.get();
   h_ = turn_.h_before;
-  gain_patience();
+  raise_trial_threshold();
   ++switches_;
   begin_turn();
   return true;
@@ -169,8 +171,8 @@ void Switching::state(Archive& archive) {
   for (Step* member : {explicit_.get(), implicit_.get()})
     if (member != nullptr) member->state(archive);
   bool implicit_is_active = active_ == implicit_.get();
-  archive(implicit_is_active, wanted_, switches_, patience_, explicit_calls_, implicit_calls_, calls_, radius_, reach_,
-          jacobians_);
+  archive(implicit_is_active, wanted_, switches_, trial_threshold_, explicit_calls_, implicit_calls_, calls_, radius_,
+          reach_, jacobians_);
   archive(turn_.steps, turn_.calls, turn_.t, turn_.handed_over, turn_.h_before, turn_.speed_before, turn_.failures,
           turn_.last_h, turn_.spent, turn_.free, turn_.favourable);
   if (!archive.reading()) return;
@@ -212,7 +214,7 @@ void Switching::watch_explicit(double calls) {
   }
   turn_.free = 0;
   turn_.spent += calls * std::clamp(StepLook::slow / step.moved, 1.0, strongest);
-  wanted_ = turn_.spent >= patience_;
+  wanted_ = turn_.spent >= trial_threshold_;
 }
 
 void Switching::watch_implicit(double calls) {

@@ -87,7 +87,7 @@ class Switching final : public Step, public ImplicitStep, public CompositeStep {
   void watch_explicit(double calls);
   void watch_implicit(double calls);
   void judge_implicit_turn();
-  void gain_patience();
+  void raise_trial_threshold();
   [[nodiscard]] bool pays(double distance) const;
   [[nodiscard]] double first_h_after(const Step& next, double before) const;
   [[nodiscard]] double stable_h() const;
@@ -101,7 +101,7 @@ class Switching final : public Step, public ImplicitStep, public CompositeStep {
   Turn turn_;
   bool wanted_ = false;  // the other member
   std::int64_t switches_ = 0;
-  double least_patience_, patience_;                // evaluations of f before a trial of the implicit member
+  double least_trial_threshold_, trial_threshold_;  // evaluations of f before a trial of the implicit member
   double explicit_calls_ = 0, implicit_calls_ = 0;  // per step, lately; 0: there was none
   std::int64_t calls_ = 0;                          // of f, and what costs as much, after the last step
   double radius_ = 0;                               // ρ(J)

@@ -14,7 +14,7 @@ Emitter::Emitter(const Settings& settings, StepInterpolant& interpolant, std::si
   output.dense = std::move(dense);
 }
 
-Status Emitter::add_segment(const Point& reached) {
+Status Emitter::add_segment(const Reached& reached) {
   if (!output.dense) return Status::ok;
   const Segment segment = interpolant_.segment();
   if (!segment.data) return Status::stop;
@@ -22,7 +22,7 @@ Status Emitter::add_segment(const Point& reached) {
   return Status::ok;
 }
 
-Status Emitter::emit(double t0, double t1, const Point& reached, bool jumps) {
+Status Emitter::emit(double t0, double t1, const Reached& reached, bool jumps) {
   const auto& [t, y] = reached;
   if (!settings_.save_all) {
     output.points.clear();
@@ -39,7 +39,7 @@ Status Emitter::emit(double t0, double t1, const Point& reached, bool jumps) {
   return Status::ok;
 }
 
-Status Emitter::emit_times(const Point& reached, bool jumps) {
+Status Emitter::emit_times(const Reached& reached, bool jumps) {
   if (!at_times()) return Status::ok;
   const auto& [t, y] = reached;
   for (; next_time_ < settings_.times.size(); ++next_time_) {
@@ -60,7 +60,7 @@ Status Emitter::emit_inside(double t) {
   return Status::ok;
 }
 
-Status Emitter::resume(const Point& at, bool jumps) {
+Status Emitter::resume(const Reached& at, bool jumps) {
   begin(at);
   if (!settings_.save_all) output.points.add(at.t, at.y, n_);
   return emit_times(at, jumps);

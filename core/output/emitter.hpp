@@ -13,7 +13,7 @@
 namespace invariode {
 
 /// A point of the solution; y belongs to whoever made it.
-struct Point {
+struct Reached {
   double t;
   const double* y;
 };
@@ -34,20 +34,20 @@ class Emitter {
   Output output;
 
   /// The continuous solution starts at `from`, or goes on there after a jump.
-  void begin(const Point& from) {
+  void begin(const Reached& from) {
     if (output.dense) output.dense->start(from.t, from.y);
   }
   /// A record of each step is wanted.
   [[nodiscard]] bool records() const { return settings_.save_all && settings_.record; }
   /// The accepted step up to the point reached, into the continuous solution.
-  Status add_segment(const Point& reached);
+  Status add_segment(const Reached& reached);
   /// The points of the step from t0 to t1, which is used up to the point reached; or the start of the run, where all
   /// are the same. `jumps`: the solution jumps there.
-  Status emit(double t0, double t1, const Point& reached, bool jumps);
+  Status emit(double t0, double t1, const Reached& reached, bool jumps);
   /// The values at output times up to the point reached. `jumps`: the one there is still to come.
-  Status emit_times(const Point& reached, bool jumps);
+  Status emit_times(const Reached& reached, bool jumps);
   /// The run goes on at a point, in results of its own.
-  Status resume(const Point& at, bool jumps);
+  Status resume(const Reached& at, bool jumps);
   /// The solution is constant from here to the end.
   void constant(const double* y);
   /// The solution has jumped: where its output goes on, with the values of the invariants.

@@ -100,7 +100,7 @@ class Events {
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
  private:
-  struct Step {
+  struct SearchedStep {
     double t0, t1;
     const double* y1;
     StepInterpolant* interpolant;
@@ -139,7 +139,7 @@ class Events {
   std::vector<EventFunction> functions_;
   std::size_t n_;
   std::size_t intervals_;
-  Step step_{};
+  SearchedStep step_{};
   Scan scan_;        // at intervals + 1 times, the same for all events
   Scan close_scan_;  // of an event with samples of its own
   RootSeparator separator_;

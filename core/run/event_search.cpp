@@ -23,7 +23,7 @@ void resume(Step& step, double t, std::vector<double>& y, std::vector<double>& s
   written(t, y, h, moved_onto_bounds);
   written.values(slope.data(), slope.size());
   written(failed);
-  const Memory memory = written.take();
+  const RunMemory memory = written.take();
   Archive archive(std::span(memory.data(), memory.size()));
   step.state(archive);
 }

@@ -30,7 +30,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
 
 /// In this order: each refers to what the ones before have made.
 Run::Run(const Solver& solver) : solver_(solver) {
-  see_functions();
+  wrap_functions();
   f_ = problem().f;
   copy_linear_terms();
   keep_within_bounds();
@@ -41,44 +41,44 @@ Run::Run(const Solver& solver) : solver_(solver) {
 
 /// What may jump at a breakpoint, f and g with their derivatives, is called by way of the piece. Events are not: their
 /// signs go on through breakpoints. Within bounds f and its derivatives are called there only.
-void Run::see_functions() {
+void Run::wrap_functions() {
   const Problem& all = solver_.problem();
-  if (!all.breakpoints.empty()) see_pieces(seen_.emplace(all));
-  if (all.bounds) see_bounds(seen_ ? *seen_ : seen_.emplace(all));
+  if (!all.breakpoints.empty()) wrap_in_pieces(wrapped_.emplace(all));
+  if (all.bounds) wrap_in_bounds(wrapped_ ? *wrapped_ : wrapped_.emplace(all));
 }
 
-void Run::see_pieces(Problem& problem) {
-  problem.f = piece_.seen(problem.f);
+void Run::wrap_in_pieces(Problem& problem) {
+  problem.f = piece_.within(problem.f);
   for (InvariantBlock& block : problem.invariants) {
-    block.g = piece_.seen(block.g);
-    block.jacobian = piece_.seen(block.jacobian);
-    block.complex_g = piece_.seen(block.complex_g);
+    block.g = piece_.within(block.g);
+    block.jacobian = piece_.within(block.jacobian);
+    block.complex_g = piece_.within(block.complex_g);
   }
   if (!problem.linear) return;
   Jacobian::Source& source = problem.linear->source;
-  source.function = piece_.seen(source.function);
-  source.complex_f = piece_.seen(source.complex_f);
+  source.function = piece_.within(source.function);
+  source.complex_f = piece_.within(source.complex_f);
   if (std::optional<KrylovTerms>& krylov = problem.linear->krylov) {
-    krylov->product = piece_.seen(krylov->product);
-    krylov->preconditioner = piece_.seen(krylov->preconditioner);
+    krylov->product = piece_.within(krylov->product);
+    krylov->preconditioner = piece_.within(krylov->preconditioner);
   }
-  if (problem.linear->mass) problem.linear->mass->see([this](const MatrixFunction& m) { return piece_.seen(m); });
+  if (problem.linear->mass) problem.linear->mass->wrap([this](const MatrixFunction& m) { return piece_.within(m); });
 }
 
-void Run::see_bounds(Problem& problem) {
+void Run::wrap_in_bounds(Problem& problem) {
   confined_.emplace(*solver_.problem().bounds, solver_.weights());
   users_f_ = problem.f;
-  problem.f = confined_->seen(problem.f);
+  problem.f = confined_->within(problem.f);
   if (!problem.linear) return;
-  problem.linear->source = confined_->seen(problem.linear->source);
+  problem.linear->source = confined_->within(problem.linear->source);
   if (problem.linear->krylov)
-    problem.linear->krylov->product = confined_->seen_product(problem.linear->krylov->product);
+    problem.linear->krylov->product = confined_->product_within(problem.linear->krylov->product);
 }
 
 void Run::copy_linear_terms() {
   if (!solver_.jacobian()) return;
-  if (seen_)
-    jacobian_.emplace(make_jacobian(*seen_, solver_.weights()));
+  if (wrapped_)
+    jacobian_.emplace(make_jacobian(*wrapped_, solver_.weights()));
   else
     jacobian_.emplace(*solver_.jacobian());
   mass_ = problem().linear->mass;
@@ -146,7 +146,7 @@ Invariants Run::with_algebraic_equations() {
   block.g = algebraic_->residual();
   block.jacobian = algebraic_->jacobian();
   block.m = algebraic_->count();
-  block.certain = true;
+  block.untested = true;
   std::vector<InvariantBlock> blocks = problem.invariants;
   blocks.push_back(block);
   std::vector<double> value = problem.value;
@@ -215,7 +215,7 @@ void Run::count_evaluations(RunResult& result) const {
 void Run::describe_invariants(RunResult& result) const {
   if (!steps_) return;
   for (const InvariantBlock& block : steps_->blocks())
-    if (!block.certain) result.derivatives.push_back(block.derivative);
+    if (!block.untested) result.derivatives.push_back(block.derivative);
   result.projected_start = integration_->manifold().guard()->projected_start();
   const Projector& projector = *integration_->manifold().projector();
   const std::vector<char> dropped = projector.dropped();
@@ -305,7 +305,7 @@ void Run::state(Archive& archive) {
   integration_->state(archive);
 }
 
-Memory Run::memory(std::size_t most_values) {
+RunMemory Run::memory(std::size_t most_values) {
   Archive archive(most_values);
   state(archive);
   return archive.take();

@@ -173,7 +173,7 @@ TEST(gmres_for_complex_numbers_does_with_real_ones_what_the_real_one_does) {
   CHECK(gmres.solve(product, w.data(), 1e-6, x.data()) == GmresResult::converged);
   CHECK(complex_gmres.solve(complex_product, w.data(), 2e-6, z.data()) == GmresResult::converged);
   CHECK(gmres.iterations() == complex_gmres.iterations());
-  CHECK_CLOSE(gmres.shrinkage(), complex_gmres.shrinkage(), 1e-12);
+  CHECK_CLOSE(gmres.least_singular_value(), complex_gmres.least_singular_value(), 1e-12);
   CHECK_CLOSE((z - x.cast<Complex>() * Complex(0, 2)).cwiseAbs().maxCoeff(), 0, 1e-12);
 }
 

@@ -139,7 +139,7 @@ TEST(a_run_goes_on_from_where_another_ended) {
     Run first(solver);
     first.integration().start(oscillator.y0.data());
     for (int step = 0; step < 7; ++step) CHECK(first.integration().advance() == State::running);
-    const Memory memory = first.memory(1000), light = first.memory(0);
+    const RunMemory memory = first.memory(1000), light = first.memory(0);
     const std::size_t seen = first.integration().output().occurrences[0].t.size();
     const std::span<const std::byte> bytes(memory.data(), memory.size());
     Run then(solver);
