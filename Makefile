@@ -52,7 +52,7 @@ native: $(VENV)/.installed-test
 
 # $(call native_with,NAME,OPTIONS): the native tests in a build directory of their own.
 define native_with
-	$(CMAKE) -S . -B $(NATIVE)-$(1) $(2)
+	$(CMAKE) -S . -B $(NATIVE)-$(1) -DINVARIODE_ASSERT=ON $(2)
 	$(BIN)/cmake --build $(NATIVE)-$(1)
 	$(CTEST) --test-dir $(NATIVE)-$(1)
 endef
