@@ -86,11 +86,9 @@ def call(way, **options):
 def test_all_that_is_shown_is_accepted_and_nothing_else(way):
     entry, others = ENTRIES[way]
     shown = names_of(entry, others)
-    for name in shown - {"checkpoint_every"}:  # which alone has no effect (tests/test_checkpoints.py)
+    for name in shown:
         call(way, **{name: VALUES.get(name, TABLE[name].default)})
-    for name in set(TABLE) - shown - others - {
-        "dense_output", "refine", "on_interrupt", "checkpoint", "checkpoint_every"
-    }:  # fmt: skip
+    for name in set(TABLE) - shown - others - {"dense_output", "refine", "on_interrupt", "checkpoint"}:
         with pytest.raises(TypeError, match=name):
             call(way, **{name: VALUES.get(name, TABLE[name].default)})
     with pytest.raises(TypeError, match="unknown option 'rtoll'; did you mean 'rtol'"):
@@ -117,14 +115,14 @@ def test_a_wrong_value_of_each_checked_option_is_refused():
 
 
 def test_no_option_is_accepted_and_ignored():
-    """The plan reads each option of a run, but for `save` (another name of `keep`) and `min_step` (a warning)."""
+    """The plan reads each option of a run, except for `min_step`, which draws a warning."""
     tree = ast.parse(inspect.getsource(plan))
     read = {
         node.slice.value
         for node in ast.walk(tree)
         if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "options"
     }
-    assert read == set(options.table_of(options.Options)) - {"save", "min_step"}, "unused rows of options.py"
+    assert read == set(options.table_of(options.Options)) - {"min_step"}, "unused rows of options.py"
     with pytest.warns(UserWarning, match="option 'min_step' has no effect"):
         iv.ode45(decay, (0, 1), [1.0], min_step=0.1)
 
@@ -157,18 +155,6 @@ def test_the_command_has_the_flags_of_the_table():
 
 
 class TestKeep:
-    def test_save_is_another_name_of_it(self):
-        for value in ("all", "outputs", "end"):
-            keep, save = (iv.solve_ivp(decay, (0, 1), [1.0], **{name: value}) for name in ("keep", "save"))
-            np.testing.assert_array_equal(keep.t, save.t)
-            assert (keep.steps is None) == (save.steps is None) == (value != "all")
-        assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end", save="end").t.tolist() == [1]
-        assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end", save=None).t.tolist() == [1]
-
-    def test_two_values_contradict_each_other(self):
-        with pytest.raises(TypeError, match="two names for one option, got keep='all' and save='end': give keep"):
-            iv.solve_ivp(decay, (0, 1), [1.0], keep="all", save="end")
-
     def test_in_an_ensemble(self):
         one = iv.solve_ensemble(decay, (0, 1), [[1.0]], workers=1, keep="end")
         np.testing.assert_array_equal(one.y_end, iv.solve_ensemble(decay, (0, 1), [[1.0]], workers=1).y_end)
@@ -176,5 +162,4 @@ class TestKeep:
             iv.solve_ensemble(decay, (0, 1), [[1.0]], workers=1, keep="all")
 
     def test_an_extension_keeps_what_the_run_kept(self):
-        for name in ("keep", "save"):
-            assert iv.solve_ivp(decay, (0, 1), [1.0], **{name: "end"}).extend(2).t.tolist() == [2]
+        assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end").extend(2).t.tolist() == [2]

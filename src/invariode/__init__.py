@@ -16,6 +16,7 @@ from ._laws.imposing import ImposeResult, impose
 from ._mechanics.system import MechanicalSystem
 from ._problem.dissipation import Dissipated
 from ._problem.events import Event
+from ._problem.grouped import GMRES, Banded, Checkpoint, Limits
 from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
@@ -32,9 +33,12 @@ from ._studies.search import PolynomialInvariant, find_invariants
 from ._studies.work_precision import plot_work_precision
 
 __all__ = [
+    "GMRES",
     "METHODS",
     "AccuracyWarning",
+    "Banded",
     "CheckReport",
+    "Checkpoint",
     "CompiledFunction",
     "DenseSolution",
     "DiscontinuityWarning",
@@ -50,6 +54,7 @@ __all__ = [
     "Input",
     "InvariantError",
     "Invariants",
+    "Limits",
     "MechanicalSystem",
     "Method",
     "PolynomialInvariant",

@@ -100,7 +100,7 @@ again: iv.Solution = iv.load("orbit.npz", invariants=[energy, both], args=(1, 2)
 problem = iv.Problem(pendulum, (0, 10), [1, 0], invariants=energy, name="pendulum", labels=["angle", "speed"])
 sol = problem.solve("ode113", rtol=1e-6, dense_output=True)
 more = sol.extend(20, t_eval=None, max_step=0.1, progress=False).t_end + 1
-sol = problem.replace(y0=[2, 0], labels=None).solve(save="end")
+sol = problem.replace(y0=[2, 0], labels=None).solve(keep="end")
 sol = problem.solve(method="ode15s", t_eval=np.linspace(0, 10), max_order=2)
 
 # Projection, checks, discovery
@@ -116,7 +116,7 @@ sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], invariants=found)
 
 # Ensembles
 many = iv.solve_ensemble(with_arguments, (0, 1), [[1, 0], [2, 0]], args=(1, 0), workers=2, progress=True, rtol=1e-6)
-many = iv.solve_ensemble(with_arguments, (0, 1), [1, 0], "ode23", args=np.ones((10, 2)), t_eval=[0, 1], save="all")
+many = iv.solve_ensemble(with_arguments, (0, 1), [1, 0], "ode23", args=np.ones((10, 2)), t_eval=[0, 1], keep="all")
 ends: Vector = many.y_end[many.success, 0]
 print(many.stats.steps.sum(), many.messages.get(3), many.events[0].t)
 

@@ -31,7 +31,7 @@ Retry: TypeAlias = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 
 _DESCRIBING = table_of(DescribingOptions).keys()
 #: What another attempt at trajectories that failed may change.
-_OF_RETRIES = table_of(EnsembleOptions).keys() - _DESCRIBING - {"keep", "save", "callback", "breakpoints", "on_failure"}
+_OF_RETRIES = table_of(EnsembleOptions).keys() - _DESCRIBING - {"keep", "callback", "breakpoints", "on_failure"}
 _OF_SINGLE_RUNS = table_of(Options).keys() - table_of(EnsembleOptions).keys()
 
 
@@ -244,12 +244,10 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     if t_eval is not None:
         options["t_eval"] = t_eval
         return options
-    for name, kept in (("keep", given.get("keep")), ("save", given.get("save"))):
-        if isinstance(kept, str) and kept in ("all", "outputs"):
-            raise ValueError(f"{name}={kept!r} of an ensemble needs t_eval: trajectories have steps of their own")
-    if options.get("save") is None:
-        options["keep"] = "end"
-    return options
+    kept = given.get("keep")
+    if isinstance(kept, str) and kept in ("all", "outputs"):
+        raise ValueError(f"keep={kept!r} of an ensemble needs t_eval: trajectories have steps of their own")
+    return {**options, "keep": "end"}
 
 
 def _side_by_side(lanes: Any) -> bool:

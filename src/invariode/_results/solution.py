@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Protocol, Unpack
 
-from .._base.arguments import Array, unknown_option, warn
+from .._base.arguments import Array, warn
 from .._base.notebook import html_of_solution
-from .._problem.options import TABLE, ExtensionOptions
+from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .export import Exports
 from .pictures.thumbnail import thumbnail
 from .plots import Plots
@@ -61,7 +61,7 @@ class Solution(Plots, Exports):
         Factorisations.
     status : int
         0 reached the end, 1 a terminal event, 2 stopped by `callback` or by Ctrl-C, -1 the step failed, -2 a given
-        invariant is not conserved, -3 a limit was reached (`max_steps`, `time_limit`, `max_points`).
+        invariant is not conserved, -3 a limit was reached (see `Limits`).
     message : str
         Why the integration ended.
     success : bool
@@ -142,8 +142,8 @@ class Solution(Plots, Exports):
             Default: the run's, or a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
-        max_steps, time_limit, max_points : optional
-            Likewise, for the extension alone. Default: the run's.
+        max_steps, limits : optional
+            Likewise, for the extension alone; of these two one replaces the other. Default: the run's.
 
         Returns
         -------

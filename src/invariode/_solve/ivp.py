@@ -56,7 +56,7 @@ def solve_ivp(
         accepted too, here as for all other functions: see `compile`.
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
-        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
+        or one of its `limits` ends it.
     y0 : array_like of shape (n,)
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'

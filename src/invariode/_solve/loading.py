@@ -18,6 +18,7 @@ from .._base.files import ENSEMBLE, ENSEMBLE_VERSION, PathLike, about_of, read_a
 from .._core import MEMORY_VERSION, Dense
 from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.description import Description
+from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.options import ExtensionOptions, Options
 from .._results.export import FORMAT, PLAIN, VERSION
@@ -249,8 +250,10 @@ def _of_checkpoint(path: PathLike, stored: Stored, here: _Here) -> Solution:
         memory = _memory(arrays["memory"], arrays["y_end"], arrays["y"], about)
         known_identity(*stored.identity)
     source = _source(path, stored.identity, about, here)
-    source.options["checkpoint"] = os.fspath(path)
+    given = source.options.get("checkpoint")
+    every = given.every if isinstance(given, Checkpoint) else stored.identity.about.get("every")
     try:
+        source.options["checkpoint"] = Checkpoint(path) if every is None else Checkpoint(path, every=every)
         plan = make_plan(source.problem, source.method, source.options)
     except (TypeError, ValueError) as wrong:
         raise unreadable(path, f"cannot go on here: {wrong}") from None

@@ -27,7 +27,7 @@ class Problem(Description):
         referenced, so it may be kept; the function may return the same buffer every time.
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
-        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
+        or one of its `limits` ends it.
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     {describing}

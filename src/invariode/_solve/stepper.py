@@ -9,13 +9,22 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
 from .. import _core
-from .._base.arguments import Array, flag, unknown_option, warn
+from .._base.arguments import Array, flag, warn
 from .._base.types import Numbers
 from .._functions.compiled import is_native
 from .._problem.description import Description
 from .._problem.docstrings import documented
 from .._problem.invariants import AccuracyWarning
-from .._problem.options import TABLE, DescribingOptions, Options, StepperOptions, parted, table_of, unused
+from .._problem.options import (
+    TABLE,
+    DescribingOptions,
+    Options,
+    StepperOptions,
+    parted,
+    table_of,
+    unknown_option,
+    unused,
+)
 from .._results.messages import about_jumps_of_fun, harmful_projection, limited_by_stability
 from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning, default_labels
 from .._run.plan import make_plan, solver
