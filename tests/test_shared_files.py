@@ -175,7 +175,7 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path):
         "    if t > 1: os.kill(os.getpid(), signal.SIGKILL)\n"
         "    return [-y[0]]\n"
         "if os.fork() == 0: iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0])\n"
-        "else: iv.solve_ivp(f, (0, 3), [1.0], checkpoint=iv.Checkpoint("sim", every=1e-9))\n"
+        "else: iv.solve_ivp(f, (0, 3), [1.0], checkpoint=iv.Checkpoint('sim', every=1e-9))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path)
     assert done.returncode == -signal.SIGKILL

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
-from .._base.arguments import Array, choice
+from .._base.arguments import Array, choice, distinct_labels
 from .._base.files import ENSEMBLE, ENSEMBLE_VERSION, about_of, read_arrays, unreadable
 from .._base.notebook import html_of_ensemble
 from .._base.types import Numbers
@@ -20,7 +20,7 @@ from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
-from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
+from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events, default_labels
 from .._results.solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used
@@ -214,6 +214,7 @@ class EnsembleSolution:
     attempt: Array
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
     _final: bool = False  # whether y are the final states
+    _labels: list[str] | None = None  # None: the default ones
 
     def _repr_html_(self) -> str:
         return html_of_ensemble(self)
@@ -229,6 +230,11 @@ class EnsembleSolution:
             first = min(self.messages)
             text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
         return text
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the components."""
+        return default_labels(self.y.shape[1]) if self._labels is None else self._labels
 
     @property
     def failed(self) -> Array:
@@ -298,7 +304,7 @@ class EnsembleSolution:
             _rtol=about.rtol,
             _atol=about.atol,
             _drift=self._drift(i, about, stats, known=len(invariants) > 0),
-            _names=Names(f"{about.name} {i}", None, None, self.y.shape[1], about.events),
+            _names=Names(f"{about.name} {i}", None, self._labels, self.y.shape[1], about.events),
         )
 
     def _stats_of(self, i: int) -> Stats:
@@ -349,7 +355,7 @@ class EnsembleSolution:
             5, 25, 50, 75 and 95 %; or a thin line for each trajectory, of more than 500 for 500 of them.
         ax : matplotlib.axes.Axes, optional
             Where to draw. Default: a new figure.
-        components : int, or sequence of int, optional
+        components : int or str, or sequence of these, optional
             Default: all, of more than six the first six.
         **line
             Properties of the lines, as for ``Axes.plot``.
@@ -420,6 +426,7 @@ class EnsembleSolution:
             "messages": self.messages,
             "events": len(self.events),
             "final": self._final,
+            "labels": self._labels,
         }
         write_arrays({**arrays, "about": np.array(json.dumps(about))}, path)
 
@@ -453,7 +460,9 @@ def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> EnsembleSolut
     events = [EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])]
     messages = {int(i): str(text) for i, text in about["messages"].items()}
     final = about["final"] is True
-    m = EnsembleSolution(**arrays, stats=stats, events=events, messages=messages, _final=final)
+    labels = about.get("labels")
+    named = None if labels is None else distinct_labels(labels, n)
+    m = EnsembleSolution(**arrays, stats=stats, events=events, messages=messages, _final=final, _labels=named)
     rows = ("t_end", "status", "success", "correction", "attempt")
     laws = (m.value, m.residual_before, m.residual_after)
     if (

@@ -65,7 +65,8 @@ def _product(jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Ar
         return None
     if isinstance(jac, str):
         raise ValueError(
-            f"jac={jac!r} is for matrices: with GMRES give GMRES(jac_product=), or jac='differences' for differences of f"
+            f"jac={jac!r} is for matrices: with GMRES give GMRES(jac_product=), or jac='differences' for differences "
+            "of f"
         )
     if is_native(jac):
         raise TypeError(

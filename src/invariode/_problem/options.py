@@ -9,7 +9,7 @@ import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from numpy.typing import ArrayLike
 
@@ -50,9 +50,11 @@ __all__ = [
     "DescribingOptions",
     "EnsembleOptions",
     "ExtensionOptions",
+    "ManyOptions",
     "Option",
     "Options",
     "ProblemArguments",
+    "ProblemEnsembleOptions",
     "RunOptions",
     "SolveOptions",
     "StepperOptions",
@@ -184,8 +186,8 @@ class MethodOptions(TypedDict, total=False):
         Option(
             "direct",
             "{'direct', 'gmres'} or GMRES",
-            "How the linear systems of Newton's iteration are solved: by LU factors of M - c J, or without a matrix, by "
-            "`GMRES`, for systems too large for one; 'gmres' is short for ``GMRES()``.",
+            "How the linear systems of Newton's iteration are solved: by LU factors of M - c J, or by `GMRES`, without "
+            "a matrix, for systems too large for one; 'gmres' is short for ``GMRES()``.",
             to_linear_solver,
             every_method=False,
         ),
@@ -264,6 +266,16 @@ class RunningOptions(TypedDict, total=False):
             to_limits,
         ),
     ]
+    progress: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Whether a bar shows t, h and the time left, or the trajectories of an ensemble, at most ten times a "
+            "second: under the cell in notebooks, else on standard error (with rich).",
+            flag,
+        ),
+    ]
     breakpoints: Annotated[
         BreakpointsLike | None,
         Option(
@@ -316,16 +328,6 @@ class RunOptions(SteppingOptions, RunningOptions, total=False):
             "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
             "so far, with status 2. A second Ctrl-C always raises.",
             partial(choice, known=get_args(OnInterrupt)),
-        ),
-    ]
-    progress: Annotated[
-        bool,
-        Option(
-            False,
-            "bool",
-            "Whether a bar shows t, h and the time left, at most ten times a second: under the cell in notebooks, else "
-            "on standard error (with rich).",
-            flag,
         ),
     ]
 
@@ -460,7 +462,80 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
     ]
 
 
-class EnsembleOptions(SteppingOptions, RunningOptions, DescribingOptions, total=False):
+class ManyOptions(TypedDict, total=False):
+    """How the trajectories of an ensemble are solved."""
+
+    workers: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Threads or processes. Default: the processors that this process may use. With an executor: threads that "
+            "each of its places uses at once; default: 1.",
+        ),
+    ]
+    lanes: Annotated[
+        Literal["auto", 1],
+        Option(
+            "auto",
+            "{'auto', 1}",
+            "With 'auto', explicit Runge-Kutta pairs integrate trajectories of compiled functions side by side in "
+            "vector registers where they can, with the same result; 1: one at a time. ``stats.lanes`` says which it "
+            "was, and why.",
+        ),
+    ]
+    retry: Annotated[
+        Mapping[str, Any] | Sequence[Mapping[str, Any]] | None,
+        Option(
+            None,
+            "dict or list of dict",
+            "Options with which trajectories that failed are solved again, ``{'method': 'radau', 'rtol': 1e-9}``, one "
+            "after the other until one attempt succeeds; options that it leaves out keep their values.",
+        ),
+    ]
+    executor: Annotated[
+        Any,
+        Option(
+            None,
+            "concurrent.futures.Executor or distributed.Client",
+            "Where trajectories are solved: an executor that receives `chunk` of them at a time, such as processes of "
+            "this machine, or a cluster by way of Dask. Functions travel: compiled ones are compiled again where they "
+            "arrive; with cloudpickle, of the extra `cluster`, functions of the script itself travel too.",
+        ),
+    ]
+    chunk: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Trajectories in a part. Default: as many as take a second, judged by the first ones, on executors of more "
+            "than 50 places a fiftieth of a second for each of them; at most 32 MiB.",
+        ),
+    ]
+    resume: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "True continues a store that exists; trajectories that it holds are not solved again.",
+            flag,
+        ),
+    ]
+    seed: Annotated[
+        Any,
+        Option(
+            None,
+            "int, list of int or str",
+            "What made the random rows, for the record: it is kept in the attributes of the store.",
+        ),
+    ]
+
+
+class ProblemEnsembleOptions(SteppingOptions, RunningOptions, ManyOptions, total=False):
+    """Those of `Problem.solve_ensemble` that its signature does not spell out."""
+
+
+class EnsembleOptions(ProblemEnsembleOptions, DescribingOptions, total=False):
     """Those of `solve_ensemble` that its signature does not spell out."""
 
 
@@ -519,9 +594,10 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
         "on_interrupt",
         "on_failure",
     ),
+    "an ensemble": ("workers", "lanes", "retry", "executor", "chunk", "resume", "seed"),
 }
 
-_ROWS = table_of(AllOptions)
+_ROWS = {**table_of(AllOptions), **table_of(ManyOptions)}
 #: All rows by name.
 TABLE: Mapping[str, Option] = {name: _ROWS[name] for topic in TOPICS.values() for name in topic}
 
@@ -568,6 +644,9 @@ def refused(name: str) -> TypeError:
     if name in ProblemArguments.__annotations__:
         where = "Problem or solve_ivp" if name in TABLE else "Problem"
         return TypeError(f"{name} describes the problem: it is an argument of {where}, not an option")
+    if name in TABLE:
+        where = "solve_ensemble" if name in ManyOptions.__annotations__ else "solve_ivp"
+        return TypeError(f"{name} is an option of {where}, not of a run")
     return unknown_option(name, TABLE)
 
 

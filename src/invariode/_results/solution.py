@@ -7,6 +7,7 @@ from typing import Any, Protocol, Unpack
 
 from .._base.arguments import Array, warn
 from .._base.notebook import html_of_solution
+from .._problem.accepted import extension_options
 from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .export import Exports
 from .pictures.thumbnail import thumbnail
@@ -175,7 +176,7 @@ class Solution(Plots, Exports):
                 "this solution comes from a file or a pickle, without the functions of its problem: it cannot be "
                 "extended. Solve from its final state"
             )
-        return self._origin.extend(self, t_end, options)
+        return self._origin.extend(self, t_end, extension_options(**options))
 
     def _repr_html_(self) -> str:
         return html_of_solution(self, thumbnail(self))

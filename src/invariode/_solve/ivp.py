@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import flag, function
 from .._base.types import EventsLike, Function, MethodName, Span
 from .._functions.compiled import is_native
+from .._problem.accepted import solve_options
 from .._problem.docstrings import documented
 from .._problem.options import (
     CallingOptions,
@@ -104,7 +105,7 @@ def solve_ivp(
     >>> bool(abs(sol.residual).max() < 1e-6)
     True
     """
-    describing, running = parted(options, DescribingOptions)
+    describing, running = parted(solve_options(**options), DescribingOptions)
     unused(method, describing)
     alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
     problem = Problem(alone, t_span, y0, args=args, events=events, **describing)

@@ -12,6 +12,7 @@ from .. import _core
 from .._base.arguments import Array, flag, warn
 from .._base.types import Numbers
 from .._functions.compiled import is_native
+from .._problem.accepted import stepper_options
 from .._problem.description import Description
 from .._problem.docstrings import documented
 from .._problem.invariants import AccuracyWarning
@@ -106,7 +107,7 @@ class Stepper(OdeSolver):
     ) -> None:
         if wrong := next((name for name in options if name not in _OPTIONS), None):
             raise self._refused(wrong)
-        describing, stepping = parted(options, DescribingOptions)
+        describing, stepping = parted(stepper_options(**options), DescribingOptions)
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
         alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
