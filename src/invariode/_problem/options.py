@@ -405,25 +405,26 @@ class DescribingOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
-    nonnegative: Annotated[
-        bool | int | str | Sequence[int] | Sequence[str] | None,
-        Option(
-            None,
-            "bool, indices or labels",
-            "Components that must not become negative, such as concentrations; True means all. A step that takes one "
-            "below 0 by more than its tolerance is repeated with half the size; by less, the component is moved to 0 "
-            "before the method commits the step. Output between steps is not negative either; the arguments at which "
-            "explicit methods evaluate f within a step may be. With `invariants` the result is the nearest point that "
-            "satisfies both.",
-            command=True,
-        ),
-    ]
     bounds: Annotated[
         Any,
         Option(
             None,
             "(lower, upper) or scipy.optimize.Bounds",
-            "The same for other bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
+            "Bounds on y: numbers or arrays of shape (n,); infinite or None for no bound. A step that takes a "
+            "component beyond one by more than its tolerance is repeated with half the size; by less, the component is "
+            "moved to its bound before the method commits the step. Output between steps is within the bounds too; the "
+            "arguments at which explicit methods evaluate f within a step may not be. With `invariants` the result is "
+            "the nearest point that satisfies both.",
+        ),
+    ]
+    nonnegative: Annotated[
+        bool | int | str | Sequence[int] | Sequence[str] | None,
+        Option(
+            None,
+            "bool, indices or labels",
+            "Components that must not become negative, such as concentrations: short for `bounds` of 0 below. True "
+            "means all.",
+            command=True,
         ),
     ]
 
@@ -580,7 +581,7 @@ def table_of(kind: type) -> dict[str, Option]:
 
 #: The options by topic, in the order in which they are documented.
 TOPICS: Mapping[str, tuple[str, ...]] = {
-    "the problem": ("args", "vectorized", "events", "invariants", "nonnegative", "bounds", "mass", "breakpoints"),
+    "the problem": ("args", "vectorized", "events", "invariants", "bounds", "nonnegative", "mass", "breakpoints"),
     "its Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
     "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
     "the method": ("max_order", "bdf", "prefer", "fsal"),

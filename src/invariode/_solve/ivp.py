@@ -31,7 +31,7 @@ __all__ = ["solve_ivp"]
 
 @documented(
     by_position=[*table_of(OutputOptions), *table_of(CallingOptions), "vectorized", "invariants"],
-    options=[name for name in table_of(SolveOptions) if name != "invariants"],
+    options=table_of(SolveOptions).keys() - {"invariants"},
 )
 def solve_ivp(
     fun: Function,
@@ -48,7 +48,9 @@ def solve_ivp(
     """Solves an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
 
     The positional arguments, the fields of the result and the attributes of events are those of
-    `scipy.integrate.solve_ivp`.
+    `scipy.integrate.solve_ivp`. The arguments and options by topic, in the order of the lists below:
+
+    {topics}
 
     Parameters
     ----------
