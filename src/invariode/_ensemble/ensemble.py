@@ -121,7 +121,9 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     kept = given.get("keep")
     if isinstance(kept, str) and kept in ("all", "outputs"):
         raise ValueError(f"keep={kept!r} of an ensemble needs t_eval: trajectories have steps of their own")
-    return {**options, "keep": "end"}
+    if kept is None:
+        options["keep"] = "end"
+    return options
 
 
 def _side_by_side(lanes: Any) -> bool:
