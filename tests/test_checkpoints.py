@@ -255,3 +255,9 @@ def test_wrong_arguments_of_load(tmp_path):
         iv.load(tmp_path / "a", problem(), invariants=lambda t, y: y)
     with pytest.raises(ValueError, match=r"comes from a file, .* load\(path, problem\)"):
         iv.load(tmp_path / "a").extend(4)
+
+
+def test_an_extension_writes_as_often_as_its_run(tmp_path):
+    problem().solve(checkpoint=iv.Checkpoint(tmp_path / "run", every=7.0), max_steps=2)
+    for every, given in ((7.0, {}), (9.0, {"checkpoint": iv.Checkpoint(tmp_path / "run", every=9.0)})):
+        assert iv.load(tmp_path / "run", problem(), **given)._origin.source.options["checkpoint"].every == every

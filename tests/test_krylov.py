@@ -355,6 +355,26 @@ def test_runs_continue_bit_for_bit(method, form):
     assert both.stats.linear_iterations == whole.stats.linear_iterations
 
 
+def test_runs_continue_from_a_file_with_their_solver(tmp_path):
+    """The functions of GMRES are given again; they, and its numbers, must be those of the run."""
+    file, own = tmp_path / "run", iv.GMRES(preconditioner=diffusive, dimension=8)
+    problem = iv.Problem(reacting, (0, 0.5), Y0)
+    whole = problem.solve("ode15s", linear_solver=own)
+    half = problem.solve("ode15s", linear_solver=own, limits=iv.Limits(steps=20, time=1e6), checkpoint=file)
+    for path in (file, tmp_path / "saved"):
+        half.save(tmp_path / "saved")
+        loaded = iv.load(path, problem, linear_solver=own)
+        np.testing.assert_array_equal(loaded.extend(0.5, max_steps=None).y, whole.y)
+        with pytest.raises(ValueError, match="the run has linear_solver with functions, which are not in the file"):
+            iv.load(path, problem)
+        for other in ("direct", iv.GMRES(preconditioner=diffusive, dimension=9), iv.GMRES(dimension=8)):
+            with pytest.raises(ValueError, match="linear_solver has .* here, and .*'dimension': 8.* in the file"):
+                iv.load(path, problem, linear_solver=other)
+        with pytest.raises(ValueError, match="the code of preconditioner is not that of the run"):
+            iv.load(path, problem, linear_solver=iv.GMRES(preconditioner=lambda t, y, c: splu(EYE), dimension=8))
+        half = problem.solve("ode15s", linear_solver=own, limits=iv.Limits(steps=20, time=1e6))
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # Failure and misuse
 

@@ -223,7 +223,7 @@ class TestOptionsOfSeveralFields:
     def test_two_forms_of_one_thing_are_one_too_many(self):
         with pytest.raises(ValueError, match=r"give either jac=Banded\(lower, upper\) or lband and uband, not both"):
             iv.Problem(decay, (0, 1), [1.0], jac=iv.Banded(0, 0), lband=0)
-        with pytest.raises(ValueError, match="a Jacobian of 1 components has at most 0 diagonals on a side"):
+        with pytest.raises(ValueError, match="lower of Banded must be a bandwidth, an integer from 0 to 0, got 1"):
             iv.Problem(decay, (0, 1), [1.0], jac=iv.Banded(1, 0))
 
     def test_an_extension_replaces_the_limits_of_its_run_in_either_form(self):
@@ -273,6 +273,11 @@ class TestPublicNames:
     def test_a_signature_fits_on_a_screen(self):
         for entry, _ in ENTRIES.values():
             assert len(textwrap.wrap(f"{entry.__name__}{inspect.signature(entry)}", 80)) <= 24
+
+    def test_the_reference_lists_each_public_name_once(self):
+        page = Path(__file__).parents[1] / "docs" / "reference.md"
+        listed = re.findall(r"^   (\w+)$", page.read_text(encoding="utf-8"), re.M)
+        assert sorted(listed) == sorted(iv.__all__)
 
     def test_the_package_completes_public_names_only(self):
         shown = {name for name in dir(iv) if not name.startswith("_")}

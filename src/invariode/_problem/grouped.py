@@ -140,14 +140,16 @@ class Banded:
             raise TypeError(f"fun of Banded must be a function or the bands, got {shown(self.fun)}")
 
 
-def bandwidth(name: str, value: object) -> int:
-    """A number of diagonals; below n, which only the problem knows."""
+def bandwidth(name: str, value: object, n: int | None = None) -> int:
+    """A number of diagonals of a matrix of n components, if n is known."""
     try:
         width = operator.index(value)  # type: ignore[arg-type]  # what has no index is told apart right here
+        error: type[Exception] = ValueError
     except TypeError:
-        raise TypeError(f"{name} must be a bandwidth, an integer from 0 to n - 1, got {shown(value)}") from None
-    if width < 0:
-        raise ValueError(f"{name} must be a bandwidth, an integer from 0 to n - 1, got {shown(value)}")
+        width, error = -1, TypeError
+    if width < 0 or (n is not None and width >= max(n, 1)):
+        largest = "n - 1" if n is None else max(n - 1, 0)
+        raise error(f"{name} must be a bandwidth, an integer from 0 to {largest}, got {shown(value)}")
     return width
 
 

@@ -42,14 +42,17 @@ def to_matrices(
     """
     if jac is None and jac_sparsity is None and lband is None and uband is None and mass is None:
         return Matrices()
-    whole = (n, n)
+    whole, names, bands = (n, n), ("lband", "uband"), None
     if isinstance(jac, Banded):
         if lband is not None or uband is not None:
             raise ValueError("give either jac=Banded(lower, upper) or lband and uband, not both")
+        names = ("lower of Banded", "upper of Banded")
         lband, uband, jac = jac.lower, jac.upper, jac.fun
-    bands = _bandwidths(lband, uband, n)
+    if lband is not None or uband is not None:
+        lower, upper = (0 if width is None else width for width in (lband, uband))
+        bands = bandwidth(names[0], lower, n), bandwidth(names[1], upper, n)
     if bands is not None and jac_sparsity is not None:
-        raise ValueError("give either jac_sparsity or the bands of the Jacobian, not both")
+        raise ValueError("give either jac_sparsity or lband and uband (or Banded), not both")
     if isinstance(jac, str):
         _word("jac", jac, JACOBIANS, "a function, a matrix, ")
     elif _is_constant(jac):
@@ -141,14 +144,3 @@ def _sound(name: str, given: Any) -> Any:
 
 def _within(indices: Array, size: int) -> bool:
     return len(indices) == 0 or bool(indices.min() >= 0 and indices.max() < size)
-
-
-def _bandwidths(lband: Any, uband: Any, n: int) -> tuple[int, int] | None:
-    if lband is None and uband is None:
-        return None
-    widths = tuple(
-        0 if width is None else bandwidth(name, width) for name, width in (("lband", lband), ("uband", uband))
-    )
-    if max(widths) >= max(n, 1):
-        raise ValueError(f"a Jacobian of {n} components has at most {max(n - 1, 0)} diagonals on a side, got {widths}")
-    return widths[0], widths[1]
