@@ -11,9 +11,16 @@ from pathlib import Path
 from invariode import METHODS
 from invariode._problem import options
 
-FUNCTIONS = '''"""Generated from METHODS and the table of options: `make stubs`."""
+#: The bodies are for editors that do not read `Unpack`, and complete the options from the call.
+FUNCTIONS = '''"""Generated from METHODS: `make stubs`."""
 
-{imports}
+from typing import Unpack
+
+from numpy.typing import ArrayLike
+
+from .._base.types import Function, Span
+from .._problem.accepted import suite_options
+from .._problem.options import AllOptions
 from .._results.solution import Solution
 
 __all__ = {names}
@@ -71,16 +78,14 @@ class Table:
         """The options of a class as keyword parameters."""
         return ", ".join(f"{name}: {hint} = ..." for name, hint in self.rows(kind).items())
 
-    def imports(self, text: str, room: str) -> str:
-        """What a stub in the room imports for the names in a text."""
+    def imports(self, text: str) -> str:
+        """What a stub beside the table imports for the names in a text."""
         words = set(re.findall(r"\w+", text))
         lines = []
         for node in self._imports:
             names = [one.name for one in node.names if one.name in words]
-            inside = node.level == 1 and room != "_problem"
-            module = f".._problem.{node.module}" if inside else "." * node.level + (node.module or "")
             if names and node.module != "__future__":
-                lines.append(f"from {module} import {', '.join(names)}")
+                lines.append(f"from {'.' * node.level}{node.module} import {', '.join(names)}")
         return "\n".join(lines)
 
 
@@ -89,19 +94,13 @@ def function(name: str, parameters: str, result: str) -> str:
     return f"def {name}(\n{textwrap.indent(lines, '    ')}\n) -> {result}: ..."
 
 
-def functions_of_methods(table: Table) -> str:
-    first = "fun: Function, t_span: Span, y0: ArrayLike, *, "
-    functions = "\n".join(function(name, first + table.parameters("AllOptions"), "Solution") for name in METHODS)
-    return FUNCTIONS.format(imports=table.imports(functions, "_solve"), names=listed([*METHODS]), functions=functions)
-
-
 def accepted(table: Table) -> str:
     """The functions of `accepted.py`, each with the class of options that it returns."""
     source = ast.parse(Path(options.__file__).with_name("accepted.py").read_text(encoding="utf-8"))
     kinds = {node.name: ast.unparse(node.returns or node) for node in source.body if isinstance(node, ast.FunctionDef)}
     functions = "\n".join(function(name, "*, " + table.parameters(kind), kind) for name, kind in kinds.items())
     return ACCEPTED.format(
-        imports=table.imports(functions, "_problem"),
+        imports=table.imports(functions),
         kinds=", ".join(sorted(kinds.values())),
         names=listed(sorted(kinds)),
         functions=functions,
@@ -109,7 +108,11 @@ def accepted(table: Table) -> str:
 
 
 def stubs() -> dict[str, str]:
-    table = Table()
+    functions = "\n".join(
+        f"def {name}(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution: "
+        "raise NotImplementedError(suite_options(**options))"
+        for name in METHODS
+    )
     ours = {name.upper(): f"class {name.upper()}(Stepper): ..." for name in METHODS}
     theirs = {
         name: f"class {name}(Stepper): ..." if method.scipy_options else f"{name} = {method.name.upper()}"
@@ -118,8 +121,8 @@ def stubs() -> dict[str, str]:
     }
     classes = "\n".join([*ours.values(), "", *theirs.values()])
     return {
-        "_problem/accepted.pyi": accepted(table),
-        "_solve/ode_functions.pyi": functions_of_methods(table),
+        "_problem/accepted.pyi": accepted(Table()),
+        "_solve/ode_functions.pyi": FUNCTIONS.format(names=listed([*METHODS]), functions=functions),
         "scipy.pyi": CLASSES.format(names=listed([*ours, *theirs]), classes=classes),
     }
 

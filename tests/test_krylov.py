@@ -368,7 +368,7 @@ def test_runs_continue_from_a_file_with_their_solver(tmp_path):
         with pytest.raises(ValueError, match="the run has linear_solver with functions, which are not in the file"):
             iv.load(path, problem)
         for other in ("direct", iv.GMRES(preconditioner=diffusive, dimension=9), iv.GMRES(dimension=8)):
-            with pytest.raises(ValueError, match="linear_solver has .* here, and .*'dimension': 8.* in the file"):
+            with pytest.raises(ValueError, match=r"linear_solver has .* here, and .*'dimension': 8.* in the file"):
                 iv.load(path, problem, linear_solver=other)
         with pytest.raises(ValueError, match="the code of preconditioner is not that of the run"):
             iv.load(path, problem, linear_solver=iv.GMRES(preconditioner=lambda t, y, c: splu(EYE), dimension=8))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Unpack
 
 from .options import (
+    AllOptions,
     EnsembleOptions,
     ExtensionOptions,
     Options,
@@ -21,6 +22,7 @@ __all__ = [
     "run_options",
     "solve_options",
     "stepper_options",
+    "suite_options",
 ]
 
 
@@ -29,6 +31,10 @@ def solve_options(**options: Unpack[SolveOptions]) -> SolveOptions:
 
 
 def run_options(**options: Unpack[Options]) -> Options:
+    return options
+
+
+def suite_options(**options: Unpack[AllOptions]) -> AllOptions:
     return options
 
 
