@@ -23,6 +23,8 @@ from .slope import Slope
 
 __all__ = ["Description"]
 
+_ARGUMENTS = ProblemArguments.__annotations__.keys()
+
 
 class Description:
     """The data of a `Problem`, which does not change."""
@@ -101,8 +103,8 @@ class Description:
     if not TYPE_CHECKING:  # for whom `__init__` says it
 
         def __new__(cls, *by_position: Any, **by_name: Any) -> Self:
-            if wrong := by_name.keys() - ProblemArguments.__annotations__.keys():
-                raise unknown_option(min(wrong), ProblemArguments.__annotations__, "Problem has no argument")
+            if not by_name.keys() <= _ARGUMENTS:
+                raise unknown_option(min(by_name.keys() - _ARGUMENTS), _ARGUMENTS, "Problem has no argument")
             if len(by_position) > 3:
                 raise TypeError(
                     "Problem takes fun, t_span and y0 by position and everything else by name, as in args=..., got "
