@@ -6,7 +6,7 @@ beforehand and used again (a compiled function, a problem, an integrator) is set
 that of the final state, the largest over the components; the tables give the time needed for an error. ``--write`` puts
 the tables and the plots into docs/benchmarks.
 
-- invariode: `iv.Problem` with functions of `iv.compile`, ``save="end"``; projected with compiled invariants and their
+- invariode: `iv.Problem` with functions of `iv.compile`, ``keep="end"``; projected with compiled invariants and their
   compiled Jacobian.
 - SciPy, extensisq, homproj: an array from a function of numba's; they keep all steps, which costs them less than to
   interpolate the final state (``t_eval``). homproj projects: its invariants and gradients are compiled too, and called
@@ -130,7 +130,7 @@ def with_invariode(p: Problem) -> Iterator[Solver]:
 
         def at(tolerance: float, problem: iv.Problem, method: str) -> Run:
             def run() -> Array:
-                sol = problem.solve(method, rtol=tolerance, atol=tolerance, save="end")
+                sol = problem.solve(method, rtol=tolerance, atol=tolerance, keep="end")
                 return finished(sol.success, sol.message, sol.y[:, -1])
 
             return run

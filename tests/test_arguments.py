@@ -42,9 +42,9 @@ CALLS = {
     "refine float": (dict(refine=2.5), TypeError, "refine must be a positive integer"),
     "interpolation": (dict(interpolation="projcted"), ValueError, "did you mean 'projected'"),
     "fsal": (dict(fsal=True, method="ode45"), ValueError, "fsal must be one of 'reuse', 'evaluate', got True"),
-    "save": (dict(save="last"), ValueError, "save must be one of 'all', 'outputs', 'end'"),
-    "save and t_eval": (dict(save="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
-    "save and dense": (dict(save="end", dense_output=True), ValueError, "t_eval and dense_output need"),
+    "keep": (dict(keep="last"), ValueError, "keep must be one of 'all', 'outputs', 'end'"),
+    "keep and t_eval": (dict(keep="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
+    "keep and dense": (dict(keep="end", dense_output=True), ValueError, "t_eval and dense_output need"),
     "callback": (dict(callback=3), TypeError, "callback must be a function"),
     "unknown option": (dict(rtoll=1e-3), TypeError, "unknown option 'rtoll'; did you mean 'rtol'"),
     "far unknown option": (dict(zzz=1), TypeError, "unknown option 'zzz'$"),
@@ -182,7 +182,7 @@ def test_repr_and_iteration():
     assert "_rtol" not in text
     assert set(dict(sol)) == set(sol.keys())
     assert sol.stats["steps"] == sol.stats.steps == len(sol.steps.t) == len(sol.t) - 1
-    end = iv.solve_ivp(decay, (0, 1), [1, 2], save="end")
+    end = iv.solve_ivp(decay, (0, 1), [1, 2], keep="end")
     assert end.steps is None
     assert end.t.tolist() == [1]
     with pytest.raises(ValueError, match="corrections"):
@@ -214,7 +214,7 @@ def test_no_equations_have_a_solution_at_all_times_asked_for():
     assert iv.solve_ivp(fun, (0, 1), []).t.tolist() == [0, 1]
     assert iv.solve_ivp(fun, (0, 1), [], t_eval=[0, 0.5, 1]).t.tolist() == [0, 0.5, 1]
     assert iv.solve_ivp(fun, (0, 1), [], t_eval=[]).y.shape == (0, 0)
-    assert iv.solve_ivp(fun, (0, 1), [], save="end").t.tolist() == [1]
+    assert iv.solve_ivp(fun, (0, 1), [], keep="end").t.tolist() == [1]
     dense = iv.solve_ivp(fun, (0, 1), [], dense_output=True)
     assert dense.extend(2).sol([0.5, 1.5]).shape == (0, 2)
 

@@ -173,7 +173,7 @@ def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(me
     ends = {
         "event": {"events": iv.Event(lambda t, y: t - 2, terminal=True)},
         "callback": {"callback": lambda t, y: t == 2},
-        "limit": {"max_points": 1000, "max_steps": 1, "max_step": 9, "first_step": 2},
+        "limit": {"limits": iv.Limits(points=1000), "max_steps": 1, "max_step": 9, "first_step": 2},
     }[how]
     sol = iv.solve_ivp(lambda t, y: [0.0], (0, 4), [0.0], method, breakpoints=[(2.0, act)], t_eval=[1, 2, 3], **ends)
     assert (sol.t_end, len(taken)) == (2.0, how == "limit")

@@ -317,7 +317,7 @@ def test_ctrl_c(tmp_path):
         import invariode as iv
         print("ready", flush=True)
         try:
-            iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 1e12), [1, 0], rtol=1e-10, save="end")
+            iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 1e12), [1, 0], rtol=1e-10, keep="end")
         except KeyboardInterrupt:
             print(time.time(), flush=True)
         """)

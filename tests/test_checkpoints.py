@@ -55,7 +55,7 @@ def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
     case = random_case(SEED + 7, method)
     whole = case.solve()
     path = tmp_path / "run.checkpoint"
-    assert not differences(whole, case.solve(checkpoint=path, checkpoint_every=5e-3))
+    assert not differences(whole, case.solve(checkpoint=iv.Checkpoint(path, every=5e-3)))
     assert not differences(whole, iv.load(path, case.problem(), **case.functions))
 
 
@@ -63,8 +63,6 @@ def test_where_no_checkpoint_can_be(tmp_path):
     case = random_case(SEED, "ode45")
     with pytest.raises(FileNotFoundError, match=r"checkpoint: there is no folder .*nowhere: make it"):
         case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
-    with pytest.warns(UserWarning, match="checkpoint_every has no effect without checkpoint"):
-        case.solve(checkpoint_every=10.0)
 
 
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
@@ -77,7 +75,7 @@ def test_between_two_attempts_of_a_step(method):
     def solve(**more):
         return iv.solve_ivp(corner, (0, 4), [1.0, 0.0], method, rtol=1e-6, atol=1e-8, **more)
 
-    whole, sol = solve(), solve(time_limit=1e-12)
+    whole, sol = solve(), solve(limits=iv.Limits(time=1e-12))
     assert whole.stats.failed > 0
     parts = 1
     while sol.status == -3:
@@ -119,7 +117,7 @@ def test_a_run_that_has_not_ended_is_not_overwritten(tmp_path):
         return [-y[0]]
 
     with pytest.raises(RuntimeError, match="power"):
-        iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=path, checkpoint_every=1e-9)
+        iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=iv.Checkpoint(path, every=1e-9))
     with pytest.raises(ValueError, match=r"holds a run that has come to t = 0\.\d+ and has not ended: go on with load"):
         iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=path)
     cured = iv.Problem(lambda t, y: [-y[0]], (0, 3), [1.0])
@@ -214,7 +212,7 @@ def test_other_versions_are_refused_by_their_number(tmp_path):
 
 def test_damaged_files_are_refused(tmp_path):
     path = tmp_path / "run.checkpoint"
-    problem().solve(checkpoint=path, checkpoint_every=1e-9, dense_output=True)
+    problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), dense_output=True)
     (output,) = tmp_path.glob("run.checkpoint.output-*")
     with pytest.raises(ValueError, match="is a checkpoint, which needs its problem"):
         iv.load(path)
@@ -266,7 +264,6 @@ def test_the_parts_of_the_output_are_all_there_and_those_of_continuous_output_in
 
 @pytest.mark.parametrize(("options", "error", "message"), [
     ({"checkpoint": 3}, TypeError, "checkpoint must be a str or path-like, got 3"),
-    ({"checkpoint_every": 0}, ValueError, "checkpoint_every must be positive"),
 ])  # fmt: skip
 def test_wrong_options(options, error, message):
     with pytest.raises(error, match=message):
@@ -281,3 +278,9 @@ def test_wrong_arguments_of_load(tmp_path):
         iv.load(tmp_path / "a", problem(), invariants=lambda t, y: y)
     with pytest.raises(ValueError, match=r"comes from a file, .* load\(path, problem\)"):
         iv.load(tmp_path / "a").extend(4)
+
+
+def test_an_extension_writes_as_often_as_its_run(tmp_path):
+    problem().solve(checkpoint=iv.Checkpoint(tmp_path / "run", every=7.0), max_steps=2)
+    for every, given in ((7.0, {}), (9.0, {"checkpoint": iv.Checkpoint(tmp_path / "run", every=9.0)})):
+        assert iv.load(tmp_path / "run", problem(), **given)._origin.source.options["checkpoint"].every == every

@@ -113,7 +113,7 @@ def test_output_ends_with_the_terminal_event(method):
     refined = run(method, event, refine=4)
     assert refined.t[-1] == pytest.approx(4.4)
     assert (np.diff(refined.t) > 0).all()
-    end = run(method, event, save="end")
+    end = run(method, event, keep="end")
     assert end.t.shape == (1,)
     assert end.t[0] == refined.t[-1]
 

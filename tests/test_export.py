@@ -152,7 +152,7 @@ def test_without_them_it_is_the_corrected_one_and_says_so_once(method, tmp_path)
 
 
 def test_only_the_final_state(method, tmp_path):
-    sol = bouncing(method, save="end")
+    sol = bouncing(method, keep="end")
     sol.save(tmp_path / "end.npz")
     again = iv.load(tmp_path / "end.npz")
     assert_same(sol, again)
@@ -547,7 +547,7 @@ def test_data_set_has_names_coordinates_and_attributes(method):
 
 
 def test_data_set_of_a_plain_run_has_no_more_than_it_knows():
-    ds = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0, 2.0], save="end").to_xarray()
+    ds = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0, 2.0], keep="end").to_xarray()
     assert set(ds.variables) == {"y", "t", "component"}
     assert list(ds.component.values) == ["y0", "y1"]
     assert ds.attrs["name"] == "problem"

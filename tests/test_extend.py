@@ -206,8 +206,8 @@ def test_times_beyond_an_extension_are_kept(method):
 
 
 def test_changing_what_was_given_or_returned_changes_nothing(method):
-    expected = solve(method, (0, 3), save="all").extend(5)
-    sol = solve(method, (0, 3), save="all")
+    expected = solve(method, (0, 3), keep="all").extend(5)
+    sol = solve(method, (0, 3), keep="all")
     sol.y[:] = 0
     np.testing.assert_array_equal(sol.extend(5).y[:, -1], expected.y[:, -1])
 
@@ -229,11 +229,11 @@ def test_the_action_of_an_event_that_ended_the_run_is_not_taken(method):
     assert sol.extend(3).y[0, -1] == pytest.approx(3)
 
 
-@pytest.mark.parametrize("options", [{"save": "end"}, {"save": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
+@pytest.mark.parametrize("options", [{"keep": "end"}, {"keep": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
 def test_the_options_of_the_run_hold(method, options):
     sol = solve(method, (0, 2), **options).extend(4)
-    assert len(sol.t) == 1 + (0 if options.get("save") == "end" else sol.stats.steps * options.get("refine", 1))
-    assert (sol.steps is None) == ("save" in options)
+    assert len(sol.t) == 1 + (0 if options.get("keep") == "end" else sol.stats.steps * options.get("refine", 1))
+    assert (sol.steps is None) == ("keep" in options)
     assert "max_step" not in options or np.diff(sol.t).max() <= 0.11 + 1e-15  # the last may be stretched by a tenth
     np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(4), atol=1e-6 * slack(method))
 

@@ -194,7 +194,7 @@ def test_pattern_with_a_jacobian_is_warned_of():
 
 def test_dense_jacobian_of_very_many_components_is_warned_of(monkeypatch):
     monkeypatch.setattr("invariode._linear.matrices._DENSE_LIMIT", 1000)
-    with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* lband and uband"):
+    with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* jac=Banded"):
         iv.ode15s(lambda t, y: -y, (0, 1), np.ones(12))
 
 
@@ -428,7 +428,7 @@ class TestDae:
         diagonal[[0, -1]] = 0
         pattern = sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1])
         u0 = np.sin(np.pi * x) + 0.1 * (x == 0)
-        sol = algebraic_code(fun, (0, 10), u0, mass=sparse.diags_array(diagonal), jac_sparsity=pattern, save="end")
+        sol = algebraic_code(fun, (0, 10), u0, mass=sparse.diags_array(diagonal), jac_sparsity=pattern, keep="end")
         assert sol.success
         np.testing.assert_allclose(sol.y[:, -1], np.sin(np.pi * x) * np.exp(-(np.pi**2) * 0.1), atol=2e-3)
 

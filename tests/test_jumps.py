@@ -160,7 +160,7 @@ def test_backwards(method):
 
 def test_only_the_final_state(method):
     hit = iv.Event(floor, direction=-1, terminal=5, action=bounce)
-    sol = iv.solve_ivp(ball, (0, 100), [1.0, 0.0], method, events=hit, invariants=energy, save="end", rtol=1e-8)
+    sol = iv.solve_ivp(ball, (0, 100), [1.0, 0.0], method, events=hit, invariants=energy, keep="end", rtol=1e-8)
     assert sol.t.shape == (1,)
     assert len(sol.t_events[0]) == 5
     assert np.abs(sol.residual).max() < 1e-8

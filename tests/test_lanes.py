@@ -248,7 +248,7 @@ def test_a_limit_of_steps_is_that_of_single_solves():
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
         ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
-        ({"time_limit": 100.0}, "limited"),
+        ({"limits": iv.Limits(time=100.0)}, "limited"),
         ({"nonnegative": True}, "bounds"),
         ({"invariants": iv.Invariants(iv.compile(energy), names="energy")}, "give jac"),
         ({"invariants": [ENERGY, iv.Invariants(iv.compile(lambda t, y, p: y[0]), names="x")]}, "several invariants"),

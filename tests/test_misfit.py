@@ -82,7 +82,7 @@ def circle(t, y):
 
 WRONG = {
     "jac_sparsity": ({"jac_sparsity": np.eye(2)}, r"jac_sparsity misses the entry \(1, 0\)"),
-    "bands": ({"lband": 0, "uband": 0}, r"lband and uband miss the entry \(1, 0\).*give lband=1, uband=1"),
+    "bands": ({"lband": 0, "uband": 0}, r"the bands of the Jacobian miss the entry \(1, 0\).*give jac=Banded\(1, 1\)"),
 }
 
 

@@ -427,7 +427,7 @@ def test_another_thread_solves_while_native_code_integrates():
     thread = threading.Thread(target=other)
     thread.start()
     with pytest.raises(KeyboardInterrupt):
-        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
+        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, keep="end", max_step=np.inf)
     thread.join()
     native, python = others
     assert native.success
@@ -442,7 +442,7 @@ def test_ctrl_c_stops_native_code():
     thread = threading.Thread(target=press)
     thread.start()
     with pytest.raises(KeyboardInterrupt):
-        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
+        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, keep="end", max_step=np.inf)
     thread.join()
     assert iv.solve_ivp(SLOW, (0, 1), [1, 0]).success
 

@@ -349,7 +349,7 @@ def test_drift_in_units_of_the_value():
 
 
 def test_a_run_that_kept_its_end_only_says_what_a_picture_needs():
-    sol = turning().solve(save="end")
+    sol = turning().solve(keep="end")
     for draw in (sol.plot, lambda: sol.plot_phase(0, 1)):
         with pytest.raises(ValueError, match=r'kept only its final state: for a picture solve with keep="all"'):
             draw()

@@ -1,4 +1,4 @@
-"""Long runs: `progress=True` tells where they are, and with `t_eval` or save="end" memory does not grow with them."""
+"""Long runs: `progress=True` tells where they are, and with `t_eval` or keep="end" memory does not grow with them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_updates_are_few_and_the_last_one_is_the_end(monkeypatch, oscillator):
 
     updates: list[float] = []
     monkeypatch.setattr(Progress, "update", lambda self, task, **fields: updates.append(fields["t"]))
-    sol = iv.solve_ivp(oscillator, (0, 5000), [1.0, 0.0], rtol=1e-8, save="end", progress=True)
+    sol = iv.solve_ivp(oscillator, (0, 5000), [1.0, 0.0], rtol=1e-8, keep="end", progress=True)
     assert updates == sorted(updates)
     assert updates[-1] == 5000
     assert len(updates) <= 1 + sol.stats.steps / 20
@@ -86,7 +86,7 @@ def test_updates_come_while_the_run_goes_on(monkeypatch, oscillator):
 
     monkeypatch.setattr(Progress, "update", update)
     with pytest.raises(EnoughError):
-        iv.solve_ivp(oscillator, (0, 1e12), [1.0, 0.0], rtol=1e-8, save="end", progress=True)
+        iv.solve_ivp(oscillator, (0, 1e12), [1.0, 0.0], rtol=1e-8, keep="end", progress=True)
     assert 0 < updates[0] < updates[1] < updates[2] < 1e12
 
 
@@ -194,7 +194,7 @@ def test_ctrl_c_with_a_bar(tmp_path, native):
         fun = {fun}
         Progress.update = lambda *about, **fields: print("under way", flush=True)
         try:
-            iv.solve_ivp(fun, (0, 1e12), [1.0, 0.0], rtol=1e-10, save="end", progress=True)
+            iv.solve_ivp(fun, (0, 1e12), [1.0, 0.0], rtol=1e-10, keep="end", progress=True)
         except KeyboardInterrupt:
             print("interrupted", flush=True)
         """)
@@ -233,7 +233,7 @@ PEAKS = """
 
 @pytest.mark.parametrize(
     ("times", "options", "grows"),
-    [(True, {}, False), (False, {"save": "end"}, False), (True, {"save": "all"}, True)],
+    [(True, {}, False), (False, {"keep": "end"}, False), (True, {"keep": "all"}, True)],
     ids=["t_eval", "end", "all"],
 )
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory from /proc")
@@ -249,14 +249,14 @@ def test_what_is_kept(method):
     about = (lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], method)
     times = [0.0, 5.0, 10.0]
     assert iv.solve_ivp(*about).steps is not None
-    assert iv.solve_ivp(*about, t_eval=times, save="all").steps is not None
-    for options in ({"t_eval": times}, {"save": "outputs"}, {"save": "end"}):
+    assert iv.solve_ivp(*about, t_eval=times, keep="all").steps is not None
+    for options in ({"t_eval": times}, {"keep": "outputs"}, {"keep": "end"}):
         sol = iv.solve_ivp(*about, **options)
         assert sol.steps is None
         assert sol.stats.steps > 0
         with pytest.raises(ValueError, match='keep="all"'):
             sol.correction  # noqa: B018  # the access is the test
-    np.testing.assert_array_equal(iv.solve_ivp(*about, save="outputs").y, iv.solve_ivp(*about).y)
+    np.testing.assert_array_equal(iv.solve_ivp(*about, keep="outputs").y, iv.solve_ivp(*about).y)
 
 
 class Cell:

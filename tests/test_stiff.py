@@ -319,6 +319,6 @@ def test_sparse_system_of_many_components():
     pattern = sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1])
     exact = u0 * np.exp(-(np.pi**2) * 1e-4 * 100)
     for options in ({"jac_sparsity": pattern}, {"lband": 1, "uband": 1}):
-        sol = iv.ode15s(heat, (0, 100), u0, save="end", **options)
+        sol = iv.ode15s(heat, (0, 100), u0, keep="end", **options)
         assert sol.success
         assert np.abs(sol.y[:, -1] - exact).max() < 1e-3

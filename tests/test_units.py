@@ -251,7 +251,7 @@ ALIKE = 100
 
 def end_state(problem: TestProblem, method: str, y0: np.ndarray, g: iv.Invariants) -> np.ndarray:
     """The state after a fifth of the interval, before the problem has amplified roundings much."""
-    sol = iv.solve_ivp(problem.fun, first(1 / 5, problem), y0, method, invariants=g, save="end", **TOLERANCES)
+    sol = iv.solve_ivp(problem.fun, first(1 / 5, problem), y0, method, invariants=g, keep="end", **TOLERANCES)
     assert sol.success, sol.message
     return sol.y[:, -1]
 

@@ -327,8 +327,3 @@ def distinct_labels(labels: object, n: int) -> list[str]:
     if len(set(names)) < n:
         raise ValueError(f"labels must differ from each other, got {shown(labels)}")
     return names
-
-
-def unknown_option(name: str, known: Iterable[str]) -> TypeError:
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return TypeError(f"unknown option {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))

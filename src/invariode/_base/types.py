@@ -19,7 +19,6 @@ __all__ = [
     "Interpolation",
     "JacobianKind",
     "Keep",
-    "LinearSolver",
     "LowLevelCallable",
     "MethodName",
     "Numbers",
@@ -53,7 +52,6 @@ Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
-LinearSolver: TypeAlias = Literal["direct", "gmres"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
 OnFailure: TypeAlias = Literal["return", "warn", "raise"]
 OnInterrupt: TypeAlias = Literal["raise", "return"]

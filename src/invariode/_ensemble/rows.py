@@ -123,7 +123,7 @@ def _parameters(task: Task, plan: Plan) -> Array:
     try:
         return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except ValueError:  # arguments of different shapes
-        return np.stack([native_parameters(row, [task.described.fun]) for row in task.args])
+        return np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
 
 
 def _messages(task: Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:

@@ -365,7 +365,8 @@ class EnsembleStore:
         counts = counts_by_name(held.pop("counts"))
         stats = EnsembleStats(**counts, **of_stats)
         about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
-        return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y, "_final": not times})
+        of_y = {"t": group["t"][:], "y": y, "_final": not times, "_labels": group["component"][:].tolist()}
+        return EnsembleSolution(**{**held, **about, **of_y})
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -407,8 +408,9 @@ def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return leaves
 
 
-def parameter_names(fun: Any, args: Any) -> list[str]:
-    """Names of the numbers in args: those of the arguments of `fun`, if each is one. Empty: they are not numbers."""
+def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
+    """Names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one. Empty:
+    they are not numbers."""
     try:
         numbers = np.asarray(args, dtype=float)
     except (TypeError, ValueError):
@@ -417,7 +419,7 @@ def parameter_names(fun: Any, args: Any) -> list[str]:
         return []
     size = numbers.shape[-1] if numbers.ndim <= 2 else 0
     try:
-        names = list(inspect.signature(fun).parameters)[2:]
+        names = list(inspect.signature(fun).parameters)[2 + inputs :]
     except (TypeError, ValueError):
         names = []
     return names if len(names) == size else [f"p{i}" for i in range(size)]

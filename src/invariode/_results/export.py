@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
 from .._base.formats import write
-from .result import Result, default_labels
+from .result import Result
 from .saving import SOLUTION
 
 if TYPE_CHECKING:  # an extra, imported when it is used
@@ -153,7 +153,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         variables |= {name: (("trajectory", "invariant"), ensemble[name]) for name in laws}
     coordinates = {
         "trajectory": np.arange(len(ensemble)),
-        "component": default_labels(ensemble.y.shape[1]),
+        "component": ensemble.labels,
         "t": ensemble.t,
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version("invariode")})
@@ -167,7 +167,7 @@ def ensemble_to_dataframe(ensemble: Any) -> pandas.DataFrame:
     t = ensemble.t_end if ensemble._final else np.tile(ensemble.t, size)
     index = pd.MultiIndex.from_arrays([np.repeat(np.arange(size), times), t], names=["trajectory", "t"])
     rows = ensemble.y.transpose(0, 2, 1).reshape(size * times, n)
-    table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=default_labels(n))
+    table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=ensemble.labels)
     return table[np.isfinite(rows).all(axis=1)]
 
 

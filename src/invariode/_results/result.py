@@ -78,7 +78,7 @@ class Stats(Record):
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
-        Factorisations; with ``linear_solver="gmres"`` set-ups of the preconditioner.
+        Factorisations; with `GMRES` set-ups of the preconditioner.
     nsolve : int
         Solutions of linear systems.
     projections : int
@@ -96,7 +96,7 @@ class Stats(Record):
     switches : int
         How often ``method="auto"`` continued with its other method.
     products : int
-        Products of the Jacobian of f with a vector, with ``linear_solver="gmres"``. By differences each of them is one
+        Products of the Jacobian of f with a vector, with `GMRES`. By differences each of them is one
         of `nfev`.
     linear_iterations : int
         Iterations of GMRES.
@@ -118,7 +118,7 @@ class Stats(Record):
     jacobian : str or None
         How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
         differences replaced complex steps, and the sparsity pattern if it was detected; 'products' with
-        ``linear_solver="gmres"``; None for explicit methods.
+        `GMRES`; None for explicit methods.
     discontinuities : tuple of float
         Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
         value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.

@@ -31,6 +31,7 @@ class _Identity(TypedDict):
     arrays: list[str]
     functions: list[str]
     bdf: bool
+    every: float | None
     problem: dict[str, Any]
     code: dict[str, str]
 

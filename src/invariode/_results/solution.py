@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Protocol, Unpack
 
-from .._base.arguments import Array, unknown_option, warn
+from .._base.arguments import Array, warn
 from .._base.notebook import html_of_solution
-from .._problem.options import TABLE, ExtensionOptions
+from .._problem.accepted import extension_options
+from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .export import Exports
 from .pictures.thumbnail import thumbnail
 from .plots import Plots
@@ -81,7 +82,7 @@ class Solution(Plots, Exports):
         Factorisations.
     status : int
         0 reached the end, 1 a terminal event, 2 stopped by `callback` or by Ctrl-C, -1 the step failed, -2 a given
-        invariant is not conserved, -3 a limit was reached (`max_steps`, `time_limit`, `max_points`).
+        invariant is not conserved, -3 a limit was reached (see `Limits`).
     message : str
         Why the integration ended.
     success : bool
@@ -162,8 +163,8 @@ class Solution(Plots, Exports):
             Default: the run's, or a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
-        max_steps, time_limit, max_points : optional
-            Likewise, for the extension alone. Default: the run's.
+        max_steps, limits : optional
+            Likewise, for the extension alone; of these two one replaces the other. Default: the run's.
 
         Returns
         -------
@@ -195,7 +196,7 @@ class Solution(Plots, Exports):
                 "this solution comes from a file or a pickle, without the functions of its problem: it cannot be "
                 "extended. Solve from its final state"
             )
-        return self._origin.extend(self, t_end, options)
+        return self._origin.extend(self, t_end, extension_options(**options))
 
     def _repr_html_(self) -> str:
         return html_of_solution(self, thumbnail(self))

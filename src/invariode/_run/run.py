@@ -22,7 +22,7 @@ from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options
+from .._problem.options import ExtensionOptions, Options, changed
 from .._results.messages import (
     MESSAGES,
     about_jumps,
@@ -214,10 +214,8 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
 def _new_checkpoint(plan: Plan, source: Source, at_start: list[int]) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
-        if "checkpoint_every" in source.options:
-            warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
-    return Checkpoint.of_new_run(plan.checkpoint, partial(with_start, plan=plan, found=at_start))
+    return Checkpoint.of_new_run(plan.checkpoint.path, partial(with_start, plan=plan, found=at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -307,7 +305,7 @@ def _integrated(
     core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
 ) -> _core.Run:
     """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
-    every = plan.checkpoint_every
+    every = 0.0 if plan.checkpoint is None else plan.checkpoint.every
     with ExitStack() as around:
         told = request = None
         if plan.progress:
@@ -421,7 +419,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
         )
     problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
-    given = cast("Options", {**options_of_run, "first_step": None, **options})
+    given = changed(options_of_run, {"first_step": None, **options})
     now = given.copy()
     if options_of_run.get("t_eval") is not None or options.get("t_eval") is not None:
         now["t_eval"], given["t_eval"] = _times(origin, old, options.get("t_eval"), forward, tf)
@@ -434,7 +432,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     if origin.checkpoint is not None:
         origin.checkpoint.go_on(old.stats.mechanics)
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
-    points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
+    points = 0 if given.get("keep") == "end" else len(old.t)
     return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.style import COLOURS, LOOK
-from ..result import default_labels
 from .canvas import component, joined, legend, properties, require_matplotlib
 from .curves import parts
 
@@ -32,9 +31,9 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
     require_matplotlib()
     if len(ensemble.t) < 2:
         raise ValueError("the ensemble has only final states: for a picture solve it with times in t_eval")
-    names = default_labels(ensemble.y.shape[1])
-    those = range(min(len(names), _MOST)) if chosen is None else np.atleast_1d(chosen)
-    rows = [component(names, int(one)) for one in those]
+    names = ensemble.labels
+    several = [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen
+    rows = [*range(min(len(names), _MOST))] if chosen is None else [component(names, one) for one in several]
     ax = _new() if ax is None else ax
     look, given = properties(line)
     for place, k in enumerate(rows):
