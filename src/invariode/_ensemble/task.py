@@ -13,8 +13,6 @@ from .._problem.description import Description
 from .._problem.options import DescribingOptions, Options
 from .._run.plan import Plan, make_plan
 
-__all__ = ["Attempt", "Described", "Ensemble", "Task", "first_plan"]
-
 
 @dataclasses.dataclass
 class Described:

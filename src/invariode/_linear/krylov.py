@@ -14,8 +14,6 @@ from .._base.arguments import Array, as_array, function, shown, warn
 from .._functions.compiled import is_native, to_native
 from .._problem.matrices import Matrices
 
-__all__ = ["Krylov", "is_operator", "krylov", "unused_without_krylov"]
-
 
 @dataclass(frozen=True)
 class Krylov:

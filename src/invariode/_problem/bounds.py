@@ -9,8 +9,6 @@ import numpy as np
 
 from .._base.arguments import Array, items, real_numbers, shown
 
-__all__ = ["Limits", "limits"]
-
 
 class Limits(NamedTuple):
     """lower <= y <= upper, of shape (n,); infinite where there is no bound."""

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from .._base.arguments import (
+    Array,
+    call_name,
+    distinct_labels,
+    extra_arguments,
+    function,
+    interval,
+    meant,
+    shown,
+    state,
+)
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
 from .._functions.compiled import is_native
@@ -21,8 +30,6 @@ from .invariants import Invariants, InvariantsLike, to_invariants
 from .matrices import Matrices
 from .options import ProblemArguments
 from .slope import Slope
-
-__all__ = ["Description"]
 
 
 class Description:
@@ -125,10 +132,6 @@ class Description:
         **changes
             Arguments of `Problem` by name, `fun`, `t_span` and `y0` included.
 
-        Returns
-        -------
-        Problem
-
         Raises
         ------
         TypeError, ValueError
@@ -159,8 +162,7 @@ class Description:
         }
         for given in changes:
             if given not in now:
-                near = difflib.get_close_matches(given, now, n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else f"; choose from {', '.join(now)}"
+                hint = meant(given, now) or f"; choose from {', '.join(now)}"
                 raise TypeError(f"Problem has no argument {given!r}{hint}")
         return type(self)(**{**now, **changes})
 

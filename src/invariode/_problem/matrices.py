@@ -13,8 +13,6 @@ import numpy as np
 from .._base.arguments import Array, as_array, shown
 from .._functions.compiled import is_native
 
-__all__ = ["Matrices", "as_matrix", "bandwidths", "require_shape"]
-
 #: How a Jacobian may be computed, and how its pattern is treated, in words.
 _JACOBIANS, _PATTERNS = ("complex-step", "differences"), ("detect", "dense")
 
