@@ -14,7 +14,6 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
-from invariode._results import plots
 from invariode._results.pictures.canvas import log_axis
 from invariode._studies import work_precision
 from invariode._studies.precision import Row, Run
@@ -593,37 +592,12 @@ def test_runs_on_the_same_axes_have_different_colours():
     assert shown(turning().solve().plot(ax=axes(), components=0, c="black", ls="--"))[0].get_color() == "black"
 
 
-def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch):
+def test_matplotlib_is_asked_for_where_it_is_missing(monkeypatch):
     sol = PROBLEMS["pendulum"].solve("ode45")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "invariode._results.plots")
-    monkeypatch.delattr(iv, "plots")
     for draw in DRAWINGS.values():
         with pytest.raises(ModuleNotFoundError, match=r'pip install "invariode\[plot\]"'):
             draw(sol)
-    subprocess.run([sys.executable, "-c", "import invariode, sys; assert 'matplotlib' not in sys.modules"], check=True)
-
-
-@pytest.mark.parametrize("name", plots.__all__)
-def test_every_function_is_a_method(name):
-    assert getattr(plots, name) is getattr(iv.Solution, name)
-
-
-def test_axes_by_position_are_warned_of():
-    """They were positional in 0.1: the picture is the same, and the warning points here."""
-    sol, old, new = turning().solve(), axes(), axes()
-    with pytest.warns(
-        DeprecationWarning, match=r"axes by keyword since invariode 0.2: write ax=\.\.\., components="
-    ) as told:
-        assert sol.plot(old, [1]) is old
-    assert told[0].filename == __file__
-    assert old.get_ylabel() == sol.plot(ax=new, components=[1]).get_ylabel() == "north"
-    with pytest.warns(DeprecationWarning, match="write ax="):
-        assert plots.plot_phase(sol, 0, 1, old) is old
-    with pytest.raises(TypeError, match="plot_drift takes ax, invariants by keyword, got 3 by position"):
-        sol.plot_drift(old, None, 3)
-    with pytest.raises(TypeError, match="several values for ax"), pytest.warns(DeprecationWarning):
-        sol.plot(old, ax=new)
 
 
 def test_a_first_figure_leaves_a_notebook_interactive(tmp_path):

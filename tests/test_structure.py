@@ -7,7 +7,10 @@ import importlib
 import inspect
 import pickle
 import re
+import subprocess
+import sys
 from graphlib import CycleError, TopologicalSorter
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +87,15 @@ def test_rooms_import_downwards_only():
     assert climbs == set()
     assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} == {*ROOMS} - {"_core"}
     assert all(ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text())) for room in ROOMS[:-1])
+
+
+def test_the_package_imports_numpy_alone():
+    """SciPy, whose sparse matrices take longer than everything else, and the extras are imported when they are used."""
+    code = "import sys, invariode; print(*{name.partition('.')[0] for name in sys.modules})"
+    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    needed = {re.match(r"\w+", name)[0] for name in metadata.requires("invariode")} - {"invariode"}
+    assert needed > {"numpy", "scipy", "matplotlib"}
+    assert needed.intersection(loaded) == {"numpy"}
 
 
 LONGEST = 60  # lines of a function, without its docstring

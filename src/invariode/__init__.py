@@ -20,7 +20,8 @@ from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
-from ._results.solution import DenseSolution, DiscontinuityWarning, Drift, Solution, Stats, Steps, StiffnessWarning
+from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
+from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
 from ._solve.ivp import solve_ivp
 from ._solve.loading import load

@@ -9,24 +9,6 @@ import numpy as np
 
 from .arguments import Array
 
-__all__ = [
-    "BreakpointsLike",
-    "EventFunction",
-    "EventsLike",
-    "Fsal",
-    "Function",
-    "InputKind",
-    "Interpolation",
-    "JacobianKind",
-    "Keep",
-    "LowLevelCallable",
-    "MethodName",
-    "Numbers",
-    "OnFailure",
-    "OnInterrupt",
-    "Span",
-]
-
 
 class LowLevelCallable(Protocol):
     """SciPy's, which is not callable in Python. The other native functions are, or are untyped."""
@@ -35,6 +17,15 @@ class LowLevelCallable(Protocol):
     def function(self) -> Any: ...
     @property
     def signature(self) -> Any: ...
+
+
+class Points(Protocol):
+    """The points of a result, a `Solution` or SciPy's."""
+
+    @property
+    def t(self) -> Any: ...
+    @property
+    def y(self) -> Any: ...
 
 
 Function: TypeAlias = Callable[..., Any] | LowLevelCallable

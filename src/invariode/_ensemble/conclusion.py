@@ -17,8 +17,6 @@ from .solution import EnsembleSolution, EnsembleStats, Trajectories, final_state
 from .store import EnsembleStore
 from .task import Task
 
-__all__ = ["Remarks", "solution"]
-
 #: Of the counts, those that make warnings.
 _WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
 assert _core.COUNTS[_WARNINGS] == ("dropped", "harmed", "stiff")

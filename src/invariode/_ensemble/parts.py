@@ -24,8 +24,6 @@ from .sources import Part, Rows, on_executor, packed, places_of, rejoined, rows_
 from .store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .task import Ensemble, first_plan
 
-__all__ = ["Means", "Place", "in_parts", "stored"]
-
 #: Seconds that a part should take, and the seconds that it may take to find that out.
 _PART, _PILOT = 1.0, 0.1
 #: Twice the seconds that client and scheduler need for a part, one after the other (measured in benchmarks/many.py).

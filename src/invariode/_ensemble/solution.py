@@ -30,8 +30,6 @@ if TYPE_CHECKING:  # extras, imported when they are used
     import xarray
     from matplotlib.axes import Axes
 
-__all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories", "final_states"]
-
 
 @dataclasses.dataclass
 class Trajectories:
@@ -366,10 +364,6 @@ class EnsembleSolution:
             Default: all, of more than six the first six.
         **line
             Properties of the lines, as for ``Axes.plot``.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
 
         Raises
         ------

@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
+from .._base.extras import extra
 from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
@@ -23,8 +24,6 @@ from .sources import Part, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import xarray
-
-__all__ = ["EnsembleStore", "Layout", "StoreWriter", "parameter_names"]
 
 #: What a store says that is being made.
 _UNFINISHED = "invariode store, unfinished"
@@ -329,11 +328,9 @@ class EnsembleStore:
         ModuleNotFoundError
             xarray, of the extra `data`, is not installed.
         """
-        try:
-            import xarray
-        except ModuleNotFoundError:
-            raise ModuleNotFoundError('this needs xarray: pip install "invariode[data]"', name="xarray") from None
-        whole = xarray.open_zarr(self.path, consolidated=False, drop_variables=["digest"])
+        whole = extra("xarray", "this needs", "data").open_zarr(
+            self.path, consolidated=False, drop_variables=["digest"]
+        )
         data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
         return data
 
@@ -430,11 +427,7 @@ def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
 
 
 def _zarr() -> Any:
-    try:
-        import zarr
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('store= needs zarr: pip install "invariode[cluster]"', name="zarr") from None
-    return zarr
+    return extra("zarr", "store= needs", "cluster")
 
 
 def _opened(path: Any, mode: str) -> Any:

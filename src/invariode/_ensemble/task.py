@@ -13,8 +13,6 @@ from .._problem.description import Description
 from .._problem.options import Options
 from .._run.plan import Plan, make_plan
 
-__all__ = ["Attempt", "Ensemble", "Task", "first_plan"]
-
 
 @dataclasses.dataclass
 class Task:

@@ -15,8 +15,6 @@ from .._functions.compiled import is_native, to_native
 from .._problem.grouped import GMRES
 from .._problem.matrices import Matrices
 
-__all__ = ["Krylov", "is_operator", "krylov"]
-
 
 @dataclass(frozen=True)
 class Krylov:

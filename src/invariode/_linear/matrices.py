@@ -23,8 +23,6 @@ from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
 from .sparsity import find_pattern
 
-__all__ = ["Start", "prepare", "too_large_to_be_dense"]
-
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
 _NULL_SPACE_LIMIT = 3000  # n up to which a null space that is not evident is computed

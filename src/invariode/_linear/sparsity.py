@@ -15,8 +15,6 @@ from .._functions.compiled import is_native, to_native
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices
 
-__all__ = ["find_pattern"]
-
 #: From this n on a pattern is sought: below it dense factors take less time than f.
 _LARGE = 200
 #: The search may take this part of the evaluations of f that one dense Jacobian takes, and so may each Jacobian with

@@ -9,8 +9,6 @@ import numpy as np
 
 from .._base.arguments import Array, items, real_numbers, shown
 
-__all__ = ["Bounds", "to_bounds"]
-
 
 class Bounds(NamedTuple):
     """lower <= y <= upper, of shape (n,); infinite where there is no bound."""

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from .._base.arguments import (
+    Array,
+    call_name,
+    distinct_labels,
+    extra_arguments,
+    function,
+    interval,
+    shown,
+    state,
+)
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
 from .._functions.compiled import is_native
@@ -20,8 +29,6 @@ from .invariants import Invariants, InvariantsLike, to_invariants
 from .matrices import Matrices, to_matrices
 from .options import ProblemArguments, unknown_option
 from .slope import Slope
-
-__all__ = ["Description"]
 
 _ARGUMENTS = ProblemArguments.__annotations__.keys()
 
@@ -132,10 +139,6 @@ class Description:
         ----------
         **changes
             Arguments of `Problem` by name, `fun`, `t_span` and `y0` included.
-
-        Returns
-        -------
-        Problem
 
         Raises
         ------

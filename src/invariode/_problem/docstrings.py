@@ -12,8 +12,6 @@ from typing import Any, TypeVar
 from .methods import METHODS
 from .options import TABLE, TOPICS
 
-__all__ = ["documented"]
-
 #: Columns of a docstring, as in the source.
 _WIDTH = 120
 

@@ -13,8 +13,6 @@ from .._base.arguments import Array, as_array, shown
 from .._functions.compiled import is_native
 from .grouped import JACOBIANS, Banded, bandwidth
 
-__all__ = ["Matrices", "as_matrix", "require_shape", "to_matrices"]
-
 #: How a pattern is treated, in words.
 _PATTERNS = ("detect", "dense")
 

@@ -23,8 +23,6 @@ from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
 
-__all__ = ["Identity", "identity_of_run", "in_words", "known_identity", "options_of", "require_same"]
-
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
 

@@ -40,8 +40,6 @@ from .._results.result import LIMIT_REACHED, Names
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
 
-__all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "ordered_breakpoints", "solver"]
-
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
 CALIBRATION, CALIBRATED_AT = 0.1, 1e-4
@@ -127,8 +125,6 @@ class Plan(NamedTuple):
     moved: bool
     bound: BoundInvariants
     names: list[str]  # of the invariants, algebraic equations last
-    demanded: list[bool]  # of the invariants, whether their values were
-    senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
     records_events: bool  # also none at all, where a list of none was given
     called: Names  # the names in tables and pictures
@@ -142,7 +138,7 @@ class Plan(NamedTuple):
     @property
     def laws(self) -> Laws:
         """What messages say of the invariants."""
-        return Laws(self.names, self.demanded, self.senses)
+        return Laws(self.names, self.bound.demanded, self.bound.senses)
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
@@ -244,8 +240,6 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         moved=y0 is not problem.y0,
         bound=bound,
         names=_names(bound, linear),
-        demanded=bound.demanded,
-        senses=bound.senses,
         event_names=event_names,
         records_events=problem.records_events,
         called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),

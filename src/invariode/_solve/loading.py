@@ -29,8 +29,6 @@ from .._run.checkpoint import CHECKPOINT, read_checkpoint
 from .._run.identity import Identity, known_identity, options_of, require_same
 from .._run.run import RunOrigin, Solved
 
-__all__ = ["load"]
-
 
 def load(
     path: str | os.PathLike[str],

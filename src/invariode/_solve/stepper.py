@@ -31,8 +31,6 @@ from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarn
 from .._run.plan import make_plan, solver
 from .ivp import one_column
 
-__all__ = ["Stepper"]
-
 _OPTIONS = table_of(StepperOptions)
 #: Before this many steps nothing can be said about harm: one step in eight is examined.
 FEW_STEPS = 64

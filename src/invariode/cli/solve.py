@@ -43,8 +43,6 @@ from .session import (
     write_to,
 )
 
-__all__ = ["EXAMPLES", "solve"]
-
 EXAMPLES = examples(
     "solve pendulum.py",
     "solve orbits.py:kepler --method ode113 --rtol 1e-8 -o kepler.csv",
