@@ -9,12 +9,11 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
+from cases import IMPLICIT
 from invariode import _core
 from invariode._run.plan import make_plan
-from problems import implicit, switching
 from stiff import PROBLEMS
 
-IMPLICIT = [name for name in filter(implicit, iv.METHODS) if not switching(name)]
 ROBERTSON, BRUSSELATOR = PROBLEMS["Robertson"], PROBLEMS["Brusselator"]
 
 

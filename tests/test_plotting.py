@@ -14,6 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from invariode._results import plots
 from invariode._results.pictures.canvas import log_axis
 from invariode._studies import work_precision
@@ -124,7 +125,7 @@ def below(sol):
     return np.finfo(float).eps * max(1, np.abs(drift.value).max(), drift.residual_before.max())
 
 
-@pytest.mark.parametrize("drawing", DRAWINGS)
+@dealt(14, problem=PROBLEMS, drawing=DRAWINGS, method=iv.METHODS)
 def test_every_picture_of_every_problem_has_its_curves(problem, drawing, method):
     sol = problem.solve(method)
     ax = axes()
@@ -232,6 +233,7 @@ def test_more_than_a_dozen_components_have_a_sequence_of_colours():
 class TestCurvesBetweenSteps:
     """What is drawn is the solution, not the chords of its steps."""
 
+    @explicit_and_implicit
     def test_they_stay_on_the_circle_where_chords_leave_it(self, method):
         sol = turning(invariants=None).solve(method, rtol=1e-5, atol=1e-8)
         x, y = shown(sol.plot_phase(0, 1, ax=axes()))[0].get_data()
@@ -542,6 +544,7 @@ def test_drift_passes_the_arguments_of_the_run():
     assert 0 < np.nanmax(line.get_ydata()) < 1e-2
 
 
+@explicit_and_implicit
 def test_steps_are_drawn_over_the_interval_that_they_span(method):
     sol = turning().solve(method)
     size, order, errors = sol.plot_steps()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from invariode import scipy as classes
 from invariode._problem.methods import METHODS
 from problems import PROBLEMS
@@ -46,9 +47,7 @@ STIFF = {
 }
 
 
-@pytest.mark.parametrize("method", EXPLICIT)
-@pytest.mark.parametrize("name", STIFF)
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+@dealt(24, method=EXPLICIT, name=STIFF, rtol=[1e-3, 1e-6])
 def test_stiff_problems_are_called_stiff_by_explicit_methods(method, name, rtol):
     fun, tf, y0 = STIFF[name]
     with pytest.warns(iv.StiffnessWarning, match=f"{method}: since t = .* limited by stability.*try ode15s") as said:
@@ -59,9 +58,8 @@ def test_stiff_problems_are_called_stiff_by_explicit_methods(method, name, rtol)
     assert "limited by stability" in sol.message
 
 
+@dealt(14, method=EXPLICIT, name=PROBLEMS)
 @pytest.mark.filterwarnings("ignore:overflow")
-@pytest.mark.parametrize("method", EXPLICIT)
-@pytest.mark.parametrize("name", PROBLEMS)
 def test_no_other_problem_is_called_stiff(method, name):
     """At crude and at tight tolerances, plain and projected."""
     problem = PROBLEMS[name]
