@@ -16,6 +16,7 @@ import numpy as np
 from .._base.arguments import Array, call_name, shown
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction
+from .._functions.graph.python import Formula
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.methods import find_method
@@ -88,6 +89,9 @@ def _digest_of_code(value: Any) -> str | None:
     if isinstance(value, CoreFunction):
         codes = [_digest_of_code(one) for one in value.functions]
         return _digest(iter([repr(codes).encode()])) if any(codes) else None
+    formula = value.fun if isinstance(value, CompiledFunction) else value
+    if isinstance(formula, Formula):
+        return _digest(iter([formula.text.encode()]))
     function = _function(value)
     if function is None or (function.__module__ or "").startswith("invariode."):
         return None
