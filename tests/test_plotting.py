@@ -600,7 +600,7 @@ def test_matplotlib_is_asked_for_where_it_is_missing_and_only_there(monkeypatch)
     sol = PROBLEMS["pendulum"].solve("ode45")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "invariode._results.plots")
-    monkeypatch.delattr(iv, "plots")
+    monkeypatch.delattr(iv._results, "plots")
     for draw in DRAWINGS.values():
         with pytest.raises(ModuleNotFoundError, match=r'pip install "invariode\[plot\]"'):
             draw(sol)
