@@ -25,7 +25,7 @@ families = pytest.mark.parametrize("method", FAMILIES)
 explicit_and_implicit = pytest.mark.parametrize("method", ["ode45", "ode15s"])
 
 #: Fixtures that look up what a name stands for.
-LOOKED_UP = ("problem", "run", "code", "algebraic_code")
+LOOKED_UP = ("problem", "run", "draw", "code", "algebraic_code")
 
 
 def combinations(count: int, lists: list[list[object]]) -> list[tuple[object, ...]]:

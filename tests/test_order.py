@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from problems import PROBLEMS, TestProblem, cost_of_pair, implicit, long_steps, switching
 
 ORBIT = PROBLEMS["Kepler"]
@@ -200,7 +201,7 @@ def kepler_rhs_jacobian(t, y):
     ]
 
 
-@pytest.mark.parametrize("project", [False, True])
+@dealt(12, method=iv.METHODS, project=[False, True])
 def test_error_follows_the_tolerance(method, project):
     """The largest error over the interval falls by at least 1.5 per half decade of rtol, from 1e-2 down to 1e-10, or
     to 1e-8 where the order is so low that the steps are very many."""

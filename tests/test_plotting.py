@@ -95,8 +95,7 @@ def test_settings_of_matplotlib_stay_as_they_are(draw):
     assert dict(mpl.rcParams) == before
 
 
-@pytest.mark.parametrize("t_span", [(0, 20), (0, -20), (1, 1)], ids=["forwards", "backwards", "zero length"])
-@pytest.mark.parametrize("dense", [False, True])
+@dealt(12, draw=DRAWINGS, t_span=[(0, 20), (0, -20), (1, 1)], dense=[False, True])
 def test_pictures_can_be_drawn_without_warnings_and_keep_their_legends_inside_the_figure(draw, t_span, dense):
     sol = turning(t_span, name="Circle").solve(dense_output=dense)
     ax = np.ravel(draw(sol))[0]
@@ -642,7 +641,7 @@ def test_a_first_figure_leaves_a_notebook_interactive(tmp_path):
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 
 
-@pytest.mark.parametrize("name", [r"$\foo$", "$", "$$", "a$b$c$", "$x^$", r"\$ and $\frac{1$", "5 $ each"])
+@pytest.mark.parametrize("name", [r"$\foo$", "$$", "$x^$", r"\$ and $\frac{1$"])
 def test_names_that_are_no_formulas_are_drawn_as_they_are(name, tmp_path):
     """A name with dollar signs is the user's business: only what matplotlib reads as a formula is one."""
 

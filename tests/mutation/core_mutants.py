@@ -89,7 +89,7 @@ def write(root: Path, folder: Path, chosen: dict[int, tuple[str, int, str]]) -> 
 
 
 def build(root: Path, folder: Path, count: int, seed: int) -> list[str]:
-    """Builds the extension with `count` mutants in folder/build/dev, and tells which they are; the next ones replace those
+    """Builds the extension with `count` mutants in folder/build/dev, and tells which; the next ones replace those
     that do not compile."""
     waiting = candidates(root / "core", seed)
     chosen = {number: waiting.pop(0) for number in range(count)}
