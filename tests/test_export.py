@@ -459,23 +459,7 @@ def test_another_version_is_refused_by_kind_number_and_writer(tmp_path, number, 
         iv.load(tmp_path / "b.npz")
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize("options", [{}, {"dense_output": True}, {"t_eval": [0, 5.0, 10.0]}], ids=str)
-def test_a_file_of_version_1_is_read(tmp_path, options):
-    """It does not say where the run ended; its steps do, or the last output."""
-    sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], **options)
-    sol.save(tmp_path / "a.npz")
-    with np.load(tmp_path / "a.npz") as archive:
-        arrays = dict(archive)
-    about = json.loads(str(arrays["about"])) | {"version": 1}
-    del about["t_end"]
-    np.savez(tmp_path / "b.npz", **arrays | {"about": np.array(json.dumps(about))})
-    assert_same(iv.load(tmp_path / "b.npz"), sol)
-
-
 @explicit_and_implicit
-=======
->>>>>>> main
 def test_continuous_output_that_could_not_be_evaluated_is_refused(method, tmp_path):
     """Nothing that a file says makes the core read where it must not."""
     bouncing(method, dense_output=True).save(tmp_path / "a.npz")
