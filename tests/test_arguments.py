@@ -11,6 +11,7 @@ import pytest
 import scipy
 
 import invariode as iv
+from cases import explicit_and_implicit
 from problems import cost_of_pair
 
 
@@ -86,6 +87,7 @@ def test_refused(name):
         iv.solve_ivp(**{"fun": decay, "t_span": (0, 2), "y0": [1, 2]} | changed)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("invariant ")])
 def test_values_of_invariants_are_refused_in_every_method(method, name):
     """What g returns shows when it is called."""
@@ -165,6 +167,7 @@ def test_warnings_point_at_the_caller():
     assert [w.filename for w in warned] == [__file__] * 5
 
 
+@explicit_and_implicit
 def test_pure_relative_control_at_zero_is_explained(method):
     """atol = 0 at a component that starts at 0 and leaves: no step is small enough, and the message says why."""
     sol = iv.solve_ivp(lambda t, y: [np.cos(t + y[0])], (0, 1), [0.0], method, atol=0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from interrupted import differences, go_on, in_another_process, interrupt, killed, random_case
 
 SEED = 18
@@ -23,7 +24,7 @@ def problem(**changes):
     return iv.Problem(**{"fun": decay, "t_span": (0, 3), "y0": [1.0], "args": (2.0,), **changes})
 
 
-@pytest.mark.parametrize("seed", range(SEED, SEED + 3))
+@dealt(24, method=iv.METHODS, seed=range(SEED, SEED + 3))
 def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
     case = random_case(seed, method)
     whole, part = case.solve(), case.solve(max_steps=case.after)
@@ -51,6 +52,7 @@ def test_a_killed_run_is_not_lost(tmp_path):
         assert killed(seed, tmp_path / f"{seed}.checkpoint", rng) in ("whole", "not begun")
 
 
+@families
 def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
     case = random_case(SEED + 7, method)
     whole = case.solve()
@@ -85,6 +87,7 @@ def test_between_two_attempts_of_a_step(method):
     assert not differences(whole, sol)
 
 
+@explicit_and_implicit
 def test_the_checkpoint_does_not_grow_with_the_run(method, tmp_path):
     sizes = []
     for end in (1, 30):
@@ -96,6 +99,7 @@ def test_the_checkpoint_does_not_grow_with_the_run(method, tmp_path):
     assert sizes[1][1] < sizes[0][1] + 200  # digits of the counts
 
 
+@families
 def test_an_extension_goes_on_writing(method, tmp_path):
     path = tmp_path / "run.checkpoint"
     first = problem().solve(method, checkpoint=path, dense_output=True)

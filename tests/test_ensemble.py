@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from ensembles import same
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
@@ -77,8 +78,7 @@ def same_counts(out: iv.EnsembleSolution, i: int, one: iv.Solution) -> None:
         assert out[i].stats[name] == alone, name
 
 
-@pytest.mark.parametrize("kind", FUNCTIONS)
-@pytest.mark.parametrize("t_eval", [None, TIMES], ids=["end", "t_eval"])
+@dealt(14, method=iv.METHODS, kind=FUNCTIONS, t_eval=[None, TIMES])
 def test_each_row_is_the_single_solve_of_it(method, kind, t_eval):
     out = solve(kind, method, workers=2 if kind == "native" else 1, size=6, t_eval=t_eval)
     fun, invariants, event = FUNCTIONS[kind]
@@ -429,8 +429,7 @@ iv.solve_ensemble(f, (0, 1e9), np.ones((4, 2)), max_step=0.01, workers=2, progre
 """
 
 
-@pytest.mark.parametrize("native", [True, False], ids=["threads", "processes"])
-@pytest.mark.parametrize("progress", [False, True], ids=["", "progress"])
+@pytest.mark.parametrize(("native", "progress"), [(True, False), (False, True)], ids=["threads", "processes, progress"])
 def test_ctrl_c_ends_all_at_once(tmp_path, native, progress):
     script = tmp_path / "forever.py"
     script.write_text(FOREVER.format(native=native, progress=progress))

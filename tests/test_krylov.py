@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, splu
 
 import invariode as iv
+from cases import dealt
 from invariode._problem.methods import METHODS
 
 MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in about.options]
@@ -77,8 +78,7 @@ def exact():
     return iv.radau(reacting, (0, 0.5), Y0, rtol=1e-9, atol=1e-10, jac=jacobian).y[:, -1]
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("method", MATRIX_FREE)
+@dealt(18, method=MATRIX_FREE, form=FORMS)
 def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
     """GMRES leaves a twentieth of what Newton's iteration may leave: a fraction of the tolerance in all."""
     for rtol in (1e-3, 1e-6):
@@ -398,9 +398,7 @@ UNDEFINED = {
 }
 
 
-@pytest.mark.parametrize("t0", [0, 1])
-@pytest.mark.parametrize("form", UNDEFINED)
-@pytest.mark.parametrize("method", ALONE)
+@dealt(8, method=ALONE, form=UNDEFINED, t0=[0, 1])
 def test_what_is_never_defined_ends_a_run_after_eight_attempts(method, form, t0):
     """The smallest step at t = 0 is so small that hundreds would follow."""
     options, message = UNDEFINED[form]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from invariode import _core
 from invariode._functions import lanes
 from problems import PROBLEMS
@@ -137,9 +138,7 @@ def test_an_invariant_is_held_as_without_lanes(instructions, monkeypatch):
     assert (found.residual_after < 1e-9).all()
 
 
-@pytest.mark.parametrize("method", PAIRS)
-@pytest.mark.parametrize("invariants", [None, ENERGY])
-@pytest.mark.parametrize("interpolation", ["projected", "raw"])
+@dealt(10, method=PAIRS, invariants=[None, ENERGY], interpolation=["projected", "raw"])
 def test_output_at_times_is_that_of_single_solves(method, invariants, interpolation):
     options = {"t_eval": [0, 0.1, 0.10001, 1, 2.5, 4], "invariants": invariants, "interpolation": interpolation}
     found = solve(COMPILED["quartic"], method, **options)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS
 
 KEPLER = PROBLEMS["Kepler"]
@@ -25,8 +26,7 @@ def circle(t, y):
     return [y[1], -y[0]]
 
 
-@pytest.mark.parametrize("project", [False, True])
-@pytest.mark.parametrize("keep", ["all", "outputs", "end"])
+@dealt(12, method=iv.METHODS, keep=["all", "outputs", "end"], project=[False, True])
 def test_max_steps_ends_the_run_where_the_unlimited_run_is_then(method, keep, project):
     about = {"keep": keep, "invariants": KEPLER.invariants() if project else None}
     whole, sol = kepler(method, **{**about, "keep": "all"}), kepler(method, max_steps=17, **about)
@@ -38,6 +38,7 @@ def test_max_steps_ends_the_run_where_the_unlimited_run_is_then(method, keep, pr
     assert "after 17 steps" in sol.message
 
 
+@explicit_and_implicit
 def test_the_limit_is_no_limit_where_the_run_ends_before(method):
     whole = kepler(method)
     assert (
@@ -47,6 +48,7 @@ def test_the_limit_is_no_limit_where_the_run_ends_before(method):
     assert kepler(method, max_steps=whole.stats.steps - 1).status == -3
 
 
+@explicit_and_implicit
 def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
     sol = kepler(method, max_steps=10, events=lambda t, y: y[1], dense_output=True)
     for parts in (2, 3):
@@ -58,7 +60,7 @@ def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
 
 
-@pytest.mark.parametrize("end", [1e9, np.inf])
+@dealt(8, method=iv.METHODS, end=[1e9, np.inf])
 def test_time_limit(method, end):
     """Python's function waits: the limit is looked at after each attempt, which takes a few calls."""
 
@@ -73,6 +75,7 @@ def test_time_limit(method, end):
     assert 0.1 <= time.perf_counter() - start < 5
 
 
+@families
 def test_attempts_that_fail_are_no_way_round_the_time(method):
     def undefined_beyond_one(t, y):
         time.sleep(1e-3)
@@ -85,6 +88,7 @@ def test_attempts_that_fail_are_no_way_round_the_time(method):
     assert sol.t_end <= 1
 
 
+@explicit_and_implicit
 def test_the_limit_of_points_counts_what_is_kept(method):
     by_steps = kepler(method, limits=iv.Limits(points=50))
     assert by_steps.status == -3
@@ -102,6 +106,7 @@ def test_the_limit_of_points_counts_what_is_kept(method):
     assert kepler(method, limits=iv.Limits(points=2), keep="end").status == 0
 
 
+@explicit_and_implicit
 def test_what_is_kept_is_bounded_without_any_option(method, monkeypatch):
     """The bounds made small: as many points, or as much memory."""
     from invariode._run import plan
@@ -133,6 +138,7 @@ def native_oscillator():
     return iv.compile(lambda t, y, p: [y[1], -p[0] * y[0]])
 
 
+@explicit_and_implicit
 def test_native_runs_end_at_their_limits(method, native_circle):
     sol = iv.solve_ivp(
         native_circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, limits=iv.Limits(time=0.05), keep="end"
@@ -143,6 +149,7 @@ def test_native_runs_end_at_their_limits(method, native_circle):
     assert iv.solve_ivp(native_circle, (0, 1e9), [1.0, 0.0], method, max_step=0.1, max_steps=9).stats.steps == 9
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("native", [False, True])
 def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, native_oscillator):
     """The fast oscillations need more steps than the slow ones."""
@@ -179,7 +186,7 @@ def interrupted_after(seconds):
     return timer
 
 
-@pytest.mark.parametrize("native", [False, True])
+@dealt(8, method=iv.METHODS, native=[False, True])
 def test_ctrl_c_returns_what_there_is(method, native, native_circle):
     """The handler of the session is in force again afterwards, and the run can go on."""
     before = signal.getsignal(signal.SIGINT)
@@ -192,12 +199,14 @@ def test_ctrl_c_returns_what_there_is(method, native, native_circle):
     assert sol.extend(sol.t_end + 1, on_interrupt="raise").status == 0
 
 
+@explicit_and_implicit
 def test_ctrl_c_raises_unless_it_is_to_return(method):
     interrupted_after(0.2).start()
     with pytest.raises(KeyboardInterrupt):
         iv.solve_ivp(circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, keep="end")
 
 
+@explicit_and_implicit
 def test_a_second_ctrl_c_raises(method):
     """Where the present step does not come to its end."""
 
@@ -211,6 +220,7 @@ def test_a_second_ctrl_c_raises(method):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@explicit_and_implicit
 def test_in_another_thread_nothing_changes(method):
     found = []
     thread = threading.Thread(target=lambda: found.append(kepler(method, on_interrupt="return").status))

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import explicit_and_implicit
 from invariode._base import progress
 from problems import PROBLEMS
 
 pytest.importorskip("rich")
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("t_span", [(0, 20), (20, 0)])
 def test_a_bar_with_t_and_h_that_ends_where_the_run_does(method, t_span, capsys):
     problem = PROBLEMS["Kepler"]
@@ -34,6 +36,7 @@ def test_a_bar_with_t_and_h_that_ends_where_the_run_does(method, t_span, capsys)
     assert "h = " in err
 
 
+@explicit_and_implicit
 def test_the_bar_of_an_extension_is_over_its_interval(method, capsys):
     sol = iv.solve_ivp(lambda t, y: -y, (0, 10), [1.0], method)
     sol.extend(12, progress=True)
@@ -42,6 +45,7 @@ def test_the_bar_of_an_extension_is_over_its_interval(method, capsys):
     assert "100%" in err
 
 
+@explicit_and_implicit
 def test_an_infinite_interval_has_no_percentage(method, capsys):
     stop = iv.Event(lambda t, y: t - 5, terminal=True)
     iv.solve_ivp(lambda t, y: -y, (0, np.inf), [1.0], method, events=stop, progress=True)
@@ -245,6 +249,7 @@ def test_memory_of_a_million_steps(times, options, grows):
     assert (growth > 30e6) if grows else (growth < 2e6)
 
 
+@explicit_and_implicit
 def test_what_is_kept(method):
     about = (lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], method)
     times = [0.0, 5.0, 10.0]

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import explicit_and_implicit
 
 PACKAGE = Path(iv.__file__).parent
 ROOT = Path(__file__).resolve().parents[1]
@@ -209,6 +210,7 @@ class TestReplace:
         )
 
 
+@explicit_and_implicit
 def test_t_end_is_where_the_run_ended(method, tmp_path):
     """At the end of the interval, at a terminal event, behind the last output; also from a file."""
 
