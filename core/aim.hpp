@@ -2,6 +2,7 @@
 // Where an attempt leads: the only owner of h, t1, hmin, hmax and of the target.
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 
@@ -56,6 +57,7 @@ class Aim {
   /// any attempt, or a retry with the same h would not land again.)
   void take(double t, double proposed, double reach) {
     constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
+    assert(forward_ * (target_ - t) > 0);
     const double distance = std::abs(target_ - t);
     const double size = std::max(hmin_, std::min({hmax_, huge, proposed}));
     lands_ = stretch * size >= distance && reach * std::max(size, proposed) >= distance;

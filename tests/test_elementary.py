@@ -19,7 +19,7 @@ mpmath = pytest.importorskip("mpmath")
 pytest.importorskip("numba")
 machine_code = pytest.importorskip("invariode._functions.machine_code")
 
-POINTS = 40_000  # a fourth of them in each range of arguments
+POINTS = 16_000  # a fourth of them in each range of arguments
 BITS = 90  # of reference values
 
 VECTOR = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -286,7 +286,9 @@ def test_an_unknown_numba_is_one_warning_and_the_librarys_functions(monkeypatch)
         with pytest.warns(UserWarning, match=r"does not take other elementary functions.*libm's are used"):
             found = iv.solve_ensemble(fun, (0, 3), y0, args=(1.5,), workers=1)
         iv.compile(far_pendulum, by="numba").native(2, 2, 1, False)  # without a second warning
-    expected = iv.solve_ensemble(iv.compile(far_pendulum, by="numba", elementary="libm"), (0, 3), y0, args=(1.5,), workers=1)
+    expected = iv.solve_ensemble(
+        iv.compile(far_pendulum, by="numba", elementary="libm"), (0, 3), y0, args=(1.5,), workers=1
+    )
     np.testing.assert_array_equal(found.y_end, expected.y_end)
     assert "lanes," in found.stats.lanes  # which then have the library's too
     assert found.stats.lanes == expected.stats.lanes

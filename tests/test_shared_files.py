@@ -43,7 +43,7 @@ def fails(t, y, rate):
 
 def interrupted(path, **options):
     with pytest.raises(PowerError):
-        problem(fun=fails).solve(checkpoint=path, checkpoint_every=1e-9, **options)
+        problem(fun=fails).solve(checkpoint=iv.Checkpoint(path, every=1e-9), **options)
 
 
 def names(folder):
@@ -120,7 +120,7 @@ def test_a_second_run_is_told_who_has_the_checkpoint_before_it_computes(tmp_path
         told.append(len(calls) - before)
         return False
 
-    whole = problem().solve(checkpoint=path, callback=second, checkpoint_every=1e-9)
+    whole = problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), callback=second)
     assert told
     assert set(told) == {0}
     assert not differences(whole, iv.load(path, problem(), callback=second))
@@ -175,7 +175,7 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path):
         "    if t > 1: os.kill(os.getpid(), signal.SIGKILL)\n"
         "    return [-y[0]]\n"
         "if os.fork() == 0: iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0])\n"
-        "else: iv.solve_ivp(f, (0, 3), [1.0], checkpoint='sim', checkpoint_every=1e-9)\n"
+        "else: iv.solve_ivp(f, (0, 3), [1.0], checkpoint=iv.Checkpoint('sim', every=1e-9))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path)
     assert done.returncode == -signal.SIGKILL
@@ -221,7 +221,7 @@ def test_where_there_are_no_locks_a_run_stops_before_it_writes_over_another(tmp_
         pytest.warns(UserWarning, match=r"the file system of .* has no locks: make sure that no other process"),
         pytest.raises(ValueError, match=r"another process has written .* while this run went on, which stops here"),
     ):
-        problem().solve(checkpoint=path, callback=meddles, checkpoint_every=1e-9)
+        problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), callback=meddles)
     assert not differences(problem().solve(), iv.load(path, problem()))
 
 
@@ -238,7 +238,7 @@ def test_what_another_process_has_added_is_not_undone(tmp_path, monkeypatch):
 
 def test_every_part_of_the_output_must_be_of_the_run(tmp_path):
     for name in ("a", "b"):
-        problem().solve(checkpoint=tmp_path / name)
+        problem().solve(checkpoint=iv.Checkpoint(tmp_path / name, every=1e-9))
     first, second = sorted(tmp_path.glob("*.output-*"))
     whole, other = first.read_bytes(), second.read_bytes()
     head = whole.index(b"\n") + 1
@@ -298,9 +298,9 @@ def test_a_store_that_was_growing_goes_on(tmp_path):
 
 def test_a_second_process_is_told_who_fills_the_store(tmp_path):
     pytest.importorskip("zarr")
-    from invariode._base.locks import held
+    from invariode._base.locks import Lock
 
-    lock = held(tmp_path / "store", "store")
+    lock = Lock(tmp_path / "store", "store")
     with pytest.raises(ValueError, match=r"store: .*store is in use by process \d+ \(this process\) on"):
         solve_into(tmp_path / "store")
     lock.release()

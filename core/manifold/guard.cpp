@@ -1,10 +1,12 @@
 #include "manifold/guard.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <utility>
 
+#include "linear/scattered.hpp"
 #include "manifold/thresholds.hpp"
 
 namespace invariode {
@@ -43,11 +45,7 @@ Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
 
-double Guard::direction(std::size_t j) {
-  constexpr double golden = 0.6180339887498949;
-  const double fraction = std::fmod(golden * static_cast<double>(j + 1), 1.0);
-  return (j % 2 == 0 ? 1 : -1) * (0.5 + fraction);
-}
+double Guard::direction(std::size_t j) { return (j % 2 == 0 ? 1 : -1) * (0.5 + spread(j)); }
 
 Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval)
     : interval_(interval),
@@ -114,7 +112,7 @@ Finding Guard::start_jacobian(double t, const double* y) {
   for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] - cbrt_eps * size[j] * direction(j);
   if (invariants_.residual(t, point_.data(), minus_.data()) == Status::stop) return stopped();
   for (std::size_t i = 0; i < m; ++i) {
-    if (invariants_.by_differences(i) || invariants_.certain(i)) continue;
+    if (invariants_.by_differences(i) || invariants_.untested(i)) continue;
     double expected = 0, terms = 0;
     at.gradient(i).for_each([&](std::size_t j, double value) {
       const double term = value * size[j] * direction(j);
@@ -152,7 +150,7 @@ Finding Guard::worst_entry(double t, const double* y, double factor) {
   Finding worst;
   double largest = 0;
   for (std::size_t i = 0; i < m; ++i) {
-    if (invariants_.certain(i)) continue;
+    if (invariants_.untested(i)) continue;
     double terms = 0;
     for (std::size_t j = 0; j < n; ++j)
       terms =
@@ -211,6 +209,7 @@ Finding Guard::start_rate(double t, const double* y, const double* f, double h) 
 }
 
 Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
+  assert(std::isfinite(h) && h != 0 && at.m() == invariants_.m());
   if (const Finding seen = look_along_flow(at, t, f, h, steps); seen.kind != Finding::Kind::none) return seen;
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
@@ -436,7 +435,7 @@ Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   }
   const double noise = noise_in_time(projector_.linearization(), i, t, h);
   if (off <= uncertainty * flow.error + noise || invariants_.by_differences(i)) return {};
-  if (invariants_.leave_complex_steps(i)) return {};
+  if (invariants_.abandon_complex_steps(i)) return {};
   return worst_entry(t, point_.data());
 }
 
@@ -464,7 +463,7 @@ bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h
 
 /// Whether the derivatives of invariant i hide rates that count, though g itself does not.
 bool Guard::blind(const Linearization& at, std::size_t i, double t, const double* f, double h) {
-  if (invariants_.certain(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
+  if (invariants_.untested(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
   const double hidden = limit(i) * at.row_norm[i] * weighted_norm(f, at.weights.data(), at.n()) +
                         invariants_.roundoff_of_rate(i, at.y.data(), at.jacobian.data(), f) +
                         noise_in_time(at, i, t, h);
@@ -527,7 +526,7 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
   Finding worst;
   double largest_drift = 0;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
-    if (invariants_.certain(i)) continue;
+    if (invariants_.untested(i)) continue;
     const double rate = gt_[i] + at.gradient(i).dot(f);
     if (!invariants_.contradicts(i, std::copysign(1.0, h) * rate)) continue;
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);

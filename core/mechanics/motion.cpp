@@ -1,17 +1,20 @@
 #include "mechanics/motion.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
 #include <utility>
 
+#include "linear/index.hpp"
 #include "weights.hpp"
 
 namespace invariode {
 namespace {
 
 using Eigen::Index;
+using Rows = Eigen::SparseMatrix<double, Eigen::RowMajor>;
 
 constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
 const double along_increment = std::cbrt(eps);  // relative, of the central difference of Φ along the motion
@@ -21,10 +24,13 @@ constexpr double densest = 0.25;
 // A position is nearly singular where rows of A, of norm 1, are so close to depending on each other: what is off the
 // constraints by e then changes accelerations by e divided by the square of that.
 constexpr double nearly_singular = 0.05;
+// At a distance of σ from a singular position, roundoff of the constraints changes accelerations by ε / σ³. Nearer than
+// `too_near` they are interpolated, as functions that are smooth along the motion, between points on both sides, at √1,
+// √2, √3 and √4 times the `spacing`: there, what roundoff and interpolation leave are both about 1e-11 of their size.
+constexpr double too_near = 0.01, far_enough = 0.005, spacing = 0.03;
+constexpr std::array<double, 4> interpolation = {2, -3, 2, -0.5};  // Lagrange's polynomial in the square, at 0
 constexpr int most_corrections = 6;       // Newton's iteration, which starts near, squares its errors
 constexpr double last_correction = 1e-8;  // of q: its square is roundoff
-
-Index index(std::size_t i) { return static_cast<Index>(i); }
 
 SparseMatrix columns_from(const SparseMatrix& A, std::size_t first) { return A.rightCols(A.cols() - index(first)); }
 
@@ -52,21 +58,6 @@ SparseMatrix placed(const SparseMatrix& A, Index first, Index width) {
   }
   wide.finalize();
   return wide;
-}
-
-/// The rows of a matrix that are kept, dense, row-major.
-void write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, double* out) {
-  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  Eigen::Map<Rows> rows(out, index(kept.size()), from.cols());
-  const Eigen::MatrixXd all(from);
-  for (std::size_t i = 0; i < kept.size(); ++i) rows.row(index(i)) = all.row(index(kept[i]));
-}
-
-/// Their entries row by row.
-void write_entries(const SparseMatrix& from, const std::vector<std::size_t>& kept, double* out) {
-  const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(from);
-  for (const std::size_t i : kept)
-    for (int p = rows.outerIndexPtr()[i]; p < rows.outerIndexPtr()[i + 1]; ++p) *out++ = rows.valuePtr()[p];
 }
 
 }  // namespace
@@ -100,6 +91,7 @@ Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
   beside_.resize(n_q);
   terms_of_rate_.resize(m_phi);
   satisfying_.resize(n);
+  shifted_.resize(n);
   nothing_ = Eigen::VectorXd::Zero(index(n_v));
   rest_.resize(A_.rows());
   entries_.resize(most_entries());
@@ -147,11 +139,11 @@ Callback Motion::callback(Part part) {
     case Part::slope: return {&entry<&Motion::slope>, this};
     case Part::mass: return {&entry<&Motion::mass_values>, this};
     case Part::positions: return {&entry<&Motion::positions>, this};
-    case Part::positions_jacobian: return {&entry<&Motion::positions_jacobian>, this};
+    case Part::positions_jacobian: return {&entry<&Motion::jacobian_rows<Part::positions_jacobian, true>>, this};
     case Part::rates: return {&entry<&Motion::rates>, this};
-    case Part::rates_jacobian: return {&entry<&Motion::rates_jacobian>, this};
+    case Part::rates_jacobian: return {&entry<&Motion::jacobian_rows<Part::rates_jacobian, true>>, this};
     case Part::velocities: return {&entry<&Motion::velocities>, this};
-    case Part::velocities_jacobian: return {&entry<&Motion::velocities_jacobian>, this};
+    case Part::velocities_jacobian: return {&entry<&Motion::jacobian_rows<Part::velocities_jacobian, true>>, this};
   }
   return {};
 }
@@ -235,9 +227,55 @@ Status Motion::accelerations(double t, const double* y, ConstrainedSolution& fou
   if (accelerations_at(t, y, found) == Status::stop) return Status::stop;
   if (!(found.pivot < nearly_singular) || !kept_psi_.empty() || terms_.kinematics.m() > 0) return Status::ok;
   ++singular_count_;
+  if (found.pivot < too_near) {
+    bool interpolated = false;
+    if (interpolate(t, y, found, interpolated) == Status::stop) return Status::stop;
+    if (interpolated) return Status::ok;
+  }
   bool satisfied = false;
   if (satisfy(t, y, satisfied) == Status::stop) return Status::stop;
   return satisfied ? accelerations_at(t, satisfying_.data(), found) : Status::ok;
+}
+
+/// How fast the rows of A turn: the largest |γ_i| / (‖A_i‖ max |v|), since γ is −(dA/dt) v.
+double Motion::turning() const {
+  Eigen::VectorXd square = Eigen::VectorXd::Zero(A_.rows());
+  for (Index j = 0; j < A_.outerSize(); ++j)
+    for (SparseMatrix::InnerIterator it(A_, j); it; ++it) square[it.row()] += it.value() * it.value();
+  double fastest = 0;
+  for (Index i = 0; i < A_.rows(); ++i)
+    if (square[i] > 0) fastest = std::max(fastest, std::abs(gamma_[i]) / std::sqrt(square[i]));
+  double speed = 0;
+  for (const double v : q_dot_) speed = std::max(speed, std::abs(v));
+  return speed > 0 ? fastest / speed : 0;
+}
+
+/// Takes for `found` what interpolation gives from (q + s v, v), put on the constraints. Not `interpolated`: there is
+/// no motion, or the positions beside are about as near to a singular one.
+Status Motion::interpolate(double t, const double* y, ConstrainedSolution& found, bool& interpolated) {
+  const double s = spacing / turning();
+  if (!std::isfinite(s)) return Status::ok;
+  ConstrainedSolution sum{.a = Eigen::VectorXd::Zero(found.a.size()),
+                          .lambda = Eigen::VectorXd::Zero(found.lambda.size()),
+                          .pivot = found.pivot};
+  for (std::size_t k = 0; k < interpolation.size(); ++k)
+    for (const double side : {1.0, -1.0}) {
+      const double away = side * std::sqrt(static_cast<double>(k + 1)) * s;
+      std::copy(y, y + size(), shifted_.begin());
+      for (std::size_t j = 0; j < terms_.n_q; ++j) shifted_[j] += away * y[terms_.n_q + j];
+      bool satisfied = false;
+      if (satisfy(t + away, shifted_.data(), satisfied) == Status::stop) return Status::stop;
+      if (!satisfied) return Status::ok;
+      if (accelerations_at(t + away, satisfying_.data(), there_) == Status::stop) return Status::stop;
+      if (!(there_.pivot >= far_enough)) return Status::ok;
+      sum.a += interpolation[k] * there_.a;
+      sum.lambda += interpolation[k] * there_.lambda;
+      sum.rank = there_.rank;
+      sum.unique = there_.unique;
+    }
+  found = std::move(sum);
+  interpolated = true;
+  return Status::ok;
 }
 
 Status Motion::accelerations_at(double t, const double* y, ConstrainedSolution& found) {
@@ -367,11 +405,11 @@ Status Motion::curvatures(double t, const double* y) {
       Eigen::Map<Eigen::VectorXd> curvature(values_.data(), phi_.matrix.rows());
       curvature += phi_.matrix * Eigen::Map<const Eigen::VectorXd>(bend_.data(), index(n_q));
     }
-    for (std::size_t i = 0; i < kept_phi_.size(); ++i) gamma_[index(i)] = -values_[kept_phi_[i]];
+    keep_values(kept_phi_, gamma_.data(), -1);
   }
   if (kept_psi_.empty()) return Status::ok;
   if (terms_.velocity_constraints.slope(t, y, 1, along_.data(), values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_psi_.size(); ++i) gamma_[index(m_phi() + i)] = -values_[kept_psi_[i]];
+  keep_values(kept_psi_, gamma_.data() + m_phi(), -1);
   return Status::ok;
 }
 
@@ -393,27 +431,19 @@ Status Motion::mass_values(double t, const double* y, double* out) {
 
 Status Motion::positions(double t, const double* y, double* out) {
   if (terms_.constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
+  keep_values(kept_phi_, out);
   return Status::ok;
 }
 
-Status Motion::positions_jacobian(double t, const double* y, double* J) {
-  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
-  write_rows(placed(phi_.matrix, 0, index(size())), kept_phi_, J);
-  return Status::ok;
-}
-
-Status Motion::positions_entries(double t, const double* y, double* values) {
-  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
-  write_entries(phi_.matrix, kept_phi_, values);
-  return Status::ok;
+void Motion::keep_values(const std::vector<std::size_t>& kept, double* out, double sign) const {
+  for (const std::size_t i : kept) *out++ = sign * values_[i];
 }
 
 /// φ' along the motion.
 Status Motion::rates(double t, const double* y, double* out) {
   if (q_dot(t, y, q_dot_.data()) == Status::stop) return Status::stop;
   if (terms_.constraints.slope(t, y, 1, q_dot_.data(), values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
+  keep_values(kept_phi_, out);
   return Status::ok;
 }
 
@@ -447,47 +477,42 @@ void Motion::combine_rates() {
     rates_ = by_time + SparseMatrix(phi_.matrix * kinematics_.matrix);
 }
 
-Status Motion::rates_jacobian(double t, const double* y, double* J) {
-  if (differentiate_rates(t, y) == Status::stop) return Status::stop;
-  write_rows(rates_, kept_phi_, J);
-  return Status::ok;
-}
-
-Status Motion::rates_entries(double t, const double* y, double* values) {
-  if (differentiate_rates(t, y) == Status::stop) return Status::stop;
-  write_entries(rates_, kept_phi_, values);
-  return Status::ok;
-}
-
 Status Motion::velocities(double t, const double* y, double* out) {
   if (terms_.velocity_constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_psi_.size(); ++i) out[i] = values_[kept_psi_[i]];
+  keep_values(kept_psi_, out);
   return Status::ok;
 }
 
-Status Motion::differentiate_velocities(double t, const double* y) {
+Status Motion::differentiate(Part jacobian, double t, const double* y) {
+  if (jacobian == Part::positions_jacobian) return phi_jacobian(t, y);
+  if (jacobian == Part::rates_jacobian) return differentiate_rates(t, y);
   fill_sizes(y, size(), size_.data());
   return terms_.velocity_constraints.jacobian(t, y, size_.data(), psi_);
 }
 
-Status Motion::velocities_jacobian(double t, const double* y, double* J) {
-  if (differentiate_velocities(t, y) == Status::stop) return Status::stop;
-  write_rows(psi_.matrix, kept_psi_, J);
-  return Status::ok;
+const SparseMatrix& Motion::derivative(Part jacobian) const {
+  if (jacobian == Part::velocities_jacobian) return psi_.matrix;
+  return jacobian == Part::positions_jacobian ? phi_.matrix : rates_;
 }
 
-Status Motion::velocities_entries(double t, const double* y, double* values) {
-  if (differentiate_velocities(t, y) == Status::stop) return Status::stop;
-  write_entries(psi_.matrix, kept_psi_, values);
-  return Status::ok;
+void Motion::write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, bool all, double* out) const {
+  const Rows rows(from);
+  if (all) std::fill(out, out + kept.size() * size(), 0.0);
+  for (const std::size_t i : kept) {
+    for (Rows::InnerIterator it(rows, index(i)); it; ++it) {
+      if (all)
+        out[it.col()] = it.value();
+      else
+        *out++ = it.value();
+    }
+    if (all) out += size();
+  }
 }
 
 RowPattern Motion::pattern(Part jacobian) const {
-  const bool velocities = jacobian == Part::velocities_jacobian;
-  const SparseMatrix& of_positions = jacobian == Part::positions_jacobian ? phi_.matrix : rates_;
-  const Eigen::SparseMatrix<double, Eigen::RowMajor> all(velocities ? psi_.matrix : of_positions);
+  const Rows all(derivative(jacobian));
   RowPattern pattern{.starts = {0}, .columns = {}};
-  for (const std::size_t i : velocities ? kept_psi_ : kept_phi_) {
+  for (const std::size_t i : kept(jacobian)) {
     const int* columns = all.innerIndexPtr();
     pattern.columns.insert(pattern.columns.end(), columns + all.outerIndexPtr()[i],
                            columns + all.outerIndexPtr()[i + 1]);
@@ -498,9 +523,9 @@ RowPattern Motion::pattern(Part jacobian) const {
 
 Callback Motion::entries(Part jacobian) {
   switch (jacobian) {
-    case Part::positions_jacobian: return {&entry<&Motion::positions_entries>, this};
-    case Part::rates_jacobian: return {&entry<&Motion::rates_entries>, this};
-    case Part::velocities_jacobian: return {&entry<&Motion::velocities_entries>, this};
+    case Part::positions_jacobian: return {&entry<&Motion::jacobian_rows<Part::positions_jacobian, false>>, this};
+    case Part::rates_jacobian: return {&entry<&Motion::jacobian_rows<Part::rates_jacobian, false>>, this};
+    case Part::velocities_jacobian: return {&entry<&Motion::jacobian_rows<Part::velocities_jacobian, false>>, this};
     default: return {};
   }
 }

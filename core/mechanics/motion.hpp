@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/rows.hpp"
 #include "linear/saddle.hpp"
 #include "linear/sparse_saddle.hpp"
-#include "manifold/rows.hpp"
 #include "mechanics/differentiable.hpp"
 
 namespace invariode {
@@ -82,7 +82,7 @@ class Motion {
 
   Status slope(double t, const double* y, double* out);
   /// v' and λ; what is not finite makes both NaN. Near singular positions those of the nearest (q, v) that satisfies
-  /// the constraints.
+  /// the constraints, or interpolated between such points beside.
   Status accelerations(double t, const double* y, ConstrainedSolution& found);
   /// A and the right-hand side γ of A v' = γ, of what is kept.
   Status rows(double t, const double* y);
@@ -116,21 +116,31 @@ class Motion {
 
   Status mass_values(double t, const double* y, double* out);
   Status positions(double t, const double* y, double* out);
-  Status positions_jacobian(double t, const double* y, double* J);
-  Status positions_entries(double t, const double* y, double* values);
   Status rates(double t, const double* y, double* out);
-  Status rates_jacobian(double t, const double* y, double* J);
-  Status rates_entries(double t, const double* y, double* values);
-  Status differentiate_rates(double t, const double* y);
   Status velocities(double t, const double* y, double* out);
-  Status velocities_jacobian(double t, const double* y, double* J);
-  Status velocities_entries(double t, const double* y, double* values);
-  Status differentiate_velocities(double t, const double* y);
+  /// The Jacobian of a law with respect to (q, v), of all its values, of which `kept` are; that of φ to q alone.
+  Status differentiate(Part jacobian, double t, const double* y);
+  [[nodiscard]] const SparseMatrix& derivative(Part jacobian) const;
+  [[nodiscard]] const std::vector<std::size_t>& kept(Part jacobian) const {
+    return jacobian == Part::velocities_jacobian ? kept_psi_ : kept_phi_;
+  }
+  /// The rows that are kept: all entries, or those of the pattern.
+  template <Part jacobian, bool all>
+  Status jacobian_rows(double t, const double* y, double* out) {
+    if (differentiate(jacobian, t, y) == Status::stop) return Status::stop;
+    write_rows(derivative(jacobian), kept(jacobian), all, out);
+    return Status::ok;
+  }
+  void write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, bool all, double* out) const;
+  Status differentiate_rates(double t, const double* y);
+  void keep_values(const std::vector<std::size_t>& kept, double* out, double sign = 1) const;
 
   Status accelerations_at(double t, const double* y, ConstrainedSolution& found);
   void solve(const Eigen::VectorXd& Q, const Eigen::VectorXd& gamma, ConstrainedSolution& found);
   Status row_values(double t, const double* y);
   Status satisfy(double t, const double* y, bool& found);
+  Status interpolate(double t, const double* y, ConstrainedSolution& found, bool& interpolated);
+  [[nodiscard]] double turning() const;
   Status correct_positions(double t, double& size);
   Status correct_velocities(double t);
   void choose_patterns();
@@ -150,10 +160,11 @@ class Motion {
   SparseMatrix rates_;        // the Jacobian of φ' with respect to y
   bool sparse_ = false, diagonal_mass_ = false;
   SparseSaddle saddle_;
-  ConstrainedSolution solution_, correction_;
+  ConstrainedSolution solution_, correction_, there_;
   Eigen::VectorXd force_, gamma_;
   std::vector<double> q_dot_, along_, bend_, values_, size_, ones_, beside_, entries_, terms_of_rate_;
   std::vector<double> satisfying_;  // (q, v) on the constraints
+  std::vector<double> shifted_;     // (q, v) beside a singular position
   Eigen::VectorXd nothing_, rest_;  // right-hand sides of corrections: no force, what is left of the constraints
   std::int64_t sparse_count_ = 0, dense_count_ = 0, singular_count_ = 0;
 };

@@ -3,6 +3,7 @@
 // divided differences (docs/algorithms.md, 'Adams'; Shampine & Gordon, Computer Solution of ODEs, 1975, chapter 10).
 
 #include <array>
+#include <cassert>
 #include <memory>
 #include <vector>
 
@@ -20,10 +21,7 @@ class Adams final : public Step {
  public:
   static constexpr int highest_order = 12;
 
-  Adams(Callback& f, const Weights& weights, int max_order = highest_order, int min_order = 1);
-
-  /// Memory of equal steps h and the highest order k: differences = [∇^0 f … ∇^{k−1} f] at t, each (n,).
-  void start_from(double t, const double* y, double h, const double* differences);
+  Adams(Callback& f, const Weights& weights, int max_order = highest_order);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
@@ -52,9 +50,15 @@ class Adams final : public Step {
   static constexpr std::size_t most = highest_order + 3;
   using Coefficients = std::array<double, most>;
 
-  void restart(double t, const double* y, int order);
-  double* phi(int i) { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
-  [[nodiscard]] const double* phi(int i) const { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
+  friend struct FixedOrder;  // a test of each order
+
+  double* phi(int i) { return phi_.data() + at(i); }
+  [[nodiscard]] const double* phi(int i) const { return phi_.data() + at(i); }
+  /// Where difference i begins; one past the last is the end.
+  [[nodiscard]] std::size_t at(int i) const {
+    assert(i >= 1 && static_cast<std::size_t>(i - 1) * n() <= phi_.size());
+    return static_cast<std::size_t>(i - 1) * n();
+  }
 
   void update_coefficients();
   void predict();
@@ -66,7 +70,7 @@ class Adams final : public Step {
   template <class Work>
   void for_each_block(Work work);
 
-  int max_order_, min_order_;
+  int max_order_;
   int order_ = 1;           // k of the next attempt
   int previous_order_ = 1;  // of the accepted step
   double previous_h_ = 0;   // signed; 0: forgotten

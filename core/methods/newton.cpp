@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -14,6 +15,7 @@ namespace {
 constexpr double slowest_rate = 0.9;
 constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
+constexpr double unchanged = 0.95;        // part of a residual that is left where J is much too large
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
@@ -92,6 +94,14 @@ Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
   if (all_finite(out, n)) return Outcome::ok;
   undefined_ = static_cast<int>(std::find_if_not(out, out + n, [](double x) { return std::isfinite(x); }) - out);
   return Outcome::not_finite;
+}
+
+Outcome AgingJacobian::evaluate_apart(double t, const double* y, double* out) {
+  Callback f = f_;
+  ++work_.checks;
+  if (f(t, y, out) == Status::stop) return Outcome::stop;
+  jacobian_.extend(y, out);
+  return all_finite(out, weights_.size()) ? Outcome::ok : Outcome::not_finite;
 }
 
 Status AgingJacobian::take_jacobian(double t, const double* y, const double* slope) {
@@ -309,7 +319,7 @@ LinearWork AgingJacobian::work() const {
     work.unsolved_t = free_->unsolved_t();
   }
   work.complex_calls = jacobian_.complex_calls();
-  work.left_complex_steps = jacobian_.left_complex_steps();
+  work.abandoned_complex_steps = jacobian_.abandoned_complex_steps();
   work.enlargements = jacobian_.enlargements();
   work.entries = static_cast<std::int64_t>(jacobian().rows.size());
   work.groups = static_cast<std::int64_t>(jacobian_.groups());
@@ -381,6 +391,7 @@ Outcome Newton::prepare(double c, double t1) {
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
                              double* y) {
+  assert(c != 0 && std::isfinite(c));
   const std::size_t n = weights_.size();
   const auto norm = [&](const double* v) { return max_norm(n, [v, w](std::size_t i) { return v[i] / w[i]; }); };
   std::fill(d, d + n, 0);
@@ -390,17 +401,11 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   place_ = {c, t1, y, w};
   for (;;) {
-    switch (evaluate(t1, y, f_value_.data())) {
-      case Outcome::stop: return Result::stop;
-      case Outcome::not_finite: return Result::failed;
-      case Outcome::ok: break;
-    }
+    if (const Result evaluated = newton_result(evaluate(t1, y, f_value_.data())); evaluated != Result::converged)
+      return evaluated;
     residual(c, psi, d);
-    switch (precondition(residual_.data())) {
-      case Outcome::stop: return Result::stop;
-      case Outcome::not_finite: return Result::failed;
-      case Outcome::ok: break;
-    }
+    if (!matrix_free()) before_ = norm(residual_.data());
+    if (const Result ready = newton_result(precondition(residual_.data())); ready != Result::converged) return ready;
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
       return Result::converged;
@@ -419,12 +424,23 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   }
 }
 
+Outcome Newton::doubt(double c, const double* psi, const double* d, bool& doubtful) {
+  const double* w = place_.w;
+  if (const Outcome outcome = evaluate_apart(place_.t, place_.y, f_value_.data()); outcome != Outcome::ok)
+    return outcome;
+  residual(c, psi, d);
+  const double after = max_norm(sum_.size(), [&](std::size_t i) { return residual_[i] / w[i]; });
+  doubtful = after > unchanged * before_ && after > weights_.rtol();
+  return Outcome::ok;
+}
+
 Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }
 
 /// b, preconditioned, becomes the solution; matrix-free with J at the place, where f is at hand.
 Newton::Result Newton::solve_linear(double tolerance, double* b) {
   count_solve();
   if (!matrix_free()) {
+    assert(has_factors());
     lu_->solve(b);
     return Result::converged;
   }
@@ -445,13 +461,10 @@ Newton::Result Newton::damp(double* v) {
     std::copy(v, v + sum_.size(), sum_.begin());
     M->multiply(sum_.data(), v);
   }
-  if (matrix_free()) {
-    const Outcome outcome = evaluate(place_.t, place_.y, f_value_.data());
-    if (outcome != Outcome::ok) return outcome == Outcome::stop ? Result::stop : Result::failed;
-  }
-  if (const Outcome outcome = precondition(v); outcome != Outcome::ok)
-    return outcome == Outcome::stop ? Result::stop : Result::failed;
-  return solve_linear(linear_part * weights_.rtol(), v);
+  Result result = Result::converged;
+  if (matrix_free()) result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));
+  if (result == Result::converged) result = newton_result(precondition(v));
+  return result == Result::converged ? solve_linear(linear_part * weights_.rtol(), v) : result;
 }
 
 /// c f − M (ψ + d), with f at hand.

@@ -78,6 +78,7 @@ class AgingJacobian {
   /// factor(c) of `state`, matrix-free.
   bool set_up_again(double c, Archive& archive);
 
+  [[nodiscard]] bool has_factors() const { return factored_.has_value(); }
   void forget_factors() { factored_.reset(); }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
   template <class Factor>
@@ -110,11 +111,17 @@ class AgingJacobian {
   /// f(t, y), outside of bounds by its linearization within; it must be finite; a component that is not is remembered
   /// until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
+  /// The same for a look at J, counted apart.
+  Outcome evaluate_apart(double t, const double* y, double* out);
   [[nodiscard]] int undefined_component() const { return undefined_; }
   void forget_undefined() { undefined_ = -1; }
   void note_singular() { work_.singular = true; }
   /// Null: J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
+  /// See `Step::end_attempts`.
+  void end_attempts() {
+    if (free_) free_->end_attempts();
+  }
   /// Shorter steps will not help: see MatrixFree.
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
@@ -210,12 +217,11 @@ class Newton : public AgingJacobian {
   Outcome prepare(double c, double t1);
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
+  /// Whether J may be much too large where `solve` has ended: the residual of its d is what it was before the last
+  /// update, and more than steps may be off. Newton's updates are then too small to show it. Takes one f.
+  Outcome doubt(double c, const double* psi, const double* d, bool& doubtful);
   /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
   Result damp(double* v);
-  /// See `Step::end_attempts`.
-  void end_attempts() {
-    if (matrix_free()) matrix_free()->end_attempts();
-  }
   void state(Archive& archive);
 
  private:
@@ -234,10 +240,15 @@ class Newton : public AgingJacobian {
   Convergence convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
+  double before_ = 0;             // the residual before the last update, in the norm
   std::vector<double> f_value_, residual_, sum_;
 };
 
-/// What a solve by GMRES means to the iteration.
+/// What an evaluation, or a solve by GMRES, means to the iteration.
+inline Newton::Result newton_result(Outcome outcome) {
+  if (outcome == Outcome::ok) return Newton::Result::converged;
+  return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;
+}
 inline Newton::Result newton_result(GmresResult result) {
   if (result == GmresResult::converged) return Newton::Result::converged;
   return result == GmresResult::stop ? Newton::Result::stop : Newton::Result::failed;

@@ -1,6 +1,7 @@
 #include "methods/radau_systems.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace invariode {
@@ -86,6 +87,7 @@ bool RadauSystems::factorize() {
 /// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
 Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, double* residuals,
                                    double* scratch, bool& negligible) {
+  assert(formula_ != nullptr && (!has_matrices() || has_factors()));
   tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
@@ -111,6 +113,7 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
 Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
   count_solve();
   if (has_matrices()) {
+    assert(has_factors());
     real_lu_->solve(b);
     return Newton::Result::converged;
   }
@@ -123,21 +126,14 @@ template <class Scalar>
 Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b,
                                             bool may_skip, bool& negligible) {
   MatrixFree& free = *matrix_free();
-  switch (free.precondition(b)) {
-    case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: return Newton::Result::failed;
-    case Outcome::ok: break;
-  }
+  const Newton::Result ready = newton_result(free.precondition(b));
+  if (ready != Newton::Result::converged) return ready;
   if (may_skip && free.negligible(w, tolerance, b)) {
     std::fill_n(b, n_, 0);
     return Newton::Result::converged;
   }
   negligible = false;
   return newton_result(free.solve(c, M, w, tolerance, b));
-}
-
-void RadauSystems::end_attempts() {
-  if (!has_matrices()) matrix_free()->end_attempts();
 }
 
 void RadauSystems::state(Archive& archive) {

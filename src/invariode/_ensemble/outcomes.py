@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
+import traceback
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,10 +12,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
-from .pickling import travelling
 from .solution import EnsembleEvents
-
-__all__ = ["ROWS", "Outcomes", "counts_by_name", "in_order", "joined"]
 
 
 def counts_by_name(counts: Array) -> dict[str, Any]:
@@ -78,12 +77,11 @@ class Outcomes:
             self.messages.pop(i, None)
         if self.error is not None and self.error[0] not in self.messages:  # the next one is of the other attempt
             self.error = None if other.error is None else (int(rows[other.error[0]]), other.error[1])
-        self.events = [
-            in_order(
-                *(np.concatenate(pair) for pair in zip(_without(old, places), _only(new, rows, better), strict=True))
-            )
-            for old, new in zip(self.events, other.events, strict=True)
-        ]
+        for e, (old, new) in enumerate(zip(self.events, other.events, strict=True)):
+            stays, comes = ~np.isin(old.trajectory, places), np.isin(new.trajectory, better)
+            pairs = {name: (old[name][stays], new[name][comes]) for name in old}
+            pairs["trajectory"] = pairs["trajectory"][0], rows[pairs["trajectory"][1]]
+            self.events[e] = in_order(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
 #: The arrays of `Outcomes` that every run fills.
@@ -125,12 +123,13 @@ def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
     return EnsembleEvents(trajectory[order], t[order], y[order])
 
 
-def _without(events: EnsembleEvents, rows: Array) -> tuple[Array, Array, Array]:
-    others = ~np.isin(events.trajectory, rows)
-    return events.trajectory[others], events.t[others], events.y[others]
-
-
-def _only(events: EnsembleEvents, rows: Array, chosen: Array) -> tuple[Array, Array, Array]:
-    """Those of the chosen ones, whose numbers are those of `rows`."""
-    these = np.isin(events.trajectory, chosen)
-    return rows[events.trajectory[these]], events.t[these], events.y[these]
+def travelling(error: BaseException | None) -> BaseException | None:
+    """An exception that can be pickled, with its traceback, which cannot, as a note."""
+    if error is None or error.__traceback__ is None:
+        return error
+    try:
+        alike: BaseException = pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever the user's class does
+        alike = RuntimeError(f"{type(error).__name__}: {error}")
+    alike.add_note(f"In the process that solved the trajectory:\n{''.join(traceback.format_exception(error))}")
+    return alike

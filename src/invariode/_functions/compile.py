@@ -10,8 +10,6 @@ from .._base.arguments import choice, shown
 from .compiled import CompiledFunction, numba_or_say_so
 from .graph.function import TracedFunction
 
-__all__ = ["compile"]
-
 
 def compile(
     fun: Callable[..., Any],

@@ -10,8 +10,6 @@ from .._problem.description import Description
 from .._results.solution import Solution
 from .plan import Plan, solver
 
-__all__ = ["ended_at_start", "found_at_start", "with_start", "without_start"]
-
 
 def found_at_start(problem: Description, plan: Plan) -> list[int]:
     """Which events occur at the start. Those with a direction take a step, which shows it."""
@@ -59,6 +57,8 @@ def without_start(plan: Plan, found: list[int]) -> Plan:
 
 def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
     """The solution of that plan, with the occurrences at the start in front."""
+    if not found:
+        return sol
     t_events, y_events = list(sol.t_events), list(sol.y_events)
     for e in found:
         t_events[e] = np.concatenate([[plan.settings.t0], t_events[e]])

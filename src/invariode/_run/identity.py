@@ -19,10 +19,9 @@ from .._functions.compiled import CompiledFunction, CoreFunction
 from .._functions.graph.python import Formula
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
+from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
-
-__all__ = ["Identity", "identity_of_run", "in_words", "known_identity", "options_of", "require_same"]
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
@@ -34,37 +33,41 @@ _OF_THE_SESSION = frozenset({"progress", "on_interrupt", "on_failure", "checkpoi
 _SAME = 1e-9
 
 
-def _array(value: Array) -> str:
-    return f"array {value.shape} {_digest(_parts(value))}"
-
-
 # ----------------------------------------------------------------------------------------------------------------------
 # Values and code
 
 
-def in_words(value: Any) -> Any:
+def in_words(value: Any, *, code: bool = True) -> Any:
     """What `value` is, as JSON can hold it: equal for what is written alike, in another process too. Of a function its
-    code."""
-    if value is None or isinstance(value, (bool, str)):
+    code, or only that it is one."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, str)):
         return value
-    if isinstance(value, (int, float, np.number)):
-        number = value.item() if isinstance(value, np.generic) else value
-        return (
-            number if isinstance(number, int) or (isinstance(number, float) and math.isfinite(number)) else repr(number)
-        )
+    if isinstance(value, (float, complex, np.number)):  # the last has digits that the others lack
+        return value if isinstance(value, float) and math.isfinite(value) else repr(value)
+    if hasattr(value, "tocsc"):
+        columns = value.tocsc()
+        value = [columns.indptr, columns.indices, columns.data]
+    if isinstance(value, (list, tuple)) and len(value) > _FEW and all(type(one) is float for one in value):
+        value = np.array(value)
     if isinstance(value, np.ndarray):
-        return in_words(value.tolist()) if value.size <= _FEW and value.dtype != object else _array(value)
-    if isinstance(value, (list, tuple)):
-        return [in_words(one) for one in value]
+        large = value.size > _FEW and value.dtype.kind in "biufc" and value.dtype.char not in "gG"
+        if large or value.dtype == object:
+            return f"array {value.shape} {_digest(_parts(value))}"
+        value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(name): in_words(one) for name, one in value.items()}
-    code = _digest_of_code(value)
-    if code is not None:
+        return {str(name): in_words(one, code=code) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [in_words(one, code=code) for one in value]
+    if callable(value) and not code:
+        return "function"
+    digest, own = _digest_of_code(value), getattr(value, "__dict__", None)
+    if digest is not None:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
-        return f"{call_name(value, 'function')} ({code}{', libm' * libm})"
-    own = getattr(value, "__dict__", None)
-    if type(value).__module__.startswith("invariode.") and own is not None:
-        about = {name: in_words(one) for name, one in own.items() if not name.startswith("_")}
+        return f"{call_name(value, 'function')} ({digest}{', libm' * libm})"
+    if type(value).__module__.partition(".")[0] == "invariode" and own is not None:
+        about = {name: in_words(one, code=code) for name, one in own.items() if not name.startswith("_")}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
 
@@ -115,11 +118,16 @@ def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
     if id(function) in seen:
         return
     seen.add(id(function))
-    yield from _instructions(function.__code__)
-    own = set(_rebound(function.__code__))  # what it changes itself is its memory, not its code
+    codes = list(_nested(function.__code__))
+    for code in codes:
+        yield code.co_code
+        yield repr((code.co_names, code.co_varnames)).encode()
+        yield from (repr(_in_order(one)).encode() for one in code.co_consts if not isinstance(one, CodeType))
+    # What it changes itself is its memory, not its code.
+    own = {one.argval for code in codes for one in dis.get_instructions(code) if one.opname in _BINDS}
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=False)
     kept = [cell.cell_contents for name, cell in cells if name not in own and _is_filled(cell)]
-    names = [name for name in _names(function.__code__) if name not in own]
+    names = [name for code in codes for name in code.co_names if name not in own]
     used = [function.__globals__[name] for name in names if name in function.__globals__]
     for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values(), *kept, *used):
         inner = _function(value)
@@ -131,38 +139,23 @@ def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             yield from _parts(value)
 
 
+#: Instructions that bind a name from outside anew.
+_BINDS = ("STORE_GLOBAL", "STORE_DEREF")
+
+
+def _nested(code: CodeType) -> Iterator[CodeType]:
+    """The code of a function, and of those inside it."""
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from _nested(one)
+
+
 def _is_filled(cell: Any) -> bool:
     try:
         return cell.cell_contents is not cell
     except ValueError:
         return False
-
-
-def _rebound(code: CodeType) -> Iterator[str]:
-    """Names from outside that a function binds anew."""
-    for one in dis.get_instructions(code):
-        if one.opname in ("STORE_GLOBAL", "STORE_DEREF"):
-            yield one.argval
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            yield from _rebound(inner)
-
-
-def _names(code: CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _names(one)
-
-
-def _instructions(code: CodeType) -> Iterator[bytes]:
-    yield code.co_code
-    yield repr((code.co_names, code.co_varnames)).encode()
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _instructions(one)
-        else:
-            yield repr(_in_order(one)).encode()
 
 
 def _in_order(constant: Any) -> Any:
@@ -198,6 +191,10 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
             about["functions" if acts else "arrays"].append(name)
         elif callable(value):
             about["functions"].append(name)
+        elif isinstance(value, (Limits, GMRES)):
+            about["options"][name] = _fields(value)
+            if not all(isinstance(one, (int, float)) for one in vars(value).values() if one is not None):
+                about["functions"].append(name)
         elif isinstance(value, (bool, int, float, str)):
             about["options"][name] = value
         elif name == "prefer":
@@ -205,22 +202,20 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
         else:
             about["arrays"].append(name)
             arrays[name] = np.asarray(value)
+    about["every"] = options["checkpoint"].every if isinstance(options.get("checkpoint"), Checkpoint) else None
     about["bdf"] = bool(find_method(method)[1].get("bdf"))  # which a name of SciPy's implies
     about["problem"] = _described(problem)
-    about["code"] = _codes(problem, options.get("breakpoints"))
+    about["code"] = _codes(problem, options)
     return Identity(about, arrays)
 
 
-def known_identity(about: Any, arrays: dict[str, Array]) -> Identity:
-    """That of a file. Raises whatever the damage causes: what is not there, or of another type."""
-    kinds = {"method": str, "options": dict, "arrays": list, "functions": list, "bdf": bool, "problem": dict}
-    for name, kind in {**kinds, "code": dict}.items():
-        if not isinstance(about[name], kind):
-            raise TypeError(f"{name} of the run is of type {type(about[name]).__name__}")
+def known_identity(about: dict[str, Any], arrays: dict[str, Array]) -> Identity:
+    """That of a file, whose types are known to be right. Raises whatever else the damage causes."""
     known = table_of(Options).keys() - _OF_THE_SESSION
     for name in (*about["options"], *about["arrays"], *about["functions"]):
-        if not isinstance(name, str) or name not in known:
+        if name not in known:
             raise ValueError(f"{shown(name)} is no option of a run")
+    _plain_options(about)
     for name in ("y0", "f0", *about["arrays"], *{"breakpoints"}.intersection(about["functions"])):
         arrays[name]
     return Identity(about, arrays)
@@ -230,25 +225,44 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
     """The options of the run of a file. `given`: those with functions, which are not in the file, and others, which
     must agree with those in it."""
     about, arrays = stored
-    options: dict[str, Any] = {**about["options"], **{name: arrays[name] for name in about["arrays"]}}
+    options: dict[str, Any] = {**_plain_options(about), **{name: arrays[name] for name in about["arrays"]}}
     if about["bdf"]:
         options["bdf"] = True
     for name, value in given.items():
         if name in about["functions"] or name in _OF_THE_SESSION:
             options[name] = value
         elif not _equal(options.get(name), value):
-            was = _told(options.get(name))
+            was = in_words(options.get(name), code=False)
             raise ValueError(f"{name} is {value!r} here, and {was} in the file: leave it out, or load another file")
     for name in about["functions"]:
         if name not in given:
             raise ValueError(f"the run has {name} with functions, which are not in the file: give {name}=... too")
+    if "linear_solver" in about["functions"]:
+        now, was = _fields(given["linear_solver"]), about["options"]["linear_solver"]
+        if now != was:
+            raise ValueError(f"linear_solver has {now} here, and {was} in the file: give that of the run")
     if "breakpoints" in about["functions"]:
         here, there = _times(given["breakpoints"]), arrays["breakpoints"]
         if not _equal(there, here):
             raise ValueError(
-                f"breakpoints are at {_told(here)} here, and at {_told(there)} in the file: give those of the run"
+                f"breakpoints are at {in_words(here)} here, and at {in_words(there)} in the file: give those of the run"
             )
     return cast("Options", options)
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    """What an option of several fields says, in JSON's types."""
+    return {name: in_words(one, code=False) for name, one in getattr(value, "__dict__", {}).items() if one is not None}
+
+
+def _plain_options(about: dict[str, Any]) -> dict[str, Any]:
+    """The options of a file that are neither functions nor arrays."""
+    several: dict[str, Any] = {"limits": Limits, "linear_solver": GMRES}
+    return {
+        name: several[name](**value) if isinstance(value, dict) else value
+        for name, value in about["options"].items()
+        if name not in about["functions"]
+    }
 
 
 def require_same(stored: Identity, problem: Description, given: Mapping[str, Any], trust: str | None) -> None:
@@ -259,7 +273,7 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
     pairs = [(what, here.get(what), was) for what, was in there.items() if here.get(what) != was]
     if not pairs:
         pairs = [
-            (what, _told(now.arrays[name]), _told(stored.arrays[name]))
+            (what, in_words(now.arrays[name]), in_words(stored.arrays[name]))
             for name, what in (("y0", "y0"), ("f0", "fun at the start"))
             if not _close(now.arrays[name], stored.arrays[name])
         ]
@@ -267,7 +281,7 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
         raise ValueError(
             f"the file belongs to another problem: {what}: {value} here, {was} in the file. Give the problem of the run"
         )
-    codes = _codes(problem, given.get("breakpoints"))
+    codes = _codes(problem, given)
     was_code = stored.about["code"]
     edited = [name for name, code in codes.items() if name in was_code and was_code[name] != code]
     if edited and trust is None:
@@ -277,9 +291,10 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
         )
 
 
-def _codes(problem: Description, breakpoints: Any) -> dict[str, str]:
+def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
     """The code of each of the user's functions, by what messages call it."""
-    functions = {"fun": problem.fun, **vars(problem.matrices)}
+    breakpoints, solver = options.get("breakpoints"), options.get("linear_solver")
+    functions = {"fun": problem.fun, **vars(problem.matrices), **getattr(solver, "__dict__", {})}
     for i, law in enumerate(problem.invariants):
         functions |= {f"invariant {i} ({name})": one for name, one in vars(law).items()}
     for i, event in enumerate(problem.events):
@@ -290,51 +305,23 @@ def _codes(problem: Description, breakpoints: Any) -> dict[str, str]:
     return {name: code for name, code in found.items() if code is not None}
 
 
-def _described(problem: Description) -> dict[str, Any]:
+def _described(problem: Description) -> Any:
     """What is compared, by the words for it."""
-    of_events = [
-        [
-            event.__name__,
-            getattr(event, "terminal", False),
-            getattr(event, "direction", 0),
-            getattr(event, "samples", None),
-        ]
-        for event in problem.events
-    ]
-    return {
+    properties = {"__name__": None, "terminal": False, "direction": 0, "samples": None}
+    about = {
         "components": len(problem.y0),
         "complex": problem.y0.dtype.kind == "c",
         "t0": problem.t_span[0],
-        "events (name, terminal, direction, samples)": [[_told(one) for one in event] for event in of_events],
-        "invariants": [{name: _told(one) for name, one in vars(law).items()} for law in problem.invariants],
-        "args": [_told(one) for one in problem.args],
-        "bounds": None if problem.limits is None else [_told(one) for one in problem.limits],
-        "inputs": [{name: _told(one) for name, one in vars(one).items()} for one in problem.inputs],
-        **{name: _told(one) for name, one in vars(problem.matrices).items()},
+        "events (name, terminal, direction, samples)": [
+            [getattr(event, name, default) for name, default in properties.items()] for event in problem.events
+        ],
+        "invariants": [vars(law) for law in problem.invariants],
+        "args": problem.args,
+        "bounds": problem.bounds,
+        "inputs": [vars(one) for one in problem.inputs],
+        **vars(problem.matrices),
     }
-
-
-def _told(value: Any) -> Any:
-    """A value in JSON's types, the same for equal ones. Of a function only that it is one."""
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if callable(value):
-        return "function"
-    if hasattr(value, "tocsc"):
-        value = value.tocsc()
-        return [_told(part) for part in (value.indptr, value.indices, value.data)]
-    try:
-        array = np.asarray(value)
-    except ValueError:  # ragged
-        return type(value).__name__
-    if array.dtype.kind in "fc" and array.dtype not in (np.dtype(float), np.dtype(complex)):
-        # Some have digits that JSON's numbers lack, and bytes that mean nothing.
-        return [repr(one) for one in array.ravel()] if array.ndim else repr(array[()])
-    if array.dtype.kind not in "biufc":
-        return [_told(one) for one in value] if isinstance(value, (list, tuple)) else type(value).__name__
-    if array.size <= _FEW and array.dtype.kind != "c":
-        return array.tolist()
-    return _array(array)
+    return in_words(about, code=False)
 
 
 def _slope(problem: Description) -> Array:

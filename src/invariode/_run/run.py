@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options
+from .._problem.options import ExtensionOptions, Options, changed
 from .._results.messages import (
     MESSAGES,
     about_jumps,
@@ -44,14 +44,12 @@ from .._results.result import (
     at_events,
 )
 from .._results.solution import Solution
-from .calls import explain, require_values
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .identity import identity_of_run
+from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
-
-__all__ = ["RunOrigin", "Solved", "Source", "concluded", "presented", "solve"]
+from .wrong_calls import explain, require_values
 
 
 class Resumed(NamedTuple):
@@ -61,41 +59,34 @@ class Resumed(NamedTuple):
     anew: bool  # the method is to start again
 
 
-class Source(Protocol):
-    """The problem, method and options of a run."""
+class Solved:
+    """A problem solved by a method with options; the problem may be made when it is used."""
+
+    __slots__ = ("_problem", "method", "options")
+
+    def __init__(self, problem: Description | Callable[[], Description], method: MethodName, options: Options) -> None:
+        self._problem, self.method, self.options = problem, method, options
 
     @property
     def problem(self) -> Description:
         """The problem, with the whole interval if the run continues another."""
-
-    @property
-    def method(self) -> MethodName:
-        """The method, by the name given."""
-
-    @property
-    def options(self) -> Options:
-        """The options as given."""
-
-
-class Solved(NamedTuple):
-    """A problem solved by a method with options."""
-
-    problem: Description
-    method: MethodName
-    options: Options
+        if not isinstance(self._problem, Description):
+            self._problem = self._problem()
+        return self._problem
 
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
     """What a solution was made from, and where it ended: what is needed to continue it."""
 
-    source: Source
+    source: Solved
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
     memory: bytes
     imposed: bool = False
     checkpoint: Checkpoint | None = None
+    memory_version: int = _core.MEMORY_VERSION
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         return type(None), ()  # functions do not travel with a pickled solution
@@ -104,18 +95,16 @@ class RunOrigin:
         return self
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+        """See `Solution.extend`."""
         return _extended(self, sol, t_end, options)
 
-    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        about, arrays = identity_of_run(self.source.problem, self.source.method, self.source.options)
-        memory = np.frombuffer(self.memory, dtype=np.uint8)
-        of_identity = {f"identity.{name}": one for name, one in arrays.items()}
-        return (
-            {"identity": about, "next_h": self.next_h, "imposed": self.imposed, "memory_version": _core.MEMORY_VERSION},
-            {"memory": memory, "y": self.y, **of_identity},
-        )
+    def identity(self) -> Identity:
+        """What tells its run from another."""
+        return identity_of_run(self.source.problem, self.source.method, self.source.options)
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
+        """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
+        equation."""
         problem, options = self.source.problem, self.source.options
         known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
         if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
@@ -156,12 +145,14 @@ class RunOrigin:
         return as_columns(after, y.dtype), as_columns(before, y.dtype)
 
     def field(self, y: Array) -> Array | None:
+        """f at the start of the run, in other states (n, k)."""
         problem = self.source.problem
         if problem.matrices.mass is not None:
             return None
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 
     def imposing(self) -> RunOrigin:
+        """The same for the projected solution: its extension will be projected too."""
         return dataclasses.replace(self, imposed=True)
 
     @property
@@ -193,7 +184,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
             status, message = MESSAGES["terminal_event"]
             sol = sol.changed(status=status, message=message)
     else:
-        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source))
+        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
     return concluded(sol, plan.on_failure)
 
 
@@ -216,14 +207,11 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
     raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
 
 
-def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
+def _new_checkpoint(plan: Plan, source: Solved, at_start: list[int]) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
-        if "checkpoint_every" in source.options:
-            warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
-    who = partial(identity_of_run, source.problem, source.method, source.options)
-    return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
+    return Checkpoint.of_new_run(plan.checkpoint.path, partial(with_start, plan=plan, found=at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -231,7 +219,7 @@ def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) ->
 
 
 def _carried_out(
-    plan: Plan, source: Source, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
+    plan: Plan, source: Solved, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
 ) -> Solution:
     """The solution of a plan, or of what is left of it."""
     core = solver(plan)
@@ -258,7 +246,7 @@ def _examined(sol: Solution, problem: Description) -> Solution:
 
 
 def presented(
-    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None = None
+    run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None = None
 ) -> Solution:
     """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
     took turns."""
@@ -291,16 +279,13 @@ def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
     return None if work is None else {"derivatives": dict(fun.derivatives)} | work
 
 
-def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source, part: _core.Run) -> None:
+def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Solved, part: _core.Run) -> None:
     """Writes what has come since the last time."""
     if plan.exception(part) is not None:
         return
-    memory, running = np.frombuffer(part.memory, dtype=np.uint8), part.state == "running"
     sol = _solution(part, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
-    origin = cast("RunOrigin", sol._origin)
-    about = {"next_h": origin.next_h, "memory_version": _core.MEMORY_VERSION}
-    checkpoint.keep(sol, running, {"memory": memory, "y_end": origin.y, "value": sol._invariants.value}, about)
+    checkpoint.keep(sol, part.state == "running")
 
 
 def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
@@ -316,7 +301,7 @@ def _integrated(
     core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
 ) -> _core.Run:
     """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
-    every = plan.checkpoint_every
+    every = 0.0 if plan.checkpoint is None else plan.checkpoint.every
     with ExitStack() as around:
         told = request = None
         if plan.progress:
@@ -329,13 +314,13 @@ def _integrated(
 
 
 def _solution(
-    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None
+    run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None
 ) -> Solution:
     dtype = plan.y0.dtype
     status, message = plan.verdict(run)
     bound = plan.bound
     if jumps := run.take_jumps():
-        bound = bound.jumped(jumps, forward=plan.settings.forward)
+        bound = bound.jumped(jumps)
     dense = run.take_dense()
     t, y, t_end, y_end = run.take_points()
     happened = run.take_events() if plan.records_events else None
@@ -430,7 +415,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
         )
     problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
-    given = cast("Options", {**options_of_run, "first_step": None, **options})
+    given = changed(options_of_run, {"first_step": None, **options})
     now = given.copy()
     if options_of_run.get("t_eval") is not None or options.get("t_eval") is not None:
         now["t_eval"], given["t_eval"] = _times(origin, old, options.get("t_eval"), forward, tf)
@@ -443,7 +428,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     if origin.checkpoint is not None:
         origin.checkpoint.go_on(old.stats.mechanics)
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
-    points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
+    points = 0 if given.get("keep") == "end" else len(old.t)
     return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
 
 

@@ -15,8 +15,6 @@ from .python import Formula
 from .trace import Traced, trace
 from .traced import TraceError
 
-__all__ = ["GraphFunction", "OnGraph", "TracedFunction"]
-
 
 class OnGraph(CompiledFunction):
     """A function that is compiled from a graph, by LLVM alone.

@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
-__all__ = ["ARITHMETIC", "COMPARISONS", "ELEMENTARY", "Graph", "Node", "in_order"]
-
 #: Functions of one number: Python's, from `math`.
 ELEMENTARY: dict[str, Callable[[float], float]] = {
     **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")},

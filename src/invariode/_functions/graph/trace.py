@@ -22,8 +22,6 @@ from ..._base.arguments import PACKAGE, call_name
 from .nodes import ELEMENTARY, Graph, Node
 from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, number, wrapped
 
-__all__ = ["Limits", "Traced", "trace"]
-
 
 class Limits(NamedTuple):
     """How far tracing goes: paths through branches on values, decisions on one of them, nodes, seconds."""

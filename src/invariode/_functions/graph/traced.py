@@ -10,8 +10,6 @@ import numpy as np
 
 from .nodes import ELEMENTARY, Graph, Node
 
-__all__ = ["TraceError", "TracedArray", "cells_of", "has_traced", "number", "truth", "wrapped"]
-
 
 class TraceError(TypeError):
     """Why a function cannot be traced."""
