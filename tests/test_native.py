@@ -237,8 +237,8 @@ class TestCompile:
     def test_what_numba_cannot_compile_is_said(self):
         with pytest.raises(TypeError, match="numba cannot compile this function"):
             iv.solve_ivp(iv.compile(lambda t, y: (t.nothing,), by="numba"), (0, 1), [1.0])
+        fun = iv.compile(lambda t, y, a: (y[1], -a * y[0]), by="numba")
         with pytest.raises(TypeError, match=r"f\(t, y, p\), p an array of 1: p\[0\] is the first"):
-            fun = iv.compile(lambda t, y, a: (y[1], -a * y[0]), by="numba")
             iv.solve_ivp(fun, (0, 1), [1.0, 0.0], args=(3.0,))
         with pytest.raises(TypeError, match=r"compile takes a function f\(t, y\)"):
             iv.compile(3)

@@ -20,8 +20,8 @@ class OnGraph(CompiledFunction):
     """A function that is compiled from a graph, by LLVM alone.
 
     Its form for complex y is its derivative: the imaginary parts of y are a direction, and those of the values f_y
-    times it. That is no analytic continuation, which the mechanics of constraints needs in t and y: there numba compiles
-    the function.
+    times it. That is no analytic continuation, which the mechanics of constraints needs in t and y: there numba
+    compiles the function.
     """
 
     def graph(self, shape: Shape) -> list[Node] | None:

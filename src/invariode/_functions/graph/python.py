@@ -13,6 +13,9 @@ import numpy as np
 from ..._base.arguments import Array
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, in_order
 
+#: The name of the function that is executed.
+_CODE = "graph_code"
+
 
 def as_text(name: str, outputs: Sequence[Node]) -> str:
     """The source of a function (t, y, p) of a list of floats each that returns the list of the values."""
@@ -74,8 +77,8 @@ class Formula:
     def _code(self) -> Callable[[float, list[float], Any], list[float]]:
         namespace: dict[str, Any] = {**vars(math), "solved": _solved, "sign": _sign}
         namespace |= {f"nan_or_{name}": _careful(function) for name, function in (ELEMENTARY | _OF_TWO).items()}
-        exec(self.text, namespace)
-        made: Callable[[float, list[float], Any], list[float]] = namespace[self.__name__]
+        exec(as_text(_CODE, self.outputs), namespace)  # its own name may be that of a function it calls
+        made: Callable[[float, list[float], Any], list[float]] = namespace[_CODE]
         return made
 
     def __call__(self, t: float, y: Any, *args: Any) -> Any:

@@ -152,7 +152,6 @@ class _Run:
             first += size
         try:
             returned = self._fun(*given)
-            self._copies.require_unchanged()
             return cells_of(out if out is not None else returned, graph)
         except TraceError as error:
             raise TraceError(self._refused(str(error), error)) from None
@@ -219,15 +218,40 @@ _MOST_CONSTANTS = 10_000
 _FORBIDDEN = {"print", "input", "open", "exec", "eval", "globals", "locals", "vars", "setattr", "delattr"}
 
 
+_ITEMS = ("__setitem__", "__delitem__")
+
+
+def _refuses(why: str) -> Callable[..., Any]:
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise TraceError(why)
+
+    return refuse
+
+
+def _read_only(kind: type, *methods: str) -> type:
+    """A list, dictionary or set that refuses to be written to."""
+    refuse = _refuses(f"it writes to a {kind.__name__} that it does not make")
+    return type(kind.__name__, (kind,), dict.fromkeys(methods, refuse))
+
+
+#: Of lists, dictionaries and sets: those that stand for them in copies of functions.
+_READ_ONLY: dict[type, type] = {
+    list: _read_only(
+        list,
+        *("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse", "__iadd__", "__imul__"),
+        *_ITEMS,
+    ),
+    dict: _read_only(dict, "update", "pop", "popitem", "clear", "setdefault", *_ITEMS, "__ior__"),
+    set: _read_only(set, "add", "update", "pop", "remove", "discard", "clear", "__ior__", "__iand__", "__isub__"),
+}
+
+
 class _Copies:
     """Functions in whose copies the libraries take traced values."""
 
     def __init__(self, run: Any) -> None:
         self._run = run
         self._made: dict[int, Any] = {}
-        self._outside: list[tuple[Any, Any]] = []
-        self._collections: list[tuple[Any, int]] = []
-        self._objects: list[tuple[Any, dict[str, Any]]] = []
         self._kept: list[Any] = []  # so that no id is used twice
         self._numpy, self._math = _NumPy(run), _Math(run)
         self._builtins = _python(run)
@@ -253,9 +277,8 @@ class _Copies:
             return value
         if isinstance(value, np.ndarray):
             return self._constants(value)
-        if isinstance(value, (list, dict, set)):
-            self._collections.append((value, len(value)))
-            return value
+        if type(value) in _READ_ONLY:
+            return self._collection(value)
         module = (getattr(value, "__module__", None) or "").partition(".")[0]
         if isinstance(value, (np.ufunc, types.BuiltinFunctionType)) or module == "numpy":
             return self._of_library(value, module)
@@ -276,23 +299,22 @@ class _Copies:
         """An array of floats from outside, whose methods then take traced values."""
         if type(value) is not np.ndarray or value.dtype.kind != "f" or value.size > _MOST_CONSTANTS:
             return value
-        made = TracedArray(cells_of(value, self._run._graph), self._run.decide)
-        self._outside.append((made.cells, made.cells.copy()))
-        return made
+        cells = cells_of(value, self._run._graph)
+        cells.flags.writeable = False
+        return TracedArray(cells, self._run.decide)
 
-    def require_unchanged(self) -> None:
-        """That the function has not written to what it does not make."""
-        for collection, size in self._collections:
-            if len(collection) != size:
-                if isinstance(collection, list):
-                    del collection[size:]
-                raise TraceError(f"it writes to a {type(collection).__name__} that it does not make")
-        for copy, before in self._objects:
-            if vars(copy).keys() != before.keys() or any(vars(copy)[name] is not before[name] for name in before):
-                raise TraceError(f"it writes to attributes of {type(copy).__name__}")
-        for now, before in self._outside:
-            if any(a is not b for a, b in zip(now.flat, before.flat, strict=True)):
-                raise TraceError("it writes to an array that it does not make")
+    def _collection(self, value: Any) -> Any:
+        """A list, dictionary or set from outside, with what stands for its values; writing to it is refused."""
+        kind = _READ_ONLY[type(value)]
+        made = self._made[id(value)] = kind()  # it may contain itself
+        self._kept.append(value)
+        if isinstance(value, dict):
+            dict.update(made, {name: self.of(one) for name, one in value.items()})
+        elif isinstance(value, list):
+            list.extend(made, map(self.of, value))
+        else:
+            set.update(made, value)
+        return made
 
     def _of_library(self, value: Any, module: str) -> Any:
         name = getattr(value, "__name__", "")
@@ -327,16 +349,16 @@ class _Copies:
     def _object(self, value: Any) -> Any:
         """An object with copies of its methods, and its own data."""
         kind = type(value)
-        methods: dict[str, Any] = {}
+        methods: dict[str, Any] = {"__setattr__": _refuses(f"it writes to attributes of {kind.__name__}")}
         for one in reversed(kind.__mro__[:-1]):
             for name, found in vars(one).items():
-                if isinstance(found, types.FunctionType) and not (name.startswith("__") and name != "__call__"):
+                own = not name.startswith("__") or name in ("__call__", "__getattr__", "__getitem__")
+                if own and isinstance(found, types.FunctionType):
                     methods[name] = self.of(found)
         try:
             copy: Any = object.__new__(type(kind.__name__, (kind,), methods))
             self._made[id(value)] = copy
-            copy.__dict__ = {name: self.of(one) for name, one in vars(value).items()}
-            self._objects.append((copy, dict(vars(copy))))
+            vars(copy).update({name: self.of(one) for name, one in vars(value).items()})
         except TypeError:  # slots, or a type that is made in another way
             return value
         return copy

@@ -89,7 +89,12 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         found = cells_of(value, self._graph)
         if isinstance(key, TracedArray):
             raise TraceError("an assignment under a mask that depends on values: use np.where")
+        self._require_own()
         self.cells[key] = found if found.ndim else found[()]
+
+    def _require_own(self) -> None:
+        if not self.cells.flags.writeable:
+            raise TraceError("it writes to an array that it does not make")
 
     @property
     def _graph(self) -> Graph:
@@ -151,6 +156,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         (target,) = out
         if not isinstance(target, TracedArray):
             raise TraceError("a result that is written into an array of numbers: make the array in the function")
+        target._require_own()
         target.cells[...] = found
         return target
 
@@ -210,6 +216,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         return [one.tolist() if one.ndim else one for one in self] if self.ndim else self
 
     def fill(self, value: Any) -> None:
+        self._require_own()
         self.cells[...] = cells_of(value, self._graph)[()]
 
     def dot(self, other: Any) -> Any:
