@@ -220,10 +220,15 @@ def jacobians(repetitions: int) -> str:
     for name, fun in WITH_JACOBIAN.items():
         f = iv.compile(fun, by="trace")
         J = of(f, DENSE).dense()
-        codes = {"f": (f.native(DENSE, DENSE, 0, event=False), DENSE), "J": (J.native(DENSE, J.size, 0, event=False), J.size)}
+        codes = {
+            "f": (f.native(DENSE, DENSE, 0, event=False), DENSE),
+            "J": (J.native(DENSE, J.size, 0, event=False), J.size),
+        }
         y = np.linspace(0.6, 1.4, DENSE)
         count = calls(2e-3, *codes["f"][:1], y, DENSE)
-        times = interleaved({which: repeated(code, y, size, count) for which, (code, size) in codes.items()}, repetitions)
+        times = interleaved(
+            {which: repeated(code, y, size, count) for which, (code, size) in codes.items()}, repetitions
+        )
         figures = [f"{median(times[which]) / count / 1e-9:.0f}" for which in codes]
         rows.append([name, str(of(f, DENSE).entries), *figures, f"{ratio(times['J'], times['f']):.1f}"])
     return table([f"n = {DENSE}", "entries", "f, ns", "J, ns", "J ÷ f"], rows)
@@ -253,7 +258,15 @@ def large(repetitions: int) -> str:
                 f"{ratio(times['trace'], times['numba']):.2f}",
             ]
         )
-    header = ["heat equation, n", "f traced and compiled, s", "by numba, s", "J besides, s", "f, µs", "numba's f, µs", "÷"]
+    header = [
+        "heat equation, n",
+        "f traced and compiled, s",
+        "by numba, s",
+        "J besides, s",
+        "f, µs",
+        "numba's f, µs",
+        "÷",
+    ]
     return table(header, rows)
 
 

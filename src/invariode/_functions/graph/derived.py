@@ -145,9 +145,8 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
 
 def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) -> Any:
     """A derivative of a function as the core calls it, with the inputs of the function."""
-    if isinstance(fun, NativeWithInputs):
-        made = NativeWithInputs(made, fun.inputs, fun.size)
-    return to_native(made.__name__, made, n, size, np.zeros(parameters))
+    form = NativeWithInputs(made, fun.inputs, fun.size) if isinstance(fun, NativeWithInputs) else made
+    return to_native(made.__name__, form, n, size, np.zeros(parameters))
 
 
 def _is_zero(node: Node) -> bool:

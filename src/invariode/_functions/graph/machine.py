@@ -6,7 +6,6 @@ The operations and our elementary functions are the same in both, so that the bi
 from __future__ import annotations
 
 import hashlib
-import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
@@ -18,8 +17,8 @@ from llvmlite import ir
 
 from ... import _core
 from ..elementary import FORMULAS, POWERS
+from ..elementary_code import Definitions, Function
 from ..llvm_values import bits_of
-from ..machine_code import Function, MachineCode, linked, optimise
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Node, as_rows, in_order
 from .rolled import Group, rolled
 
@@ -39,6 +38,13 @@ _kept: OrderedDict[bytes, MachineCode] = OrderedDict()
 _keeping = threading.Lock()
 #: Doubles that loops may keep on the stack.
 _MOST_WORK = 2**15
+
+
+class MachineCode(NamedTuple):
+    """An address, and what keeps the code there alive."""
+
+    address: int
+    owner: Any
 
 
 class Form(NamedTuple):
@@ -78,11 +84,11 @@ def _compiled(outputs: Sequence[Node], form: Form) -> MachineCode:
     module = ir.Module()
     module.triple = llvm.get_process_triple()
     loops = _Writer(module, form).write(outputs)
-    machine = _machine(form)
-    text = re.sub(r'@"(invariode_\w+)"', r"@\1", str(module))  # as LLVM itself writes names
-    made = linked(text, 64 * form.lanes if form.lanes > 1 else 0)
-    made.get_function(_NAME).linkage = llvm.Linkage.external
-    optimise(made, machine, loop_vectorization=loops and form.lanes == 1)
+    machine, text = _machine(form), str(module)
+    if form.lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
+        text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * form.lanes}"')
+    made = llvm.parse_assembly(text)
+    _optimise(made, machine, loop_vectorization=loops and form.lanes == 1)
     llvm.add_symbol(_SOLVE, _core.solve_address())
     engine = llvm.create_mcjit_compiler(made, machine)
     engine.finalize_object()
@@ -95,6 +101,14 @@ def _machine(form: Form) -> Any:
     target = llvm.Target.from_triple(llvm.get_process_triple())
     features = llvm.get_host_cpu_features().flatten()
     return target.create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=3, jit=True)
+
+
+def _optimise(module: Any, target: Any, loop_vectorization: bool) -> None:
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization, options.slp_vectorization = loop_vectorization, False
+    options.loop_unrolling = options.loop_interleaving = False
+    passes = llvm.create_pass_builder(target, options)
+    passes.getModulePassManager().run(module, passes)
 
 
 class _Writer:
@@ -110,15 +124,26 @@ class _Writer:
         self._given = dict(zip(names, self._function.args, strict=True))
         self._build = ir.IRBuilder(self._function.append_basic_block())
         self._in_block = 0
+        self._own = Definitions(module)
 
     def write(self, outputs: Sequence[Node]) -> bool:
         """The function with these values; whether it has loops."""
+        loops = self._write_rolled(outputs) or self._write_straight(outputs)
+        self._own.finish()
+        return loops
+
+    def _write_rolled(self, outputs: Sequence[Node]) -> bool:
+        """With loops, if it is large and has parts that repeat."""
         nodes = [*in_order(outputs)]
         large = len(nodes) + len(outputs) >= _ROLLED and not self._form.returns
         groups = rolled(outputs) if large else None
         if groups is not None and groups[1] * self._form.lanes <= _MOST_WORK:
             self._write_groups(*groups)
             return True
+        return False
+
+    def _write_straight(self, outputs: Sequence[Node]) -> bool:
+        nodes = [*in_order(outputs)]
         self._optimise(len(nodes))
         values: dict[Node, Any] = {}
         for node in nodes:
@@ -310,10 +335,7 @@ class _Writer:
         if name == "power":
             name = POWERS.get(exponent.value, "pow") if exponent.op == "number" else "pow"
         if name in FORMULAS and self._form.own:
-            one = Function(name, self._form.lanes)
-            known = self._module.globals.get(one.symbol)
-            called = known or ir.Function(self._module, ir.FunctionType(self._kind, [self._kind]), one.symbol)
-            return self._build.call(called, a[:1])
+            return self._build.call(self._own.called(Function(name, self._form.lanes)), a[:1])
         return self._library("pow" if node.op == "power" else name, a)
 
     def _library(self, name: str, a: list[Any]) -> Any:

@@ -1,7 +1,7 @@
 """Large graphs as loops: values that are computed alike, of other components, are one group.
 
-The graph is cut into trees: a node that several trees need is the root of its own, and kept in `work`. Trees of one form
-that do not need each other are a group. In each place of the form, the indices of y, p and `work`, or the numbers,
+The graph is cut into trees: a node that several trees need is the root of its own, and kept in `work`. Trees of one
+form that do not need each other are a group. In each place of the form, the indices of y, p and `work`, or the numbers,
 follow one another by a constant difference, or stand in a table.
 """
 
