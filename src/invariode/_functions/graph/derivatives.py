@@ -13,7 +13,7 @@ from .nodes import COMPARISONS, Node, in_order
 Row = dict[int, Node]
 
 #: What has no derivative but zero, where it has one.
-_CONSTANT = {"number", "t", "y", "p", "dt", "dy", "sign", "floor", "ceil", "and", "or", "not", *COMPARISONS}
+_CONSTANT = {"number", "t", "y", "p", "sign", "floor", "ceil", "and", "or", "not", *COMPARISONS}
 #: What depends on a decision: its derivative has to be that of the branch taken, even if the other's is not finite.
 _BRANCHING = {"select", "minimum", "maximum", "solve"}
 
@@ -48,14 +48,12 @@ def gradient(output: Node, variables: Sequence[Node]) -> Row:
     return row
 
 
-def tangent(outputs: Sequence[Node]) -> list[Node]:
-    """The derivatives of the outputs along a direction, of the nodes "dt" and "dy": f_t dt + f_y dy."""
+def tangent(outputs: Sequence[Node], direction: Mapping[Node, Node]) -> list[Node]:
+    """The derivatives of the outputs along a direction, given by the components of t and y in it."""
     if not outputs:
         return []
-    graph = outputs[0].graph
-    moved = [node for node in in_order(outputs) if node.op in ("t", "y")]
-    rows = _forwards(outputs, {node: {0: graph.make(f"d{node.op}", value=node.value)} for node in moved})
-    return [row.get(0, graph.node(0.0)) for row in rows]
+    rows = _forwards(outputs, {variable: {0: along} for variable, along in direction.items()})
+    return [row.get(0, outputs[0].graph.node(0.0)) for row in rows]
 
 
 def _forwards(outputs: Sequence[Node], start: Mapping[Node, Row]) -> list[Row]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..compiled import CompiledFunction, Shape
-from .derivatives import tangent
 from .nodes import Node, in_order
 from .python import Formula
 from .trace import Traced, trace
@@ -19,24 +18,27 @@ from .traced import TraceError
 class OnGraph(CompiledFunction):
     """A function that is compiled from a graph, by LLVM alone.
 
-    Its form for complex y is its derivative: the imaginary parts of y are a direction, and those of the values f_y
-    times it. That is no analytic continuation, which the mechanics of constraints needs in t and y: there numba
-    compiles the function.
+    Attributes
+    ----------
+    exact : dict
+        Its derivatives, by `Shape`.
     """
+
+    def __init__(self, fun: Any, inplace: bool, elementary: str) -> None:
+        super().__init__(fun, inplace, elementary)
+        self.exact: dict[Shape, Any] = {}
 
     def graph(self, shape: Shape) -> list[Node] | None:
         """Its values for such arguments; None: it has no graph, and numba compiles it."""
         raise NotImplementedError
 
     def _make(self, shape: Shape) -> Any:
-        outputs = None if shape.complex_time else self.graph(shape)
+        outputs = None if shape.is_complex else self.graph(shape)
         if outputs is None:
             return super()._make(shape)
         from .machine import Form, machine_code  # needs llvmlite
 
-        if shape.is_complex:
-            outputs = [*outputs, *tangent(outputs)]
-        return machine_code(outputs, Form(shape.event, 1, shape.is_complex, self.elementary == "own"))
+        return machine_code(outputs, Form(returns=shape.event, own=self.elementary == "own"))
 
     def lane_code(self, shape: Shape, lanes: int) -> Any:
         """The code for this many points side by side; or why the function {f} has none; None: it has no graph."""
@@ -66,6 +68,11 @@ class GraphFunction(OnGraph):
     def __init__(self, formula: Formula, elementary: str = "own") -> None:
         super().__init__(formula, inplace=False, elementary=elementary)
         self.how = "graph"
+
+    @property
+    def size(self) -> int:
+        """How many values it has."""
+        return len(self.fun.outputs)
 
     def made_again(self) -> tuple[Any, ...]:
         return GraphFunction, (self.fun, self.elementary)

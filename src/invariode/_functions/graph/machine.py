@@ -36,16 +36,12 @@ class Form(NamedTuple):
         Whether it returns its one value, as events do; otherwise it stores its values.
     lanes : int
         So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on.
-    is_complex : bool
-        Complex y and values: the imaginary parts are a direction and the derivatives along it, which are the last half
-        of the outputs.
     own : bool
         Whether our elementary functions are called, not the mathematical library's.
     """
 
     returns: bool = False
     lanes: int = 1
-    is_complex: bool = False
     own: bool = True
 
 
@@ -101,10 +97,8 @@ class _Writer:
         if self._form.returns:
             self._build.ret(values[outputs[0]])
             return
-        half = len(outputs) // 2
         for i, node in enumerate(outputs):
-            place = 2 * (i % half) + i // half if self._form.is_complex else i
-            self._store(values[node], place)
+            self._store(values[node], i)
         self._build.ret_void()
 
     def _place(self, name: str, index: int) -> Any:
@@ -122,23 +116,16 @@ class _Writer:
         return ir.Constant(kind, number) if kind is _DOUBLE else ir.Constant(kind, [_DOUBLE(number)] * self._form.lanes)
 
     def _given_value(self, node: Node) -> Any:
-        """t, y, p, and the imaginary parts of t and y."""
-        form, op = self._form, node.op
-        if op == "p":
-            return self._load("p", node.value)
-        if not form.is_complex:
-            if op == "y":
-                return self._load("y", node.value)
-            return self._given["t"] if form.lanes == 1 else self._load("t", 0)
-        if op in ("t", "dt"):
-            return self._given["t"] if op == "t" else self._constant(0.0)
-        return self._load("y", 2 * node.value + (op == "dy"))
+        """t, y and p."""
+        if node.op == "t":
+            return self._given["t"] if self._form.lanes == 1 else self._load("t", 0)
+        return self._load(node.op, node.value)
 
     def _value(self, node: Node, a: list[Any]) -> Any:
         build, op = self._build, node.op
         if op == "number":
             return self._constant(node.value)
-        if op in ("t", "y", "p", "dt", "dy"):
+        if op in ("t", "y", "p"):
             return self._given_value(node)
         if op in ARITHMETIC:
             names = {"add": build.fadd, "subtract": build.fsub, "multiply": build.fmul, "divide": build.fdiv}

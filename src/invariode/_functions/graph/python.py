@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -39,6 +39,18 @@ class Pattern(NamedTuple):
     indices: Array
     indptr: Array
     n: int
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[int, Node]], n: int) -> Pattern:
+        """Of rows of nodes by column."""
+        places = sorted((j, i) for i, row in enumerate(rows) for j in row)
+        counts = np.bincount([j for j, _ in places], minlength=n)
+        return cls(np.array([i for _, i in places], dtype=int), np.concatenate([[0], np.cumsum(counts)]), n)
+
+    def places(self) -> Iterator[tuple[int, int]]:
+        """Row and column of each entry, in order."""
+        columns = np.repeat(np.arange(self.n), np.diff(self.indptr))
+        return zip(self.indices.tolist(), columns.tolist(), strict=True)
 
     def matrix(self, values: Sequence[float]) -> Any:
         from scipy.sparse import csc_array
