@@ -13,6 +13,9 @@ from .._base.arguments import Array, shown
 #: What may become a constant of the code, in the order in which it is tried: truths are always constants, then what may
 #: be an index or the count of a loop, then arrays, then single numbers.
 TRUTHS, INTEGERS, ARRAYS, ALL = range(4)
+#: Numbers whose values change in a run, or are not known, are no constants.
+_VARYING = 4
+_RANKS = {"b": TRUTHS, "i": INTEGERS, "u": INTEGERS}
 
 
 class Numbers:
@@ -32,12 +35,22 @@ class Numbers:
 
     __slots__ = ("_key", "fixed", "rank", "shape", "value")
 
-    def __init__(self, value: Any, fixed: bool = False) -> None:
+    def __init__(self, value: Any, fixed: bool = False, varying: bool = False) -> None:
         found = np.asarray(value)
         kind = found.dtype.kind
         self.shape: tuple[int, ...] = found.shape
         self.value = found.copy() if found.ndim else value
-        self.rank = TRUTHS if kind == "b" else INTEGERS if kind in "iu" else ARRAYS if found.ndim else ALL
+        self.rank = (
+            _VARYING
+            if varying
+            else TRUTHS
+            if kind == "b"
+            else INTEGERS
+            if kind in "iu"
+            else ARRAYS
+            if found.ndim
+            else ALL
+        )
         self.fixed = fixed or self.rank == TRUTHS
         self._key = (self.shape, self.rank, (found.dtype.str, found.tobytes()) if self.fixed else None)
 
@@ -47,8 +60,12 @@ class Numbers:
     def __hash__(self) -> int:
         return hash(self._key)
 
-    def __reduce__(self) -> tuple[type[Numbers], tuple[Any, bool]]:
-        return Numbers, (self.value, self.fixed)
+    def __reduce__(self) -> tuple[type[Numbers], tuple[Any, ...]]:
+        return Numbers, (self.value, self.fixed, self.rank == _VARYING)
+
+    def as_constant(self, fixed: bool) -> Numbers:
+        """The same, as a constant or not."""
+        return Numbers(self.value, fixed, self.rank == _VARYING)
 
 
 class Listed:
@@ -94,14 +111,14 @@ def _same(a: Any, b: Any) -> bool:
     if type(a) is not type(b):
         return False
     if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and a.dtype != object and np.array_equal(a, b)
+        return bool(a.dtype == b.dtype and a.dtype != object and np.array_equal(a, b))
     if isinstance(a, (list, tuple)):
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
     if isinstance(a, (int, float, complex, str, bytes)):
         return a == b
-    return hasattr(a, "__dict__") and _same(vars(a), vars(b))
+    return bool(hasattr(a, "__dict__")) and _same(vars(a), vars(b))
 
 
 class Arguments(int):
@@ -123,11 +140,14 @@ class Arguments(int):
 
     @classmethod
     def single(cls, count: int) -> Self:
-        """So many numbers, one by one."""
-        return cls([Numbers(1.0)] * count)
+        """So many numbers, one by one, whose values are not known."""
+        return cls([Numbers(1.0, varying=True)] * count)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Arguments) and self.entries == other.entries
+
+    def __ne__(self, other: object) -> bool:  # int has its own
+        return not self == other
 
     def __hash__(self) -> int:
         return hash(self.entries)
@@ -140,10 +160,23 @@ class Arguments(int):
 
         def of(entry: Entry) -> Entry:
             if isinstance(entry, Numbers):
-                return Numbers(entry.value, entry.rank <= most)
+                return entry.as_constant(entry.rank <= most)
             return Listed(entry.kind, tuple(map(of, entry.entries))) if isinstance(entry, Listed) else entry
 
         return Arguments(map(of, self.entries))
+
+    @property
+    def ranks(self) -> set[int]:
+        """Of its numbers."""
+        return {one.rank for one in _numbers(self.entries)} - {_VARYING}
+
+    def values(self) -> Array:
+        """The numbers that they were, one after the other."""
+        return _flat(self.entries)
+
+    def known(self) -> Array:
+        """Which of the numbers are constants."""
+        return np.concatenate([_NONE, *(np.full(int(np.prod(one.shape)), one.fixed) for one in _numbers(self.entries))])
 
     def made(self, of_numbers: Callable[[Numbers, int], Any], of_constant: Callable[[Any], Any]) -> list[Any]:
         """The arguments, made of each entry of numbers and the place where they begin, and of each constant."""
@@ -166,12 +199,16 @@ class Arguments(int):
 
         def of_numbers(entry: Numbers, place: int) -> Any:
             if entry.fixed:
-                return entry.value
+                return entry.value.copy() if entry.shape else entry.value
             if not entry.shape:
                 return float(parameters[place])
             return np.reshape(parameters[place : place + int(np.prod(entry.shape))], entry.shape).copy()
 
         return self.made(of_numbers, lambda value: value)
+
+    def may_vary(self, most: int) -> bool:
+        """Whether code with numbers up to this rank as constants takes any other numbers."""
+        return all(isinstance(one, Numbers) and one.rank > most for one in _leaves(self.entries))
 
     def objection(self, rows: Array, most: int) -> str | None:
         """Why code with numbers up to this rank as constants does not take other rows (N, k) of numbers."""
@@ -184,12 +221,23 @@ class Arguments(int):
         return found
 
 
-def _numbers(entries: Iterable[Entry]) -> Iterator[Numbers]:
+_NONE = np.zeros(0, dtype=bool)
+
+
+def _flat(entries: Iterable[Entry]) -> Array:
+    return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(one.value, float)) for one in _numbers(entries))])
+
+
+def _leaves(entries: Iterable[Entry]) -> Iterator[Numbers | Constant]:
     for one in entries:
-        if isinstance(one, Numbers):
+        if isinstance(one, Listed):
+            yield from _leaves(one.entries)
+        else:
             yield one
-        elif isinstance(one, Listed):
-            yield from _numbers(one.entries)
+
+
+def _numbers(entries: Iterable[Entry]) -> Iterator[Numbers]:
+    return (one for one in _leaves(entries) if isinstance(one, Numbers))
 
 
 def arguments_of(args: Iterable[Any]) -> Arguments:
@@ -215,8 +263,7 @@ class Parameters(np.ndarray[Any, Any]):
     @classmethod
     def of(cls, args: Iterable[Any]) -> Parameters:
         arguments = arguments_of(args)
-        flat = [np.ravel(np.asarray(one.value, dtype=float)) for one in _numbers(arguments.entries)]
-        made = np.concatenate([np.zeros(0), *flat]).view(cls)
+        made = arguments.values().view(cls)
         made.arguments = arguments
         return made
 

@@ -55,9 +55,7 @@ def is_operator(given: object) -> bool:
     return isinstance(given, LinearOperator)
 
 
-def _product(
-    jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]
-) -> Any:
+def _product(jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]) -> Any:
     if jac_product is not None:
         if jac is not None:
             raise ValueError("jac and GMRES(jac_product=) say the same: give one of them")

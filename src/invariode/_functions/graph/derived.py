@@ -132,7 +132,7 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
         It had to be traced, and cannot be.
     """
     if isinstance(fun, NativeWithInputs):
-        return derived(fun.fun, n, size, parameters + fun.size, second)
+        return derived(fun.fun, n, size, fun.count(parameters), second)
     if not isinstance(fun, OnGraph):
         return None
     shape = Shape(n, size, parameters, False, second)
@@ -146,7 +146,7 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
 def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) -> Any:
     """A derivative of a function as the core calls it, with the inputs of the function."""
     if isinstance(fun, NativeWithInputs):
-        made = NativeWithInputs(made, fun.inputs, fun.size)
+        made = fun._replace(fun=made)
     return to_native(made.__name__, made, n, size, np.zeros(parameters))
 
 
