@@ -15,6 +15,7 @@ import invariode as iv
 from invariode._functions.graph.python import Formula
 from invariode._functions.graph.trace import Limits, trace
 from invariode._functions.graph.traced import TraceError
+from invariode._functions.layout import arguments_of
 
 pytest.importorskip("llvmlite")
 
@@ -165,7 +166,7 @@ def test_a_compiled_function_has_the_values_of_the_function(name):
     native = code.native(n, n, len(parameters), False)
     assert code.how == "trace"
     assert native.address
-    formula = Formula("f", lambda: trace(fun, n, [np.shape(one) for one in args]).outputs, (n,))
+    formula = Formula("f", lambda: trace(fun, n, arguments_of(args)).outputs, (n,))
     rng = np.random.default_rng(27)
     for _ in range(10):
         t, y = rng.random(), rng.standard_normal(n)
@@ -187,7 +188,7 @@ def test_functions_that_fill_an_output_and_take_two_vectors():
     filling(0.3, [0.5, 0.7], out)
     found = Formula("f", lambda: trace(filling, 2, inplace=2).outputs, (2,))
     np.testing.assert_array_equal(found(0.3, [0.5, 0.7]), out)
-    two = trace(lambda t, q, v, k: [k * q[0] + v[1], q[1] * v[0]], 4, [()], second=2)
+    two = trace(lambda t, q, v, k: [k * q[0] + v[1], q[1] * v[0]], 4, arguments_of((0.5,)), second=2)
     np.testing.assert_array_equal(Formula("f", lambda: two.outputs, (2,))(0.0, [1, 2, 3, 4], 0.5), [4.5, 6.0])
 
 
@@ -200,7 +201,7 @@ def test_derivatives_of_a_traced_function_are_exact():
         return [[0, 1], [-2 * mu * y[0] * y[1] - 1, mu * (1 - y[0] ** 2)]]
 
     runs = [iv.solve_ivp(code, (0, 60), [2.0, 0.0], "radau", args=(mu,), jac=j, rtol=1e-6) for j in (None, jac)]
-    assert runs[0].stats.jacobian == "complex step"
+    assert runs[0].stats.jacobian == "traced"
     assert runs[0].stats.steps == runs[1].stats.steps
     np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=1e-7, atol=1e-9)
 
@@ -302,6 +303,119 @@ def test_a_graph_that_is_wrong_in_one_branch_is_found(monkeypatch):
     monkeypatch.setattr("invariode._functions.graph.function.trace", lambda *args, **options: found)
     with pytest.raises(TypeError, match=r"cannot be traced: at t = .* its value 0 is"):
         fun.native(2, 2, 0, False)
+
+
+class Spring:
+    def __init__(self, k):
+        self.k = k
+
+    def force(self, x):
+        return -self.k * x
+
+
+def many_kinds(t, y, a, matrix, options, spring, count, pair, damped):
+    slopes = np.zeros(2)
+    for i in range(count):
+        slopes[i] = options["drive"] * np.sin(t) - a * y[i]
+    low, high = pair
+    slopes += np.array([low * y[1], spring.force(y[0]) + high])
+    return matrix @ slopes - (0.1 * y if damped else 0)
+
+
+KINDS = (2.0, np.array([[1.0, 0.2], [0.3, 1.0]]), {"drive": 0.5}, Spring(3.0), 2, [0.3, 0.4], True)
+
+
+def ends(fun, args, **options):
+    return iv.solve_ivp(fun, (0, 1), [1.0, 0.5], args=args, rtol=1e-7, atol=1e-9, **options).y[:, -1]
+
+
+def test_arguments_of_any_kind_are_those_of_the_function():
+    """Numbers are parameters, everything else is a constant; another value of either is noticed."""
+    code = iv.compile(many_kinds, by="trace")
+    changes = [{}, {0: 2.5}, {1: np.eye(2)}, {2: {"drive": 0.7}}, {3: Spring(1.0)}, {4: 1}, {5: (0.1, 0.2)}, {6: False}]
+    for change in changes:
+        args = tuple(change.get(i, one) for i, one in enumerate(KINDS))
+        np.testing.assert_allclose(ends(code, args), ends(many_kinds, args), rtol=1e-9, err_msg=repr(change))
+    options = KINDS[2]
+    before = ends(code, KINDS)
+    options["drive"] = 0.9
+    after = ends(code, KINDS)
+    np.testing.assert_allclose(after, ends(many_kinds, KINDS), rtol=1e-9)
+    options["drive"] = 0.5
+    assert abs(after - before).max() > 1e-3
+
+
+def test_events_invariants_jacobians_and_actions_take_the_same_arguments():
+    def fun(t, y, k, names):
+        return [y[1], -k[names["stiffness"]] * y[0]]
+
+    def energy(t, y, k, names):
+        return y[1] ** 2 + k[names["stiffness"]] * y[0] ** 2
+
+    def jac(t, y, k, names):
+        return [[0, 1], [-k[names["stiffness"]], 0]]
+
+    def turning(t, y, k, names):
+        return y[1] - 0.1 * k[0]
+
+    def kick(t, y, k, names):
+        return np.array([y[0], y[1] + k[0]])
+
+    def run(wrap):
+        return iv.solve_ivp(
+            wrap(fun),
+            (0, 6),
+            [1.0, 0.0],
+            "ode15s",
+            args=(np.array([0.2, 4.0]), {"stiffness": 1}),
+            invariants=iv.Invariants(wrap(energy), names="energy"),
+            events=iv.Event(wrap(turning)),
+            jac=wrap(jac),
+            breakpoints=[(3.0, wrap(kick))],
+            rtol=1e-6,
+        )
+
+    plain, code = run(lambda f: f), run(lambda f: iv.compile(f, by="trace"))
+    assert plain.stats.steps == code.stats.steps
+    assert len(code.t_events[0]) == len(plain.t_events[0]) > 2
+    np.testing.assert_allclose(code.t_events[0], plain.t_events[0], rtol=1e-9)
+    np.testing.assert_allclose(code.y[:, -1], plain.y[:, -1], rtol=1e-9)
+
+
+def test_inputs_come_before_arguments():
+    u = iv.Input([0.0, 1.0, 2.0], [[0.0, 1.0], [1.0, 0.0], [2.0, 0.5]], kind="linear")
+    for fun in (lambda t, y, u, a, b: [u[0] * a["k"] - b * y[0] + u[1]], lambda t, y, *p: [p[0][0] - p[2] * y[0]]):
+        runs = [
+            iv.Problem(one, (0, 2), [1.0], args=({"k": 2.0}, 0.5), inputs=u).solve("ode45", rtol=1e-6)
+            for one in (fun, iv.compile(fun, by="trace"))
+        ]
+        np.testing.assert_allclose(runs[1].y[:, -1], runs[0].y[:, -1], rtol=1e-12)
+
+
+def test_arguments_that_do_not_fit_one_by_one_are_one_array():
+    code = iv.compile(lambda t, y, p: [p[0] * y[1] - p[2], -p[1] * y[0]], by="trace")
+    np.testing.assert_allclose(ends(code, (1.0, [2.0, 3.0])), ends(lambda t, y, *_: code(t, y, [1.0, 2.0, 3.0]), ()))
+
+
+def test_an_undefined_path_is_not_a_wrong_number_of_arguments():
+    """p is all arguments where p[0] is asked for, even if another path needs no p."""
+    code = iv.compile(lambda t, y, p: y if t < 2 else p[0] * y, by="trace")
+    end = iv.solve_ivp(code, (0, 3), [1.0], args=(2.0,), breakpoints=[2.0], rtol=1e-6, atol=1e-8).y[0, -1]
+    assert math.isclose(end, math.exp(4), rel_tol=1e-4)
+
+
+def test_prepared_solvers_and_ensembles_notice_arguments_that_are_constants():
+    rows = [(a, *KINDS[1:]) for a in (1.0, 2.0, 3.0)]
+    code = iv.compile(many_kinds, by="trace")
+    found = iv.solve_ensemble(code, (0, 1), [[1.0, 0.5]] * 3, args=rows, rtol=1e-7, atol=1e-9)
+    for row, end in zip(rows, found.y_end, strict=True):
+        np.testing.assert_allclose(end, ends(many_kinds, row), rtol=1e-9)
+    solver = iv.Problem(code, (0, 1), [1.0, 0.5], args=KINDS).prepare("ode45", rtol=1e-7, atol=1e-9)
+    for i, value in ((2, {"drive": 0.1}), (4, 1)):
+        other = (*KINDS[:i], value, *KINDS[i + 1 :])
+        np.testing.assert_allclose(solver(args=other).y[:, -1], ends(many_kinds, other), rtol=1e-9)
+        with pytest.raises(ValueError, match="args of a compiled ensemble"):
+            iv.solve_ensemble(code, (0, 1), [[1.0, 0.5]] * 2, args=[KINDS, other])
 
 
 def test_ensembles_vary_the_arguments_without_compiling_again():

@@ -30,6 +30,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
+from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -120,6 +121,9 @@ class CompiledFunction:
         How it was compiled: "trace" or "numba", and why not the other; by numba, as long as it was not.
     """
 
+    #: Whether its further arguments may be anything, not only numbers.
+    takes_any = False
+
     def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
         self.fun = fun
         self.inplace = inplace
@@ -157,9 +161,9 @@ class CompiledFunction:
         return CompiledFunction, (self.fun, self.inplace, self.elementary)
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
-        """The machine code for n components, `size` values and that many parameters. With `second` the function takes
-        two vectors, of n - second and second components, which follow each other in y."""
-        return self._machine_code(Shape(n, size, parameters, event, second))
+        """The machine code for n components, `size` values and that many parameters, or `Arguments`. With `second` the
+        function takes two vectors, of n - second and second components, which follow each other in y."""
+        return self._machine_code(Shape(n, size, int(parameters), event, second))
 
     def complex_native(
         self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
@@ -336,11 +340,17 @@ def is_native(fun: object) -> bool:
 
 
 class NativeWithInputs(NamedTuple):
-    """Machine code whose parameters begin with the values at t of inputs, `size` numbers."""
+    """Machine code whose parameters begin with the values at t of inputs, of these shapes."""
 
     fun: Any
     inputs: list[_core.PiecewisePolynomial]
-    size: int
+    shapes: list[tuple[int, ...]]
+
+    def count(self, parameters: int) -> int:
+        """How many numbers it takes if there are so many parameters."""
+        entries = [Numbers(np.ones(shape) if shape else 1.0, varying=True) for shape in self.shapes]
+        further = parameters if isinstance(parameters, Arguments) else Arguments.single(parameters)
+        return Arguments([*entries, *further.entries])
 
 
 _POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
@@ -366,10 +376,12 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     if isinstance(fun, CoreFunction):
         return fun.for_core(n, size, args)
     if isinstance(fun, NativeWithInputs):
-        code = to_native(name, fun.fun, n, size, np.concatenate([np.zeros(fun.size), args]), event)
+        count = fun.count(count_of(args))
+        compiled = isinstance(fun.fun, CompiledFunction)
+        code = fun.fun.native(n, size, count, event) if compiled else to_native(name, fun.fun, n, size, args, event)
         return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
     if isinstance(fun, CompiledFunction):
-        return fun.native(n, size, len(args), event, second)
+        return fun.native(n, size, count_of(args), event, second)
     if not is_native(fun):
         return fun
     wanted = _EVENT if event else _VECTOR
@@ -474,18 +486,29 @@ _NO_PARAMETERS = np.zeros(0)
 
 
 def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
-    """The arguments of native functions: the values of `args` one after the other. Empty if no function is native.
+    """The arguments of native functions: the numbers of `args` one after the other. Empty if no function is native.
 
     Raises
     ------
     TypeError
-        They are not real numbers.
+        They are not real numbers, and a function takes nothing else.
     """
-    if not args or not any(map(is_native, functions)):
+    if not args:
         return _NO_PARAMETERS
-    if len(args) == 1 and type(args[0]) is float:  # the common case
-        return np.array(args)
-    try:
-        return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
-    except (TypeError, ValueError):
+    natives = [one for one in functions if is_native(one)]
+    if not natives:
+        return _NO_PARAMETERS
+    numbers = Parameters.of(args)
+    if any(isinstance(one, Constant) for one in numbers.arguments.entries) and not all(map(_takes_any, natives)):
         raise TypeError(f"args of native functions must be real numbers, got {shown(args)}") from None
+    return numbers
+
+
+def constants(functions: Iterable[Any], parameters: Array) -> int:
+    """Up to which rank the numbers of the arguments are constants of the code of these functions."""
+    traced = [one.fun if isinstance(one, NativeWithInputs) else one for one in functions]
+    return max((one.constants(count_of(parameters)) for one in traced if _takes_any(one)), default=TRUTHS)
+
+
+def _takes_any(fun: Any) -> bool:
+    return _takes_any(fun.fun) if isinstance(fun, NativeWithInputs) else getattr(fun, "takes_any", False)

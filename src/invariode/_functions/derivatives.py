@@ -13,6 +13,7 @@ from .. import _core
 from .._base.arguments import EPS, Array
 from .compiled import CompiledFunction, is_native, native_parameters, to_native
 from .graph.derived import derived, native
+from .layout import count_of
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 _TINY = 1e-40
@@ -87,7 +88,7 @@ class Derivatives:
         self.kind: Literal["traced", "complex step", "differences"] = "differences"
         x = np.concatenate(parts)
         form = self._of_numbers(function, is_complex=False)
-        self._exact = derived(function, len(x), self.m, len(self._parameters), sum(self._parts[1:]))
+        self._exact = derived(function, len(x), self.m, count_of(self._parameters), sum(self._parts[1:]))
         self.forms = Forms(form)
         self._core = self._bound(self.forms)
         if not np.isfinite(here := self._core.value(t, x)).all():
@@ -107,7 +108,7 @@ class Derivatives:
 
     def _of_numbers(self, function: Any, is_complex: bool) -> Any:
         """The function as the core calls it; None: it has no complex form."""
-        n, second, count = sum(self._parts), sum(self._parts[1:]), len(self._parameters)
+        n, second, count = sum(self._parts), sum(self._parts[1:]), count_of(self._parameters)
         if not is_complex:
             return to_native(self._name, function, n, self.m, self._parameters, second=second)
         if not is_native(function):

@@ -17,6 +17,7 @@ from .. import _core
 from .._base.arguments import Array, warn
 from .._functions.compiled import NativeWithInputs, is_native, to_native
 from .._functions.graph.derived import Derived, derived, native
+from .._functions.layout import count_of
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices, as_matrix, require_shape
 from .complex_steps import compiled_at_complex, python_at_complex
@@ -109,7 +110,7 @@ class Start:
     def exact(self) -> Derived | None:
         """The exact derivatives of f."""
         n = len(self.y)
-        return None if np.iscomplexobj(self.y) else derived(self.traced, n, n, len(self.parameters))
+        return None if np.iscomplexobj(self.y) else derived(self.traced, n, n, count_of(self.parameters))
 
     @property
     def product(self) -> Any:
@@ -250,7 +251,7 @@ def _complex_steps(jac: str | None, start: Start) -> Any:
             'jac="complex-step" is for real y, and y0 is complex: fun need not be analytic. Use jac="differences", or '
             "write the problem in real and imaginary parts"
         )
-    compiled = compiled_at_complex(start.fun, len(start.y), len(start.parameters))
+    compiled = compiled_at_complex(start.fun, len(start.y), count_of(start.parameters))
     if compiled is not None or jac is None:
         return compiled
     return python_at_complex(start.fun, start.t, start.y, start.args)

@@ -39,8 +39,7 @@ def require_values(problem: Description) -> None:
     if not isinstance(fun, CompiledFunction) or fun.inplace:
         return
     t0 = problem.t_span[0]
-    p = [*(np.ravel(one(t0)) for one in problem.inputs), native_parameters(problem.args, [fun])]
-    parameters = np.concatenate(p)
+    parameters = native_parameters((*(one(t0) for one in problem.inputs), *problem.args), [fun])
     try:
         returned = np.size(fun.at(t0, problem.y0.view(float), parameters=parameters))
     except Exception:  # whatever the user's code raises: there NaN is right

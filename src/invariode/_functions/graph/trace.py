@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import PACKAGE, call_name
+from ..layout import Arguments, Numbers
 from .nodes import ELEMENTARY, Graph, Node
 from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, number, wrapped
 
@@ -53,7 +54,7 @@ class Traced(NamedTuple):
 def trace(
     fun: Callable[..., Any],
     n: int,
-    args: Sequence[tuple[int, ...]] = (),
+    args: Arguments | None = None,
     *,
     second: int = 0,
     inplace: int = 0,
@@ -67,8 +68,8 @@ def trace(
         The function.
     n : int
         The components of y.
-    args : sequence of tuple of int
-        The shapes of its further arguments, whose numbers are the parameters, one after the other.
+    args : Arguments, optional
+        Its further arguments, whose numbers are the parameters, one after the other.
     second : int, default 0
         The function takes two vectors, of n - second and second components, which follow each other in y.
     inplace : int, default 0
@@ -85,7 +86,11 @@ def trace(
     TraceError
         It cannot be traced: the message names the line and the reason.
     """
-    return _Run(fun, n - second, second, args, inplace, limits or Limits()).traced()
+    return _Run(fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits()).traced()
+
+
+#: What f raises where it is not defined.
+_UNDEFINED = (ArithmeticError, ValueError, AssertionError, RuntimeError)
 
 
 class _Run:
@@ -96,7 +101,7 @@ class _Run:
         fun: Callable[..., Any],
         n: int,
         second: int,
-        args: Sequence[tuple[int, ...]],
+        args: Arguments,
         inplace: int,
         limits: Limits,
     ) -> None:
@@ -145,20 +150,26 @@ class _Run:
             first += size
         out = self._array([graph.node(math.nan)] * self._inplace, (self._inplace,)) if self._inplace else None
         given += [] if out is None else [out]
-        first = 0
-        for shape in self._args:
-            size = math.prod(shape)
-            given.append(self._array([graph.p(first + i) for i in range(size)], shape))
-            first += size
         try:
+            given += self._args.made(self._parameter, self._copies.of)
             returned = self._fun(*given)
             return cells_of(out if out is not None else returned, graph)
         except TraceError as error:
             raise TraceError(self._refused(str(error), error)) from None
-        except Exception as error:
+        except _UNDEFINED as error:
             if self._decisions:
                 return None
             raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
+        except Exception as error:
+            raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
+
+    def _parameter(self, numbers: Numbers, place: int) -> Any:
+        """An argument: the values themselves where they are constants."""
+        if numbers.fixed:
+            return self._copies.of(numbers.value)
+        cells = self._array([self._graph.p(place + i) for i in range(math.prod(numbers.shape))], numbers.shape)
+        cells.cells.flags.writeable = False
+        return cells
 
     def _array(self, nodes: Sequence[Node], shape: tuple[int, ...]) -> TracedArray:
         cells = np.empty(len(nodes), dtype=object)
