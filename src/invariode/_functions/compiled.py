@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, call_name, shown, warn
+from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
 from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
@@ -133,8 +133,6 @@ class CompiledFunction:
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self.how = "numba"
         self._made: dict[tuple[Any, ...], _core.Native] = {}
-        self._own: set[Shape] = set()
-        self._copying: set[Shape] = set()
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
@@ -183,15 +181,6 @@ class CompiledFunction:
         except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
 
-    @property
-    def jitted(self) -> Any:
-        """The function as numba's own, for real numbers."""
-        return self._jit(is_complex=False)
-
-    def result_type(self, n: int, size: int, parameters: int) -> Any:
-        """numba's type of what the function returns for n components, where that is `size` values."""
-        return self._result(self.jitted, Shape(n, size, parameters, event=False), copies=False)
-
     def _machine_code(self, shape: Shape) -> _core.Native:
         with self._making:
             made = self._made.get(shape)
@@ -205,18 +194,12 @@ class CompiledFunction:
         them or hands them to a function of a fixed signature, gets copies."""
         refused = numba_or_say_so().core.errors.NumbaError
         try:
-            code = self._code(shape, copies=False)
+            return self._code(shape, copies=False)
         except refused:
             try:
-                code = self._code(shape, copies=True)
+                return self._code(shape, copies=True)
             except refused as error:
                 raise self._cannot_compile(error, shape.parameters) from error
-            self._copying.add(shape)
-        own = _with_own_functions(code) if self.elementary == "own" else None
-        if own is None:
-            return code
-        self._own.add(shape)
-        return own
 
     def _code(self, shape: Shape, *, copies: bool) -> Any:
         """numba's code, whose arguments are read-only or copies."""
@@ -249,14 +232,6 @@ class CompiledFunction:
         )
         signature = double(double, pointer, pointer) if shape.event else numba.void(double, numbers, numbers, pointer)
         return numba.cfunc(signature, error_model="numpy")(namespace["code"])
-
-    def works_on_copies(self, n: int, size: int, parameters: int, event: bool) -> bool:
-        """Whether what was made for n components, with `size` values, gets copies of y and p."""
-        return Shape(n, size, parameters, event) in self._copying
-
-    def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
-        """Whether what was made for n components, with `size` values, calls our elementary functions."""
-        return Shape(n, size, parameters, event) in self._own
 
     def _jit(self, is_complex: bool) -> Any:
         """For numba; 1/0 is inf: no exceptions."""
@@ -351,23 +326,6 @@ class CompiledFunction:
         if parameters > 0:
             text += f"\nWith args a compiled function is f(t, y, p), p an array of {parameters}: p[0] is the first"
         return TypeError(text)
-
-
-_warned = False
-
-
-def _with_own_functions(code: Any) -> Any | None:
-    """numba's code with our elementary functions; None: it calls none, or numba is one that we do not know."""
-    global _warned
-    try:
-        from . import machine_code
-
-        return machine_code.with_own(code)
-    except Exception as error:  # whatever internals of numba and llvmlite have changed
-        if not _warned:
-            warn(f"this version of numba does not take other elementary functions: {error!r}. libm's are used")
-            _warned = True
-        return None
 
 
 def numba_or_say_so() -> Any:

@@ -151,7 +151,13 @@ def _times(factor: Node) -> Callable[[Node], Node]:
 
 
 def _over(divisor: Node) -> Callable[[Node], Node]:
-    return lambda inner: inner / divisor
+    """By one quotient for all variables."""
+    return _times(1.0 / divisor)
+
+
+def _divide(v: Node, a: Node, b: Node) -> list[Slope]:
+    factor = 1.0 / b
+    return [_times(factor), _times(-(v * factor))]
 
 
 def _power(v: Node, a: Node, b: Node) -> list[Slope]:
@@ -174,7 +180,7 @@ _RULES: dict[str, Callable[..., list[Slope]]] = {
     "add": lambda v, a, b: [lambda x: x, lambda x: x],
     "subtract": lambda v, a, b: [lambda x: x, lambda x: -x],
     "multiply": lambda v, a, b: [_times(b), _times(a)],
-    "divide": lambda v, a, b: [_over(b), lambda x: -(v * x / b)],
+    "divide": _divide,
     "negate": lambda v, a: [lambda x: -x],
     "power": _power,
     "atan2": _atan2,

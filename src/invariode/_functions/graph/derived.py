@@ -135,7 +135,7 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
         return derived(fun.fun, n, size, fun.count(parameters), second)
     if not isinstance(fun, OnGraph):
         return None
-    shape = Shape(n, size, parameters, False, second)
+    shape = fun.known(Shape(n, size, parameters, False, second))
     if shape not in fun.exact:
         outputs = fun.graph(shape)
         fun.exact[shape] = Derived(fun.__name__, outputs, n, fun.elementary) if outputs else None
@@ -145,9 +145,8 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
 
 def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) -> Any:
     """A derivative of a function as the core calls it, with the inputs of the function."""
-    if isinstance(fun, NativeWithInputs):
-        made = fun._replace(fun=made)
-    return to_native(made.__name__, made, n, size, np.zeros(parameters))
+    form = fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
+    return to_native(made.__name__, form, n, size, np.zeros(parameters))
 
 
 def _is_zero(node: Node) -> bool:

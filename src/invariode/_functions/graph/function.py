@@ -35,6 +35,10 @@ class OnGraph(CompiledFunction):
         """Its values for such arguments; None: it has no graph, and numba compiles it."""
         raise NotImplementedError
 
+    def known(self, shape: Shape) -> Shape:
+        """The shape with its arguments as they are handed over; functions that are traced alike have one."""
+        return shape
+
     def _make(self, shape: Shape) -> Any:
         outputs = None if shape.is_complex else self.graph(shape)
         if outputs is None:
@@ -137,10 +141,10 @@ class TracedFunction(OnGraph):
         return True
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
-        return self._machine_code(self._known(Shape(n, size, parameters, event, second)))
+        return self._machine_code(self.known(Shape(n, size, parameters, event, second)))
 
     def graph(self, shape: Shape) -> list[Node] | None:
-        return self._graphs[self._known(shape)._replace(is_complex=False, real_time=False)]
+        return self._graphs[self.known(shape)._replace(is_complex=False, real_time=False)]
 
     def constants(self, parameters: int) -> int:
         """Up to which rank the numbers of these arguments are constants of its code."""
@@ -148,7 +152,7 @@ class TracedFunction(OnGraph):
         ways = [way for shape, way in self._ways.items() if shape.parameters == arguments]
         return max((way for way in ways if way is not None), default=TRUTHS)
 
-    def _known(self, shape: Shape) -> Shape:
+    def known(self, shape: Shape) -> Shape:
         """The shape with its arguments as they are handed over; functions that are traced alike have one."""
         real = shape._replace(is_complex=False, real_time=False)
         if real in self._graphs:

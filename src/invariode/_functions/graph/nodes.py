@@ -196,6 +196,16 @@ class Graph:
         return [[self.make("entry", system, value=i * m + j) for j in range(m)] for i in range(k)]
 
 
+def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], list[int]]:
+    """A graph as data: (op, value, numbers of the arguments) of its nodes in order, and the numbers of the outputs."""
+    places: dict[Node, int] = {}
+    rows = []
+    for node in in_order(outputs):
+        rows.append((node.op, node.value, [places[one] for one in node.arguments]))
+        places[node] = len(places)
+    return rows, [places[one] for one in outputs]
+
+
 def in_order(nodes: Iterable[Node]) -> Iterator[Node]:
     """What these nodes are computed of, and the nodes themselves: each once, after its arguments."""
     done: set[int] = set()

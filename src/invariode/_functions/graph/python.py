@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array
-from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, in_order
+from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, as_rows, in_order
 
 #: The name of the function that is executed.
 _CODE = "graph_code"
@@ -104,10 +104,7 @@ class Formula:
         return found if len(self.layout) == 1 else np.reshape(found, self.layout)
 
     def __reduce__(self) -> tuple[Callable[..., Formula], tuple[Any, ...]]:
-        nodes = [*in_order(self.outputs)]
-        places = {node: i for i, node in enumerate(nodes)}
-        rows = [(node.op, node.value, [places[one] for one in node.arguments]) for node in nodes]
-        return _restored, (self.__name__, rows, [places[one] for one in self.outputs], self.layout)
+        return _restored, (self.__name__, *as_rows(self.outputs), self.layout)
 
 
 def _restored(
