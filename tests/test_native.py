@@ -200,7 +200,7 @@ def test_parameters_pass_as_args():
     sol = iv.solve_ivp(iv.compile(spring), (0, 1), [1, 0], **options)
     np.testing.assert_allclose(sol.y[:, -1], python.y[:, -1], rtol=1e-10)
     with pytest.raises(TypeError, match="args of native functions must be real numbers"):
-        iv.solve_ivp(iv.compile(spring), (0, 1), [1, 0], args=("a",))
+        iv.solve_ivp(iv.compile(spring, by="numba"), (0, 1), [1, 0], args=("a",))
 
 
 class TestCompile:

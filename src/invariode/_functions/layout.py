@@ -117,7 +117,7 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
     if isinstance(a, (int, float, complex, str, bytes)):
-        return a == b
+        return bool(a == b)
     return bool(hasattr(a, "__dict__")) and _same(vars(a), vars(b))
 
 

@@ -240,5 +240,10 @@ class TracedFunction(OnGraph):
             )
 
 
+def _in_one(count: int) -> Arguments:
+    """So many numbers in one array."""
+    return Arguments([Numbers(np.ones(count), varying=True)] if count else [])
+
+
 def _arguments(parameters: int) -> Arguments:
     return parameters if isinstance(parameters, Arguments) else Arguments.single(parameters)

@@ -21,6 +21,7 @@ import numpy as np
 from ..._base.arguments import PACKAGE, call_name
 from ..layout import Arguments, Numbers
 from .nodes import ELEMENTARY, Graph, Node
+from .selections import helpers, selecting
 from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, number, wrapped
 
 
@@ -86,7 +87,20 @@ def trace(
     TraceError
         It cannot be traced: the message names the line and the reason.
     """
-    return _Run(fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits()).traced()
+    given = (fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits())
+    found = _Run(*given).traced(alone=True)
+    if found is not None:
+        return found
+    try:
+        found = _Run(*given, selections=True).traced()
+    except TraceError:  # an index, say, that only a single path knows
+        found = None
+    return found or _required(_Run(*given).traced())
+
+
+def _required(found: Traced | None) -> Traced:
+    assert found is not None
+    return found
 
 
 #: What f raises where it is not defined.
@@ -104,17 +118,19 @@ class _Run:
         args: Arguments,
         inplace: int,
         limits: Limits,
+        selections: bool = False,
     ) -> None:
         self._name, self._sizes, self._args = call_name(fun, "f"), [n, *([second] if second else [])], args
         self._inplace, self._limits = inplace, limits
         self._graph = Graph()
-        self._copies = _Copies(self)
+        self._copies = _Copies(self, selections)
         self._fun = self._copies.of(fun)
         self._decisions: list[tuple[Node, bool, bool]] = []  # condition, answer, whether the other one has been given
         self._at = 0
         self._ends = math.inf
 
-    def traced(self) -> Traced:
+    def traced(self, alone: bool = False) -> Traced | None:
+        """The graph. None: more than one path is asked for, and `alone` says not to follow them."""
         self._ends = time.monotonic() + self._limits.seconds
         known: list[tuple[list[tuple[Node, bool]], list[Node] | None]] = []
         shape: tuple[int, ...] = ()
@@ -129,6 +145,8 @@ class _Run:
                 self._decisions.pop()
             if not self._decisions:
                 break
+            if alone:
+                return None
             condition, answer, _ = self._decisions[-1]
             self._decisions[-1] = (condition, not answer, True)
             if len(known) >= self._limits.paths:
@@ -260,12 +278,13 @@ _READ_ONLY: dict[type, type] = {
 class _Copies:
     """Functions in whose copies the libraries take traced values."""
 
-    def __init__(self, run: Any) -> None:
-        self._run = run
+    def __init__(self, run: Any, selections: bool) -> None:
+        self._run, self._selections = run, selections
         self._made: dict[int, Any] = {}
         self._kept: list[Any] = []  # so that no id is used twice
         self._numpy, self._math = _NumPy(run), _Math(run)
         self._builtins = _python(run)
+        self._helpers = helpers(run.decide) if selections else {}
 
     def of(self, value: Any) -> Any:
         """What stands for a value in a copy: itself, if it needs none."""
@@ -339,22 +358,23 @@ class _Copies:
         names = _names(function.__code__)
         if written := _written(function.__code__):
             raise TraceError(f"{function.__name__} writes to {written}, which is not its own")
+        code = (selecting(function) if self._selections else None) or function.__code__
         found = {**function.__globals__}
-        cells = function.__closure__
-        copy = types.FunctionType(function.__code__, found, function.__name__, function.__defaults__, cells)
+        cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+        closed = tuple(types.CellType() for _ in code.co_freevars)
+        copy = types.FunctionType(code, found, function.__name__, function.__defaults__, closed)
         copy.__kwdefaults__ = function.__kwdefaults__
         self._made[id(function)] = copy  # it may call itself
         self._kept.append(function)
-        if cells is not None:
-            closed = tuple(types.CellType(self.of(one.cell_contents)) if _is_full(one) else one for one in cells)
-            copy = types.FunctionType(function.__code__, found, function.__name__, function.__defaults__, closed)
-            copy.__kwdefaults__ = function.__kwdefaults__
-            self._made[id(function)] = copy
+        for name, cell in zip(code.co_freevars, closed, strict=True):
+            if _is_full(cells[name]):
+                cell.cell_contents = self.of(cells[name].cell_contents)
         for name in names & found.keys():
             found[name] = self.of(found[name])
         for name in names - function.__globals__.keys():
             if name in self._builtins:
                 found[name] = self._builtins[name]
+        found.update(self._helpers)
         return copy
 
     def _object(self, value: Any) -> Any:
@@ -414,6 +434,7 @@ class _NumPy:
         self._run, self._module = run, module
         if module is np:
             self.linalg = _NumPy(run, np.linalg)
+            self.r_ = _Joined(run)
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._module, name)
@@ -433,6 +454,22 @@ class _NumPy:
             return value(*args, **kwargs)
 
         return call
+
+
+class _Joined:
+    """`numpy.r_` for arrays, numbers and slices."""
+
+    def __init__(self, run: Any) -> None:
+        self._run = run
+
+    def __getitem__(self, key: Any) -> Any:
+        if not has_traced(key):
+            return _filled(self._run, np.r_[key])
+        if isinstance(key[0], str):
+            raise TraceError("numpy.r_ with a string")
+        parts = [np.r_[one] if isinstance(one, slice) else one for one in key]
+        cells = [np.atleast_1d(cells_of(one, self._run._graph)) for one in parts]
+        return TracedArray(np.concatenate(cells), self._run.decide)
 
 
 def _gathered(value: Any, run: Any) -> Any:

@@ -156,6 +156,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         (target,) = out
         if not isinstance(target, TracedArray):
             raise TraceError("a result that is written into an array of numbers: make the array in the function")
+        if not target.ndim:
+            return self._with(found)  # x += 1 for a number x does not change what else has this number
         target._require_own()
         target.cells[...] = found
         return target
@@ -171,7 +173,14 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         kwargs.pop("dtype", None)
         unwrapped = [_unwrapped(one, self._graph) for one in args]
         options = {key: _unwrapped(one, self._graph) for key, one in kwargs.items()}
-        return wrapped(function(*unwrapped, **options), self.decide)
+        return self._as_nodes(function(*unwrapped, **options))
+
+    def _as_nodes(self, found: Any) -> Any:
+        """Numbers that were moved with nodes are nodes."""
+        if isinstance(found, (list, tuple)):
+            return type(found)(map(self._as_nodes, found))
+        mixed = isinstance(found, np.ndarray) and found.dtype == object
+        return wrapped(cells_of(found, self._graph) if mixed else found, self.decide)
 
     def _of_constants(self, function: Any, args: Any, kwargs: Any) -> Any:
         """A function of numbers only, by NumPy itself."""
