@@ -198,11 +198,10 @@ class Arguments(int):
         """The arguments with these numbers."""
 
         def of_numbers(entry: Numbers, place: int) -> Any:
-            if entry.fixed:
+            numbers = np.reshape(parameters[place : place + int(np.prod(entry.shape))], entry.shape)
+            if entry.fixed or np.array_equal(numbers, entry.value):  # of its own type
                 return entry.value.copy() if entry.shape else entry.value
-            if not entry.shape:
-                return float(parameters[place])
-            return np.reshape(parameters[place : place + int(np.prod(entry.shape))], entry.shape).copy()
+            return np.array(numbers) if entry.shape else float(numbers)
 
         return self.made(of_numbers, lambda value: value)
 

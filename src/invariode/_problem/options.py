@@ -85,6 +85,14 @@ def to_members(name: str, value: Any) -> tuple[str, str]:
     return explicit_one.name, implicit_one.name
 
 
+def _flag_or_strict(name: str, value: object) -> bool | Literal["strict"]:
+    if value == "strict":
+        return "strict"
+    if isinstance(value, str):
+        raise TypeError(f'{name} must be True, False or "strict", got {shown(value)}')
+    return flag(name, value)
+
+
 @dataclass(frozen=True)
 class Option:
     """A row of the table, without the name and the type of the option."""
@@ -204,8 +212,15 @@ class MethodOptions(TypedDict, total=False):
         ),
     ]
     check: Annotated[
-        bool,
-        Option(True, "bool", "Test that f conserves the invariants, and that their Jacobians are right.", flag),
+        bool | Literal["strict"],
+        Option(
+            True,
+            'bool or "strict"',
+            "Test that f conserves the invariants, and that their Jacobians are right; and, at the first run of a "
+            "function of `invariode.compile` in a process, that it has the values of the Python function at the "
+            'accepted steps 1, 2, 4, 8, ... A difference is a warning; with "strict" an error.',
+            _flag_or_strict,
+        ),
     ]
     min_step: Annotated[
         float | None,
@@ -551,7 +566,7 @@ class ExtensionOptions(TypedDict, total=False):
     first_step: float | None
     max_step: float | None
     callback: Callable[[float, Array], object] | None
-    check: bool
+    check: bool | Literal["strict"]
     max_steps: int | None
     limits: Limits | None
     on_failure: OnFailure

@@ -286,7 +286,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         dense=options["dense_output"],
         save_all=keep != "end",
         record=keep == "all",
-        check=options["check"],
+        check=bool(options["check"]),
         fsal=options["fsal"],
         max_order=_highest_order(method, options["max_order"]),
         bdf=bool(options["bdf"]),

@@ -44,6 +44,7 @@ from .._results.result import (
     at_events,
 )
 from .._results.solution import Solution
+from .agreement import compare
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
@@ -185,6 +186,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
             sol = sol.changed(status=status, message=message)
     else:
         sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
+    compare(problem, sol, options.get("check", True))
     return concluded(sol, plan.on_failure)
 
 

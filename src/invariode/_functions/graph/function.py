@@ -14,6 +14,7 @@ from ..compiled import CompiledFunction, Shape
 from ..layout import TRUTHS, Arguments, Constant, Numbers, count_of
 from .nodes import Node, in_order
 from .python import Formula
+from .rounding import bounds
 from .trace import Traced, trace
 from .traced import TraceError
 
@@ -94,6 +95,8 @@ class GraphFunction(OnGraph):
 _SIZES, _SEED = (1.0, 0.1, 10.0, 1.0, 0.5), 27
 #: What roundoff may make of the difference of the two, in parts of the largest value.
 _AGREEMENT = 1e-9
+#: By how much the bound of roundoff may be exceeded: it is of first order.
+_SAFETY = 16.0
 
 
 class TracedFunction(OnGraph):
@@ -115,6 +118,8 @@ class TracedFunction(OnGraph):
         self._graphs: dict[Shape, list[Node] | None] = {}
         #: How arguments are handed over: as they are, with those up to a rank as constants; None: all in one array.
         self._ways: dict[Shape, int | None] = {}
+        #: Graphs that have not been compared with the function in a run.
+        self.outputs: list[list[Node]] = []
 
     def made_again(self) -> tuple[Any, ...]:
         return TracedFunction, (self.fun, self.inplace, self.elementary, self.by)
@@ -122,7 +127,7 @@ class TracedFunction(OnGraph):
     def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
         """The Python function, with the arguments of the problem."""
         arguments = _arguments(count_of(parameters))
-        if self._takes(vectors, arguments):
+        if self._binds([t, *vectors, *arguments.entries]):
             given = arguments.given(parameters)
             try:
                 return self.fun(t, *vectors, *given)
@@ -131,9 +136,8 @@ class TracedFunction(OnGraph):
                     raise
         return super().at(t, *vectors, parameters=np.array(parameters))
 
-    def _takes(self, vectors: Sequence[Any], arguments: Arguments) -> bool:
-        """Whether it can be called as f(t, y, a, b)."""
-        given = ["t", *vectors, *["out"] * self.inplace, *arguments.entries]
+    def _binds(self, given: Sequence[Any]) -> bool:
+        """Whether it can be called with these."""
         try:
             inspect.signature(self.fun).bind(*given)
         except (TypeError, ValueError):
@@ -174,7 +178,8 @@ class TracedFunction(OnGraph):
     def _find_way(self, shape: Shape, arguments: Arguments) -> int | None:
         """The first way of handing over the arguments that can be traced."""
         errors = []
-        ranks = sorted({TRUTHS, *arguments.ranks}) if self._takes(shape.vectors, arguments) else []
+        given = ["t", *shape.vectors, *["out"] * (self.inplace and not shape.event), *arguments.entries]
+        ranks = sorted({TRUTHS, *arguments.ranks}) if self._binds(given) else []
         ways = [(rank, shape._replace(parameters=arguments.fixed(rank))) for rank in ranks]
         whole = shape._replace(parameters=int(arguments))
         for way, handed in [*ways, *([(None, whole)] if arguments or not ways else [])]:
@@ -197,14 +202,13 @@ class TracedFunction(OnGraph):
 
     def _traced(self, shape: Shape) -> list[Node]:
         """The values for arguments that are handed over like this."""
-        whole = not isinstance(shape.parameters, Arguments)
-        arguments = Arguments([Numbers(np.ones(shape.parameters), varying=True)]) if whole else shape.parameters
-        arguments = arguments if (whole and shape.parameters) or not whole else Arguments([])
+        arguments = shape.parameters if isinstance(shape.parameters, Arguments) else _in_one(shape.parameters)
         inplace = shape.size if self.inplace and not shape.event else 0
         found = trace(self.fun, shape.n, arguments, second=shape.second, inplace=inplace)
         if len(found.outputs) != shape.size:
             raise TraceError(f"{self.__name__} returns {len(found.outputs)} values, expected {shape.size}")
         self._compare(found, shape, arguments)
+        self.outputs.append(found.outputs)
         return found.outputs
 
     def _compare(self, found: Traced, shape: Shape, arguments: Arguments) -> None:
@@ -226,6 +230,32 @@ class TracedFunction(OnGraph):
             except Exception:  # whatever it raises where it is not defined
                 continue
             self._agree(t, np.asarray(formula(t, y, *p.tolist())), expected)
+
+    def disagreement(self, t: float, y: Array, values: Array, parameters: Array) -> str | None:
+        """How values of its code differ from those of the Python function, if by more than roundoff."""
+        try:
+            with np.errstate(all="ignore"):
+                expected = self._called(t, y, parameters, len(values))
+        except Exception as error:  # whatever it raises
+            return f"it raises {type(error).__name__}: {error}" if np.isfinite(values).all() else None
+        if expected.shape != values.shape:
+            return f"it has {expected.size} values, not {values.size}"
+        wrong = ~((values == expected) | (np.isnan(values) & np.isnan(expected)))
+        outputs = self.graph(Shape(len(y), len(values), count_of(parameters), event=False)) if wrong.any() else None
+        if outputs is None:
+            return None
+        allowed = _SAFETY * np.array(bounds(outputs, t, y.tolist(), parameters.tolist()))
+        wrong &= ~(np.abs(values - expected) <= allowed)
+        i = int(np.argmax(wrong))
+        return f"component {i} is {expected[i]:.17g}, compiled {values[i]:.17g}" if wrong[i] else None
+
+    def _called(self, t: float, y: Array, parameters: Array, size: int) -> Array:
+        """The values of the Python function at one point."""
+        if not self.inplace:
+            return np.ravel(np.asarray(self.at(t, y.copy(), parameters=parameters), dtype=float))
+        out = np.full(size, np.nan)
+        self.at(t, y.copy(), out, parameters=parameters)
+        return out
 
     def _agree(self, t: float, values: Array, expected: Array) -> None:
         scale = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)

@@ -6,6 +6,7 @@ The operations and our elementary functions are the same in both, so that the bi
 from __future__ import annotations
 
 import hashlib
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
@@ -124,6 +125,7 @@ class _Writer:
         self._given = dict(zip(names, self._function.args, strict=True))
         self._build = ir.IRBuilder(self._function.append_basic_block())
         self._in_block = 0
+        self._tables: dict[tuple[int, ...], Any] = {}
         self._own = Definitions(module)
 
     def write(self, outputs: Sequence[Node]) -> bool:
@@ -287,6 +289,8 @@ class _Writer:
             return self._solved(node, a)
         if op == "entry":
             return build.load(build.gep(a[0], [_INDEX(node.value)]))
+        if op in ("piece", "pick"):
+            return self._each(lambda x: self._looked_up(node, x), a[0])
         special: dict[str, Callable[..., Any]] = {
             "negate": build.fneg,
             "and": build.and_,
@@ -337,6 +341,43 @@ class _Writer:
         if name in FORMULAS and self._form.own:
             return self._build.call(self._own.called(Function(name, self._form.lanes)), a[:1])
         return self._library("pow" if node.op == "power" else name, a)
+
+    def _each(self, of: Callable[[Any], Any], a: Any) -> Any:
+        """Lane by lane."""
+        if self._form.lanes == 1:
+            return of(a)
+        result = ir.Constant(self._kind, ir.Undefined)
+        for lane in (ir.IntType(32)(i) for i in range(self._form.lanes)):
+            result = self._build.insert_element(result, of(self._build.extract_element(a, lane)), lane)
+        return result
+
+    def _looked_up(self, node: Node, x: Any) -> Any:
+        """In a table of numbers: how many are not above x, by bisection, or the one with the number x."""
+        build, numbers = self._build, [float(one) for one in node.value]
+        if node.op == "pick":
+            return self._entry_of(self._table(numbers), build.fptosi(x, _INDEX))
+        steps = len(numbers).bit_length()
+        table = self._table(numbers + [math.inf] * (2**steps - 1 - len(numbers)))
+        below: Any = _INDEX(0)
+        for step in (2**i for i in reversed(range(steps))):
+            further = build.add(below, _INDEX(step))
+            number = self._entry_of(table, build.add(below, _INDEX(step - 1)))
+            below = build.select(build.fcmp_ordered("<=", number, x), further, below)
+        return build.sitofp(below, _DOUBLE)
+
+    def _table(self, numbers: list[float]) -> Any:
+        """Constants in memory, once."""
+        key = tuple(map(bits_of, numbers))
+        if key not in self._tables:
+            kind = ir.ArrayType(_DOUBLE, len(numbers))
+            table = ir.GlobalVariable(self._module, kind, f"table{len(self._module.globals)}")
+            table.initializer = ir.Constant(kind, [_DOUBLE(one) for one in numbers])
+            table.global_constant, table.linkage = True, "private"
+            self._tables[key] = table
+        return self._tables[key]
+
+    def _entry_of(self, table: Any, index: Any) -> Any:
+        return self._build.load(self._build.gep(table, [_INDEX(0), index], inbounds=True))
 
     def _library(self, name: str, a: list[Any]) -> Any:
         """The mathematical library's, lane by lane."""

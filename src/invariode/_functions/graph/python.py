@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -87,7 +88,8 @@ class Formula:
 
     @cached_property
     def _code(self) -> Callable[[float, list[float], Any], list[float]]:
-        namespace: dict[str, Any] = {**vars(math), "solved": _solved, "sign": _sign}
+        namespace: dict[str, Any] = {**vars(math), "solved": _solved, "sign": _sign, "bisect_right": bisect_right}
+        namespace |= {"nan": math.nan, "inf": math.inf}
         namespace |= {f"nan_or_{name}": _careful(function) for name, function in (ELEMENTARY | _OF_TWO).items()}
         exec(as_text(_CODE, self.outputs), namespace)  # its own name may be that of a function it calls
         made: Callable[[float, list[float], Any], list[float]] = namespace[_CODE]
@@ -133,6 +135,10 @@ def _written(node: Node, a: list[str], careful: bool) -> str:
         return f"solved([{', '.join(a)}], {k}, {m})"
     if op == "entry":
         return f"{a[0]}[{node.value}]"
+    if op == "piece":
+        return f"float(bisect_right({node.value!r}, {a[0]}))"
+    if op == "pick":
+        return f"{node.value!r}[int({a[0]})]"
     if op in ELEMENTARY:
         return f"{op}({a[0]})"
     return _OTHERS[op].format(*a)

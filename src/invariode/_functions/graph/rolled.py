@@ -131,7 +131,7 @@ def _tree(root: Node, shared: set[Node], *, whole: bool) -> tuple[_Tree, tuple[A
         numbers[node] = len(nodes)
         nodes.append(node)
         if not is_leaf:
-            exponent = node.arguments[-1].value if node.op == "power" else None
+            exponent = node.arguments[-1].value if node.op == "power" else node.value
             form.append((node.op, exponent, *(numbers[one] for one in node.arguments)))
         elif node.op == "t":
             form.append("t")

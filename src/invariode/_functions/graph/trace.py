@@ -22,6 +22,7 @@ from ..._base.arguments import PACKAGE, call_name
 from ..layout import Arguments, Numbers
 from .nodes import ELEMENTARY, Graph, Node
 from .selections import helpers, selecting
+from .tables import Table, is_table
 from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, number, wrapped
 
 
@@ -304,7 +305,9 @@ class _Copies:
         if value is math:
             return self._math
         if isinstance(value, types.ModuleType):
-            return value
+            return _Interpolation(value, self._run) if value.__name__ == "scipy.interpolate" else value
+        if is_table(value):
+            return Table(value, self._run.decide)
         if isinstance(value, np.ndarray):
             return self._constants(value)
         if type(value) in _READ_ONLY:
@@ -470,6 +473,17 @@ class _Joined:
         parts = [np.r_[one] if isinstance(one, slice) else one for one in key]
         cells = [np.atleast_1d(cells_of(one, self._run._graph)) for one in parts]
         return TracedArray(np.concatenate(cells), self._run.decide)
+
+
+class _Interpolation:
+    """`scipy.interpolate`, whose interpolators take traced values."""
+
+    def __init__(self, module: Any, run: Any) -> None:
+        self._module, self._run = module, run
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._module, name)
+        return Table(found, self._run.decide) if is_table(found) else found
 
 
 def _gathered(value: Any, run: Any) -> Any:

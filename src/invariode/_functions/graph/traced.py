@@ -434,6 +434,7 @@ _UNARY: dict[str, Callable[..., Node]] = {
     "positive": _of_numbers(lambda a: a),
     "conjugate": _of_numbers(lambda a: a),
     "square": _of_numbers(lambda a: a * a),
+    "expit": _of_numbers(lambda a: 1.0 / (1.0 + a.graph.elementary("exp", -a))),
     "reciprocal": _of_numbers(lambda a: 1.0 / a),
     "absolute": _made("abs"),
     "fabs": _made("abs"),
@@ -553,6 +554,10 @@ def _inverse(graph: Graph, a: Any) -> Any:
     return _solve(graph, a, np.eye(len(cells_of(a, graph))))
 
 
+#: Longer tables have to be constants.
+_MOST_CHAINED = 50
+
+
 def _interpolated(
     graph: Graph, x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None
 ) -> Any:
@@ -563,6 +568,12 @@ def _interpolated(
     first, last = (f if given is None else cells_of(given, graph)[()] for f, given in ((fs[0], left), (fs[-1], right)))
 
     def one(at: Node) -> Node:
+        if all(node.op == "number" for node in (*xs, *fs)):
+            from .tables import linear
+
+            return linear(at, *(np.array([node.value for node in each]) for each in (xs, fs)), first, last)
+        if len(xs) > _MOST_CHAINED:
+            raise TraceError(f"numpy.interp in a table of more than {_MOST_CHAINED} values that are not constant")
         found = fs[-1]
         for i in range(len(xs) - 2, -1, -1):
             slope = (fs[i + 1] - fs[i]) / (xs[i + 1] - xs[i])

@@ -1,0 +1,83 @@
+"""What roundoff may do to the values of a graph: a bound that is computed along with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from ..._base.arguments import EPS
+from .nodes import COMPARISONS, Node, in_order
+from .python import Formula
+
+#: Roundoff of one operation in units of the last place, ours, Python's and the mathematical library's together.
+_OPERATION = 4 * EPS
+
+
+class _Value(NamedTuple):
+    value: float
+    error: float
+
+
+def bounds(outputs: Sequence[Node], t: float, y: Sequence[float], p: Sequence[float]) -> list[float]:
+    """How far two evaluations of each value may be apart. Infinite where a condition is as near as that to changing."""
+    known: dict[Node, _Value] = {}
+    given = {"t": lambda _: t, "y": lambda i: y[i], "p": lambda i: p[i]}
+    for node in in_order(outputs):
+        if node.op in given:
+            known[node] = _Value(float(given[node.op](node.value)), 0.0)
+        else:
+            known[node] = _bounded(node, [known[one] for one in node.arguments])
+    return [known[one].error for one in outputs]
+
+
+def _bounded(node: Node, a: Sequence[_Value]) -> _Value:
+    if node.op == "number":
+        return _Value(node.value, 0.0)
+    if node.op in COMPARISONS:
+        return _compared(node.op, *a)
+    if node.op in ("and", "or", "not", "select"):
+        return _decided(node.op, a)
+    if node.op in ("solve", "entry"):
+        return _Value(math.nan, math.inf)
+    of = _operation(node)
+    value = of(*(one.value for one in a))
+    error = _OPERATION * abs(value)
+    for i, one in enumerate(a):
+        if one.error == 0:
+            continue
+        moved = [of(*(b.value + sign * one.error if i == j else b.value for j, b in enumerate(a))) for sign in (1, -1)]
+        error += max(abs(other - value) for other in moved)
+    return _Value(value, error if math.isfinite(error) else math.inf)
+
+
+_made: dict[tuple[object, ...], Callable[..., float]] = {}
+
+
+def _operation(node: Node) -> Callable[..., float]:
+    """One operation as a function of its arguments."""
+    key = (node.op, node.value, len(node.arguments))
+    if key not in _made:
+        graph = type(node.graph)()
+        alone = graph.make(node.op, *(graph.y(i) for i in range(len(node.arguments))), value=node.value)
+        formula = Formula("operation", lambda: [alone], (1,))
+        _made[key] = lambda *a: float(formula(0.0, a)[0])
+    return _made[key]
+
+
+def _compared(op: str, a: _Value, b: _Value) -> _Value:
+    """1 or 0; with an infinite error if roundoff may change it."""
+    truths = {"less": a.value < b.value, "less_equal": a.value <= b.value, "equal": a.value == b.value}
+    value = truths.get(op, a.value != b.value)
+    near = a.error + b.error > 0 and abs(a.value - b.value) <= a.error + b.error
+    return _Value(float(value), math.inf if near else 0.0)
+
+
+def _decided(op: str, a: Sequence[_Value]) -> _Value:
+    doubtful = math.inf if any(one.error for one in (a[:1] if op == "select" else a)) else 0.0
+    if op == "select":
+        chosen = a[1] if a[0].value else a[2]
+        return _Value(chosen.value, chosen.error + doubtful)
+    truths = [bool(one.value) for one in a]
+    value = all(truths) if op == "and" else any(truths) if op == "or" else not truths[0]
+    return _Value(float(value), doubtful)

@@ -1,0 +1,50 @@
+"""The first run of a compiled f in a process: does it compute what the Python function computes?"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from .._base.arguments import Array, warn
+from .._functions.compiled import NativeWithInputs, native_parameters
+from .._functions.graph.function import TracedFunction
+from .._problem.description import Description
+from .._results.solution import Solution
+
+
+def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]) -> None:
+    """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run.
+
+    Raises
+    ------
+    ValueError
+        They differ by more than roundoff, and `check` is "strict". Otherwise that is a warning.
+    """
+    fun = problem.slope.fun
+    traced = fun.fun if isinstance(fun, NativeWithInputs) else fun
+    if not check or not isinstance(traced, TracedFunction) or not traced.outputs:
+        return
+    t, y = np.asarray(sol.t), np.asarray(sol.y)
+    chosen = [k for k in (2**i for i in range(len(t).bit_length())) if k < len(t)] or [0] * (len(t) > 0)
+    objection = _difference(problem, traced, t[chosen], y[:, chosen])
+    if objection is None:
+        traced.outputs.clear()
+        return
+    text = (
+        f"{traced!r} differs from the function that it was made of: {objection}. It may use something that has changed "
+        'since, or that tracing does not see; by="numba", or the function itself, does without tracing'
+    )
+    if check == "strict":
+        raise ValueError(text)
+    warn(text)
+
+
+def _difference(problem: Description, traced: TracedFunction, t: Array, y: Array) -> str | None:
+    compiled = problem.slope(t, y)
+    for at, state, values in zip(t.tolist(), y.T, compiled.T, strict=True):
+        parameters = native_parameters((*(u(at) for u in problem.inputs), *problem.args), [traced])
+        found = traced.disagreement(at, state.view(float), values.view(float), parameters)
+        if found is not None:
+            return f"at t = {at:.6g} {found}"
+    return None
