@@ -1,7 +1,8 @@
 """Jacobians that are computed: ``python benchmarks/jacobians.py [--write] [--repetitions N]``, or ``make bench``.
 
 On the stiff problems: differences, complex steps and traces of Python functions, whose time includes tracing, but not
-the compilation of the first; and on the largest one the given sparsity pattern and the detected one. ``--write`` puts the tables into docs/benchmarks.
+the compilation of the first; and on the largest one the given sparsity pattern and the detected one. ``--write`` puts
+the tables into docs/benchmarks.
 """
 
 from __future__ import annotations

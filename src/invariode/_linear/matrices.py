@@ -234,9 +234,9 @@ def _require_bands(bands: tuple[int, int], exact: Derived) -> None:
     lower, upper = exact.bands
     if lower > bands[0] or upper > bands[1]:
         warn(
-            f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have lower = "
-            f"{lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as lband and "
-            "uband"
+            f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have "
+            f"lower = {lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as "
+            "lband and uband"
         )
 
 

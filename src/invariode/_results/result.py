@@ -92,8 +92,8 @@ class Stats(Record):
         imposed again.
     mechanics : dict or None
         For a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were formed
-        ('traced', 'complex step', 'differences', 'given'), and how often in the whole run each function was called and the matrix
-        of the accelerations was factorised, 'sparse' and 'dense'.
+        ('traced', 'complex step', 'differences', 'given'), and how often in the whole run each function was called and
+        the matrix of the accelerations was factorised, 'sparse' and 'dense'.
     stiff_since : float or None
         From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
     jacobian : str or None

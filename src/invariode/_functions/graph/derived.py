@@ -1,4 +1,4 @@
-"""Functions that follow from the graph of a function of (t, y, *args): its derivatives, exact, as compiled functions."""
+"""Functions that follow from the graph of a function of (t, y, *args): its exact derivatives, compiled."""
 
 from __future__ import annotations
 

@@ -29,7 +29,8 @@ class OnGraph(CompiledFunction):
     """
 
     def __init__(self, fun: Any, inplace: bool, elementary: str) -> None:
-        super().__init__(fun, inplace, elementary)
+        super().__init__(fun, inplace)
+        self.elementary = elementary
         self.exact: dict[Shape, Any] = {}
 
     def graph(self, shape: Shape) -> list[Node] | None:
