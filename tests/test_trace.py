@@ -10,8 +10,10 @@ from math import cos, sin
 
 import numpy as np
 import pytest
+from scipy import interpolate
 
 import invariode as iv
+from invariode._functions.compiled import as_python
 from invariode._functions.graph.python import Formula
 from invariode._functions.graph.trace import Limits, trace
 from invariode._functions.graph.traced import TraceError
@@ -416,6 +418,133 @@ def test_prepared_solvers_and_ensembles_notice_arguments_that_are_constants():
         np.testing.assert_allclose(solver(args=other).y[:, -1], ends(many_kinds, other), rtol=1e-9)
         with pytest.raises(ValueError, match="args of a compiled ensemble"):
             iv.solve_ensemble(code, (0, 1), [[1.0, 0.5]] * 2, args=[KINDS, other])
+
+
+def branches_everywhere(t, y):
+    """Branches that assign, in loops and in each other; that return; conditions of several parts; temporary names."""
+    slopes = np.zeros(len(y))
+    for i in range(len(y)):
+        if y[i] > 0 and not 0.2 < t < 0.3:
+            slopes[i] = -y[i]
+        elif y[i] < -1 or t > 2:
+            twice = 2 * y[i]
+            slopes[i] = twice**2
+        else:
+            slopes[i] += 1.0
+    total = sum(slopes)
+    if total > 1:
+        return slopes / total
+    before = total
+    if y[0] > y[1]:
+        total -= 1
+        slopes -= 0.5
+    return np.append(slopes[:-1], total - before)
+
+
+def test_branches_that_assign_or_return_cost_one_path():
+    """Seven on components, with conditions of several parts: 2^7 paths and more if they were followed one by one."""
+    found = trace(branches_everywhere, 7)
+    assert found.paths == 1
+    formula = Formula("f", lambda: found.outputs, (7,))
+    rng = np.random.default_rng(27)
+    for _ in range(50):
+        t, y = rng.uniform(0, 3), 1.5 * rng.standard_normal(7)
+        np.testing.assert_array_equal(formula(t, y), branches_everywhere(t, y))
+
+
+def index_by_branch(t, y):
+    k = 0 if y[0] > 0 else 1
+    return [K[k, 0] * y[0], K[0, k] * y[1]]
+
+
+def test_branches_that_are_no_selections_are_paths():
+    """An index that a branch chooses is known on each path."""
+    found = trace(index_by_branch, 2)
+    assert found.paths == 2
+    formula = Formula("f", lambda: found.outputs, (2,))
+    for y in ([1.0, 2.0], [-1.0, 2.0]):
+        np.testing.assert_array_equal(formula(0.0, y), index_by_branch(0.0, y))
+
+
+XS = np.array([0.0, 0.3, 0.5, 1.2, 2.0, 3.0])
+FS = np.array([1.0, 3.0, -1.0, 0.5, 2.0, 1.0])
+TABLES = {
+    "interp": lambda: lambda x: np.interp(x, XS, FS),
+    "interp with values outside": lambda: lambda x: np.interp(x, XS, FS, left=5.0, right=6.0),
+    "CubicSpline": lambda: interpolate.CubicSpline(XS, FS),
+    "periodic": lambda: interpolate.CubicSpline(XS, FS, bc_type="periodic"),
+    "not extrapolated": lambda: interpolate.CubicSpline(XS, FS, extrapolate=False),
+    "derivative": lambda: interpolate.CubicSpline(XS, FS).derivative(),
+    "PchipInterpolator": lambda: interpolate.PchipInterpolator(XS, FS),
+    "make_interp_spline": lambda: interpolate.make_interp_spline(XS, FS),
+    "UnivariateSpline": lambda: interpolate.UnivariateSpline(XS, FS, s=0),
+    **{
+        f"interp1d, {kind}": lambda kind=kind: interpolate.interp1d(
+            XS, FS, kind, fill_value=(1.0, 2.0), bounds_error=False
+        )
+        for kind in ("linear", "previous", "next", "nearest", "cubic")
+    },
+    "interp1d, extrapolated": lambda: interpolate.interp1d(XS, FS, fill_value="extrapolate"),
+    "interp1d that raises outside": lambda: interpolate.interp1d(XS, FS),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_have_the_values_of_the_interpolator(name):
+    """Between its points, at them, and outside, in machine code, one at a time and in lanes."""
+    table = TABLES[name]()
+
+    def fun(t, y):
+        return [table(y[0])]
+
+    code = iv.compile(fun, by="trace")
+    evaluate = as_python(code.native(1, 1, 0, False), 1)
+    for x in [*np.random.default_rng(27).uniform(-1, 4, 40), *XS]:
+        try:
+            expected = float(table(x))
+        except ValueError:
+            expected = math.nan
+        found = evaluate(0.0, np.array([x]), np.zeros(0))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
+
+
+def test_an_interpolator_made_in_the_function_is_a_table():
+    def fun(t, y):
+        return [interpolate.CubicSpline(XS, FS)(t) - y[0]]
+
+    found = Formula("f", lambda: trace(fun, 1).outputs, (1,))
+    np.testing.assert_allclose(found(0.7, [0.5]), fun(0.7, [0.5]), rtol=1e-13)
+
+
+def from_outside(t, y):
+    return [y[1], -hidden.value * y[0] if y[0] < 0.5 else -y[0]]
+
+
+def test_the_first_run_finds_a_function_that_has_changed(monkeypatch):
+    """In a branch that no other test of the graph reached: at t, in the component; later runs do not look."""
+    code = iv.compile(from_outside, by="trace")
+    code.native(2, 2, 0, False)
+    monkeypatch.setattr(hidden, "value", 2.0)
+    where = r"differs from the function that it was made of: at t = 2\.\d+ its value 1 is"
+    with pytest.raises(ValueError, match=where):
+        iv.solve_ivp(code, (0, 10), [1.0, 0.0], check="strict")
+    with pytest.warns(UserWarning, match=where):
+        iv.solve_ivp(code, (0, 10), [1.0, 0.0])
+    monkeypatch.setattr(hidden, "value", 1.0)
+    iv.solve_ivp(code, (0, 10), [1.0, 0.0], check="strict")
+    evaluated = []
+    monkeypatch.setattr(code, "fun", lambda t, y: evaluated.append(t))
+    iv.solve_ivp(code, (0, 10), [1.0, 0.0], check="strict")
+    assert evaluated == []
+
+
+def cancelling(t, y):
+    """Two ways of rounding differ by far more than the last place of the result."""
+    return [(1e8 + y[0]) - 1e8 - np.exp(y[1]) * 1e8 + 1e8 * np.exp(y[1] * 0.1) ** 10, -y[1]]
+
+
+def test_roundoff_is_no_difference():
+    iv.solve_ivp(iv.compile(cancelling, by="trace"), (0, 1), [0.3, 0.7], check="strict", rtol=1e-3)
 
 
 def test_ensembles_vary_the_arguments_without_compiling_again():

@@ -94,8 +94,6 @@ class GraphFunction(OnGraph):
 
 #: Where a graph is compared with its function: sizes of y, and the seed of the points.
 _SIZES, _SEED = (1.0, 0.1, 10.0, 1.0, 0.5), 27
-#: What roundoff may make of the difference of the two, in parts of the largest value.
-_AGREEMENT = 1e-9
 #: By how much the bound of roundoff may be exceeded: it is of first order.
 _SAFETY = 16.0
 
@@ -230,7 +228,14 @@ class TracedFunction(OnGraph):
                     expected = out if self.inplace and not shape.event else np.ravel(np.asarray(returned, dtype=float))
             except Exception:  # whatever it raises where it is not defined
                 continue
-            self._agree(t, np.asarray(formula(t, y, *p.tolist())), expected)
+            values = np.asarray(formula(t, y, *p.tolist()))
+            if not np.isfinite(expected).all():
+                values = np.where(np.isfinite(expected) & np.isfinite(values), values, expected)
+            if objection := _difference(found.outputs, t, y, p, (values, expected)):
+                raise TraceError(
+                    f"{self.__name__} cannot be traced: at t = {t:.6g} {objection}. It may be random, remember calls, "
+                    "or use what tracing does not see"
+                )
 
     def disagreement(self, t: float, y: Array, values: Array, parameters: Array) -> str | None:
         """How values of its code differ from those of the Python function, if by more than roundoff."""
@@ -239,16 +244,8 @@ class TracedFunction(OnGraph):
                 expected = self._called(t, y, parameters, len(values))
         except Exception as error:  # whatever it raises
             return f"it raises {type(error).__name__}: {error}" if np.isfinite(values).all() else None
-        if expected.shape != values.shape:
-            return f"it has {expected.size} values, not {values.size}"
-        wrong = ~((values == expected) | (np.isnan(values) & np.isnan(expected)))
-        outputs = self.graph(Shape(len(y), len(values), count_of(parameters), event=False)) if wrong.any() else None
-        if outputs is None:
-            return None
-        allowed = _SAFETY * np.array(bounds(outputs, t, y.tolist(), parameters.tolist()))
-        wrong &= ~(np.abs(values - expected) <= allowed)
-        i = int(np.argmax(wrong))
-        return f"component {i} is {expected[i]:.17g}, compiled {values[i]:.17g}" if wrong[i] else None
+        outputs = self.graph(Shape(len(y), len(values), count_of(parameters), event=False))
+        return None if outputs is None else _difference(outputs, t, y, parameters, (values, expected))
 
     def _called(self, t: float, y: Array, parameters: Array, size: int) -> Array:
         """The values of the Python function at one point."""
@@ -258,17 +255,18 @@ class TracedFunction(OnGraph):
         self.at(t, y.copy(), out, parameters=parameters)
         return out
 
-    def _agree(self, t: float, values: Array, expected: Array) -> None:
-        scale = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)
-        if expected.shape != values.shape:
-            raise TraceError(f"{self.__name__} returns {expected.size} values, its graph {values.size}")
-        wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= _AGREEMENT * scale)
-        if (wrong & np.isfinite(values)).any():
-            i = int(np.argmax(wrong))
-            raise TraceError(
-                f"{self.__name__} cannot be traced: at t = {t:.6g} its value {i} is {expected[i]:.17g}, that of "
-                f"the graph {values[i]:.17g}. It may be random, remember calls, or use what tracing does not see"
-            )
+
+def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[Array, Array]) -> str | None:
+    """Values of a graph and those expected, if they differ by more than roundoff."""
+    values, expected = found
+    if expected.shape != values.shape:
+        return f"it has {expected.size} values, its graph {values.size}"
+    wrong = ~((values == expected) | (np.isnan(values) & np.isnan(expected)))
+    if not wrong.any():
+        return None
+    wrong &= ~(np.abs(values - expected) <= _SAFETY * np.array(bounds(outputs, t, y.tolist(), p.tolist())))
+    i = int(np.argmax(wrong))
+    return f"its value {i} is {expected[i]:.17g}, that of the graph {values[i]:.17g}" if wrong[i] else None
 
 
 def _in_one(count: int) -> Arguments:

@@ -89,7 +89,7 @@ class Formula:
 
     @cached_property
     def _code(self) -> Callable[[float, list[float], Any], list[float]]:
-        namespace: dict[str, Any] = {**vars(math), "solved": _solved, "sign": _sign, "bisect_right": bisect_right}
+        namespace: dict[str, Any] = {**vars(math), "solved": solved, "sign": _sign, "bisect_right": bisect_right}
         namespace |= {"nan": math.nan, "inf": math.inf}
         namespace |= {f"nan_or_{name}": _careful(function) for name, function in (ELEMENTARY | _OF_TWO).items()}
         exec(as_text(_CODE, self.outputs), namespace)  # its own name may be that of a function it calls
@@ -182,7 +182,7 @@ def _sign(x: float) -> float:
     return math.copysign(1.0, x) if x else x
 
 
-def _solved(numbers: list[float], k: int, m: int) -> list[float]:
+def solved(numbers: list[float], k: int, m: int) -> list[float]:
     """NaN if the matrix is singular."""
     matrix, right = np.reshape(numbers[: k * k], (k, k)), np.reshape(numbers[k * k :], (k, m))
     try:

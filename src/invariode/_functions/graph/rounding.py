@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 from ..._base.arguments import EPS
 from .nodes import COMPARISONS, Node, in_order
-from .python import Formula
+from .python import Formula, solved
 
 #: Roundoff of one operation in units of the last place, ours, Python's and the mathematical library's together.
 _OPERATION = 4 * EPS
+#: Of the solution of a linear system, in parts of its largest value: condition numbers up to 1e6 or so.
+_SYSTEM = 1e-9
 
 
 class _Value(NamedTuple):
@@ -22,10 +24,17 @@ class _Value(NamedTuple):
 def bounds(outputs: Sequence[Node], t: float, y: Sequence[float], p: Sequence[float]) -> list[float]:
     """How far two evaluations of each value may be apart. Infinite where a condition is as near as that to changing."""
     known: dict[Node, _Value] = {}
+    systems: dict[Node, list[float]] = {}
     given = {"t": lambda _: t, "y": lambda i: y[i], "p": lambda i: p[i]}
     for node in in_order(outputs):
         if node.op in given:
             known[node] = _Value(float(given[node.op](node.value)), 0.0)
+        elif node.op == "solve":
+            systems[node] = solved([known[one].value for one in node.arguments], *node.value)
+            known[node] = _Value(max(map(abs, systems[node])), 0.0)
+        elif node.op == "entry":
+            size = known[node.arguments[0]].value
+            known[node] = _Value(systems[node.arguments[0]][node.value], _SYSTEM * size)
         else:
             known[node] = _bounded(node, [known[one] for one in node.arguments])
     return [known[one].error for one in outputs]
@@ -38,8 +47,6 @@ def _bounded(node: Node, a: Sequence[_Value]) -> _Value:
         return _compared(node.op, *a)
     if node.op in ("and", "or", "not", "select"):
         return _decided(node.op, a)
-    if node.op in ("solve", "entry"):
-        return _Value(math.nan, math.inf)
     of = _operation(node)
     value = of(*(one.value for one in a))
     error = _OPERATION * abs(value)
