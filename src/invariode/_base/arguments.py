@@ -167,6 +167,12 @@ def choice(name: str, value: object, known: Iterable[str]) -> str:
     raise ValueError(f"{name} must be one of {listed}, got {shown(value)}{meant(value, known)}")
 
 
+def either(known: Sequence[str]) -> str:
+    """The known names, for messages: 'a', 'b' or 'c'."""
+    *first, last = map(repr, known)
+    return f"{', '.join(first)} or {last}"
+
+
 def meant(given: object, known: Iterable[str]) -> str:
     """The known name that was probably meant, to end a message; empty if none is like the given one."""
     near = difflib.get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
