@@ -1,7 +1,8 @@
 """Jacobians that are computed: ``python benchmarks/jacobians.py [--write] [--repetitions N]``, or ``make bench``.
 
-On the stiff problems: differences and complex steps, for Python functions and compiled ones, and on the largest one the
-given sparsity pattern and the detected one. ``--write`` puts the tables into docs/benchmarks.
+On the stiff problems: differences, complex steps and traces of Python functions, whose time includes tracing, but not
+the compilation of the first; and on the largest one the given sparsity pattern and the detected one. ``--write`` puts
+the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from typing import Any
 from measure import Times, interleaved, machine, ratio, run, table
 
 import invariode as iv
-from invariode import problems
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from stiff import PROBLEMS, StiffProblem
@@ -24,8 +24,7 @@ from stiff import PROBLEMS, StiffProblem
 RTOL = 1e-5
 METHODS = ("ode15s", "ode23s", "radau")
 SOLVES = 5  # timed together
-WAYS = ("differences", "complex-step")
-COMPILED = {"Robertson": problems.robertson().fun, "HIRES": problems.hires().fun}
+WAYS = ("differences", "complex-step", "trace")
 LARGEST = PROBLEMS["Brusselator, 2-D"]
 
 
@@ -44,35 +43,33 @@ def several(p: StiffProblem, method: str, fun: Any, jac: str) -> None:
         solve(p, method, fun, jac=jac)
 
 
-def row(p: StiffProblem, method: str, fun: Any, label: str, repetitions: int) -> list[str]:
-    """Steps and evaluations of f with the one and the other, and their times."""
-    sols = [solve(p, method, fun, jac=jac) for jac in WAYS]
-    times = interleaved({jac: partial(several, p, method, fun, jac) for jac in WAYS}, repetitions, process_time)
+def row(p: StiffProblem, method: str, repetitions: int) -> list[str]:
+    """Steps and evaluations of f each way, and their times."""
+    sols = [solve(p, method, p.fun, jac=jac) for jac in WAYS]
+    times = interleaved({jac: partial(several, p, method, p.fun, jac) for jac in WAYS}, repetitions, process_time)
     counts = [f"{s.stats.steps} + {s.stats.failed}, {s.nfev}, {s.njev}" for s in sols]
-    return [p.name, method, label, *counts, *_compared(times)]
+    return [p.name, method, *counts, *_compared(times)]
 
 
 def _compared(times: Times) -> list[str]:
-    first, second = (times[way] for way in WAYS)
-    return [f"{1e3 * median(first) / SOLVES:.3g}", f"{ratio(second, first):.2f}"]
+    first, *others = (times[way] for way in WAYS)
+    return [f"{1e3 * median(first) / SOLVES:.3g}", *(f"{ratio(one, first):.2f}" for one in others)]
 
 
 def ways(repetitions: int) -> str:
-    """Differences against complex steps."""
+    """Differences against complex steps and traces."""
     header = [
         "problem",
         "method",
-        "f",
         *(f"{way}: steps + failed, f, J" for way in WAYS),
         "ms",
-        "complex ÷ differences",
+        *(f"{way} ÷ differences" for way in WAYS[1:]),
     ]
     rows = []
     for p in PROBLEMS.values():
         if p is LARGEST or p.args == (1e-12,):
             continue
-        forms = {"Python": p.fun} | ({"compiled": iv.compile(COMPILED[p.name])} if p.name in COMPILED else {})
-        rows += [row(p, method, fun, label, repetitions) for method in METHODS for label, fun in forms.items()]
+        rows += [row(p, method, repetitions) for method in METHODS]
     return table(header, rows)
 
 

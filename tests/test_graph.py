@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import math
 import pickle
+from collections import OrderedDict
+from functools import partial
 
 import mpmath
 import numpy as np
@@ -13,10 +15,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import invariode as iv
+from invariode._functions.compiled import as_python
 from invariode._functions.graph.derivatives import gradient, jacobian, tangent
+from invariode._functions.graph.derived import Derived
 from invariode._functions.graph.function import GraphFunction
 from invariode._functions.graph.nodes import ELEMENTARY, Graph, in_order
 from invariode._functions.graph.python import Formula, as_text
+from invariode._functions.graph.rolled import rolled
 
 machine = pytest.importorskip("invariode._functions.graph.machine")
 
@@ -111,7 +116,7 @@ def test_lanes_have_the_bits_of_one_at_a_time(outputs, lanes):
     np.testing.assert_array_equal(compiled(outputs, lanes=lanes)(t, y, p), np.transpose(alone))
 
 
-def exactly(node, y):
+def exactly(node, y, t=TIME):
     """The value of a node in 40 digits."""
     text = as_text("f", [node])
     names = {
@@ -124,7 +129,7 @@ def exactly(node, y):
     names |= {"pow": mpmath.power, "cbrt": mpmath.cbrt, "exp2": lambda x: mpmath.power(2, x)}
     names |= {"log2": lambda x: mpmath.log(x, 2)}
     exec(text, names)
-    return names["f"](mpmath.mpf(TIME), y, [mpmath.mpf(one) for one in ARGS])[0]
+    return names["f"](mpmath.mpf(t), y, [mpmath.mpf(one) for one in ARGS])[0]
 
 
 @RANDOM
@@ -155,6 +160,40 @@ def test_derivatives_are_those_of_40_digits(outputs):
     np.testing.assert_allclose(values, exact, rtol=0, atol=condition * EPS * size)
     np.testing.assert_allclose(backwards, exact, rtol=0, atol=condition * EPS * size)
     assert in_python(along)[0] == pytest.approx(exact @ direction, abs=condition * EPS * size)
+
+
+@settings(RANDOM, max_examples=15)
+@given(graphs(("add", "multiply", "divide", "negate", "sin", "exp", "power", "atan2"), select=False))
+def test_functions_for_derivatives_along_a_direction_are_those_of_40_digits(outputs):
+    """∂/∂t, products with ∂/∂y, and the first and second derivative along (dt, dy), as compiled functions."""
+    output, direction = outputs[-1], [0.3, -0.7, 1.1]
+    made = Derived("f", [output], N, "own")
+    y = np.array(Y)
+
+    def value(function, point):
+        code = function.native(len(point), 1, P, False)
+        return as_python(code, 1)(TIME, np.array(point), np.array(ARGS))[0]
+
+    with mpmath.workdps(40):
+
+        def along(s, dt, dy):
+            point = [mpmath.mpf(a) + s * mpmath.mpf(b) for a, b in zip(Y, dy, strict=True)]
+            return exactly(output, point, mpmath.mpf(TIME) + s * mpmath.mpf(dt))
+
+        rate, product, slope, curvature = (
+            float(mpmath.diff(partial(along, dt=dt, dy=dy), 0, order))
+            for dt, dy, order in ((1, [0] * N, 1), (0, direction, 1), (0.5, direction, 1), (0.5, direction, 2))
+        )
+    exact = [rate, product, slope, curvature]
+    if not np.isfinite(exact).all():
+        return
+    found = [
+        value(made.rate(), y),
+        value(made.product(), [*y, *direction]),
+        value(made.slope(), [*y, 0.5, *direction]),
+        value(made.curvature(), [*y, 0.5, *direction]),
+    ]
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e5 * EPS * max(1.0, np.abs(exact).max()))
 
 
 def test_equal_nodes_are_one_and_identities_are_exact():
@@ -214,6 +253,72 @@ def test_long_graphs_are_compiled_in_blocks_and_right():
     outputs = [total, total * total]
     assert len([*in_order(outputs)]) > machine._OPTIMISED
     np.testing.assert_array_equal(compiled(outputs)(0.0, np.array([0.5, 0.1]), []), in_python(outputs, y=[0.5, 0.1]))
+
+
+@st.composite
+def repeating(draw):
+    """Values of many components by one random formula each, of neighbours, parameters, numbers and shared values."""
+    graph, n = Graph(), 60
+    y, numbers = [graph.y(i) for i in range(n)], draw(st.sampled_from([[2.5] * 3, [1.0, -2.0, 0.5]]))
+    steps = [
+        (
+            draw(st.sampled_from([*ROUNDED[:4], "minimum", "select", "sin"])),
+            draw(st.integers(0, 5)),
+            draw(st.integers(0, 5)),
+        )
+        for _ in range(draw(st.integers(2, 7)))
+    ]
+    shift = draw(st.integers(1, 3))
+    shared = [one * graph.p(0) for one in y] if draw(st.booleans()) else y
+    outputs = []
+    for i in range(n):
+        nodes = [y[i], shared[(i + shift) % n], y[i - 1], graph.p(i % 2), graph.node(numbers[i % 3]), graph.t]
+        for name, one, other in steps:
+            a, b = nodes[one], nodes[-1 - other]
+            made = graph.select(graph.make("less", a, b), b, a + b) if name == "select" else applied(graph, name, a, b)
+            nodes.append(made)
+        outputs.append(nodes[-1])
+    return [*outputs, *outputs[: n // 3]]
+
+
+@settings(RANDOM, max_examples=15)
+@given(repeating(), st.sampled_from([1, 4]))
+def test_loops_have_the_bits_of_code_without_loops(outputs, lanes):
+    y = np.random.default_rng(27).uniform(-2, 2, (60, lanes))[:, :lanes]
+    t, y, p = (TIME, y[:, 0], ARGS) if lanes == 1 else (np.full(lanes, TIME), y, np.repeat([ARGS], lanes, 0).T)
+    found = []
+    for smallest in (1, 10**9):
+        with pytest.MonkeyPatch.context() as changed:
+            changed.setattr(machine, "_ROLLED", smallest)
+            changed.setattr(machine, "_kept", OrderedDict())
+            found.append(compiled(outputs, lanes=lanes)(t, y, p))
+    np.testing.assert_array_equal(*found)
+
+
+def test_code_of_a_large_repeating_graph_does_not_grow_with_it():
+    sizes = []
+    for n in (100, 1000):
+        graph = Graph()
+        y = [graph.y(i) for i in range(n)]
+        outputs = [y[i - 1] - 2.0 * y[i] + y[(i + 1) % n] for i in range(n)]
+        found = rolled(outputs)
+        assert found is not None
+        sizes.append(sum(one.size for one in found[0]))
+    assert sizes[0] == sizes[1]
+    chain = [graph.y(0)]
+    for _ in range(500):
+        chain.append(chain[-1] * chain[-1] + graph.y(1))
+    assert rolled(chain[-1:]) is None
+
+
+def test_code_of_equal_graphs_is_made_once():
+    codes = [machine.machine_code(Formula("f", orbit_outputs, (4,)).outputs, machine.Form()) for _ in range(2)]
+    assert codes[0] is codes[1]
+    assert machine.machine_code(orbit_outputs(), machine.Form(own=False)) is not codes[0]
+
+
+def orbit_outputs():
+    return orbit()[0].outputs
 
 
 def orbit():

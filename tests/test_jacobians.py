@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 
 import numpy as np
@@ -132,20 +133,17 @@ def oscillator(t, y, p):
 
 
 class TestCompiled:
-    numba = pytest.importorskip("numba")
+    llvmlite = pytest.importorskip("llvmlite")
 
     def test_exact_unless_told_otherwise(self):
-        """t stays real, so that it can be compared; math becomes cmath."""
         y = np.array([0.7, 0.3])
         given = iv.Problem(oscillator, (0, 1), y, args=(100.0,))
         J, kind, _ = jacobian(given, 0.0, y)
-        assert kind == "complex-step"
+        assert kind == "derived"
         np.testing.assert_allclose(J, [[-100 * (3 * 0.7**2 + math.exp(0.7)), 100], [-1, 0]], rtol=1e-14)
-        sol = given.solve("ode15s")
-        assert sol.stats.jacobian == "complex step"
-        others = (("ode15s", {"jac": "differences"}), ("auto", {}), ("ode15s", {"nonnegative": [0]}))
-        for method, change in others:
-            assert given.replace(**change).solve(method).stats.jacobian == "differences"
+        for method, change in (("ode15s", {}), ("auto", {}), ("ode15s", {"nonnegative": [0]})):
+            assert given.replace(**change).solve(method).stats.jacobian == "traced"
+        assert given.replace(jac="differences").solve("ode15s").stats.jacobian == "differences"
 
     def test_an_ensemble_has_the_runs_of_single_solves(self):
         rates = [[10.0], [100.0], [1000.0]]
@@ -155,26 +153,120 @@ class TestCompiled:
             np.testing.assert_array_equal(end, alone.y[:, -1])
             assert nfev == alone.nfev
 
-    def test_comparisons_of_y_mean_differences(self):
-        fun = iv.compile(lambda t, y: (-y[0] if y[0] > 0.5 else -2 * y[0] * y[0],))
-        sol = iv.ode15s(fun, (0, 1), [1.0])
-        assert sol.stats.jacobian == "differences"
-        with pytest.raises(TypeError, match=r"numba compiles for complex numbers.*differences"):
-            iv.ode15s(fun, (0, 1), [1.0], jac="complex-step")
+    def test_comparisons_of_y_have_exact_ones_and_differences_by_numba(self):
+        pytest.importorskip("numba")
 
-    def test_abs_means_differences_as_soon_as_it_counts(self):
-        fun = iv.compile(lambda t, y: (-100 * (abs(y[0]) if t > 1 else y[0]), -y[1]))
+        def fun(t, y):
+            return (-y[0] if y[0] > 0.5 else -2 * y[0] * y[0],)
+
+        assert iv.ode15s(iv.compile(fun), (0, 1), [1.0]).stats.jacobian == "traced"
+        by_numba = iv.compile(fun, by="numba")
+        assert iv.ode15s(by_numba, (0, 1), [1.0]).stats.jacobian == "differences"
+        with pytest.raises(TypeError, match=r"numba compiles for complex numbers.*differences"):
+            iv.ode15s(by_numba, (0, 1), [1.0], jac="complex-step")
+
+    def test_abs_means_differences_as_soon_as_it_counts_by_numba(self):
+        pytest.importorskip("numba")
+        fun = iv.compile(lambda t, y: (-100 * (abs(y[0]) if t > 1 else y[0]), -y[1]), by="numba")
         told = iv.ode15s(fun, (0, 3), [1.0, 1.0], atol=1e-12).stats.jacobian
         assert told.startswith("complex step, differences from t = ")
         assert iv.ode15s(fun, (2, 3), [1.0, 1.0]).stats.jacobian == "complex step, differences from t = 2 on"
 
     def test_inputs_and_patterns(self):
         drive = iv.Input([0.0, 1.0, 2.0], [1.0, 2.0, 0.0])
-        fun = iv.compile(lambda t, y, p: (-y[0] * p[0], y[0] - p[1] * y[1]))
+        fun = iv.compile(lambda t, y, u, k: (-y[0] * u, y[0] - k * y[1]))
         given = iv.Problem(fun, (0, 2), [1.0, 0.0], inputs=drive, args=(3.0,), jac_sparsity=[[1, 0], [1, 1]])
         J, kind, structure = jacobian(given, 0.5, np.array([0.5, 2.0]))
-        assert (kind, structure) == ("complex-step", "sparse")
+        assert (kind, structure) == ("derived", "sparse")
         np.testing.assert_allclose(J, [[-drive(0.5), 0], [1, -3]], rtol=1e-15)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Traces
+
+
+def decaying(t, y, k, rates):
+    return -k * rates * (y - np.cos(t)) + np.roll(y, 1) * y
+
+
+DECAYING = iv.Problem(decaying, (0, 2), [1.0, 0.5, 2.0], args=(3.0, np.array([1.0, 10.0, 200.0])))
+
+
+@pytest.mark.parametrize("p", SMALL, ids=lambda p: p.name)
+def test_traces_give_the_analytic_jacobian_and_its_pattern(p):
+    y = p.y0 + p.scale
+    expected = whole(p, 0.0, y)
+    for structure in [*structures(p)][-2:]:
+        given = iv.Problem(p.fun, p.t_span, p.y0, args=p.args, jac="trace", **structure)
+        J, kind, _ = jacobian(given, 0.0, y)
+        assert kind == "derived"
+        np.testing.assert_array_equal(J != 0, expected != 0)
+        np.testing.assert_allclose(J, expected, rtol=1e-13, atol=1e-15 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_traces_give_the_run_of_the_analytic_jacobian(method):
+    p = PROBLEMS["pollution"]
+    runs = [
+        iv.solve_ivp(p.fun, p.t_span, p.y0, method, rtol=1e-4, atol=1e-4 * p.scale, jac=jac) for jac in (p.jac, "trace")
+    ]
+    given, traced = (run.stats for run in runs)
+    assert traced.jacobian == "traced"
+    assert (traced.steps, traced.failed, traced.njev, traced.nlu) == (given.steps, given.failed, given.njev, given.nlu)
+    np.testing.assert_allclose(runs[1].y[:, -1], runs[0].y[:, -1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_traced_jacobian_takes_the_arguments_of_the_problem(method):
+    plain, traced = (DECAYING.replace(jac=jac).solve(method, rtol=1e-5) for jac in (None, "trace"))
+    assert traced.stats.jacobian == "traced"
+    np.testing.assert_allclose(traced.y[:, -1], plain.y[:, -1], rtol=1e-3)
+
+
+def test_an_ensemble_of_traces_has_the_runs_of_single_solves():
+    rows = [(k, np.array([1.0, 10.0, 200.0])) for k in (1.0, 2.0, 5.0)]
+    given = DECAYING.replace(jac="trace")
+    out = given.solve_ensemble([DECAYING.y0] * 3, args=rows, method="radau", workers=1)
+    for row, end in zip(rows, out.y_end, strict=True):
+        np.testing.assert_array_equal(end, given.replace(args=row).solve("radau").y[:, -1])
+
+
+def test_products_with_a_traced_jacobian_replace_evaluations_of_f():
+    u0 = np.sin(np.arange(40.0))
+    A = 400 * (np.eye(40, k=1) - 2 * np.eye(40) + np.eye(40, k=-1))
+    options = {"linear_solver": "gmres", "rtol": 1e-6}
+    plain, traced, given = (
+        iv.ode15s(lambda t, u: A @ u, (0, 0.1), u0, jac=jac, **options) for jac in (None, "trace", A)
+    )
+    assert traced.nfev < plain.nfev
+    assert traced.stats.steps == given.stats.steps
+    np.testing.assert_allclose(traced.y[:, -1], given.y[:, -1], rtol=1e-9, atol=1e-12)
+
+
+def test_with_an_exact_derivative_in_t_only_stages_evaluate_f():
+    turning = iv.Problem(lambda t, y: [-y[0] + np.sin(1e5 * t)], (0, 1e-3), [1.0])
+    traced, plain = (turning.replace(jac=jac).solve("ode23s", rtol=1e-6) for jac in ("trace", None))
+    assert traced.nfev == 2 * (traced.stats.steps + traced.stats.failed) + 1
+    np.testing.assert_allclose(traced.y[0, -1], plain.y[0, -1], rtol=1e-5)
+
+
+def test_what_cannot_be_traced_is_refused_with_the_line():
+    def fun(t, y):
+        return [-np.fft.fft(y).real[0], y[1]]
+
+    with pytest.raises(TypeError, match=r"at line \d+ of .*test_jacobians.*numpy\.fft"):
+        iv.ode15s(fun, (0, 1), [1.0, 2.0], jac="trace")
+    with pytest.raises(ValueError, match="y0 is complex"):
+        iv.ode15s(lambda t, y: -y, (0, 1), [1j], jac="trace")
+    pointer = ctypes.POINTER(ctypes.c_double)
+    code = ctypes.CFUNCTYPE(None, ctypes.c_double, pointer, pointer, pointer)(lambda *_: None)
+    with pytest.raises(TypeError, match="this fun is machine code"):
+        iv.ode15s(code, (0, 1), [1.0], jac="trace")
+
+
+def test_bands_that_miss_entries_of_a_trace_are_named():
+    with pytest.warns(UserWarning, match=r"miss entries: those of fun have lower = 1, upper = 2"):
+        DECAYING.replace(jac=iv.Banded(1, 0, "trace")).solve("ode15s")
 
 
 # ----------------------------------------------------------------------------------------------------------------------

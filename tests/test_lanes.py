@@ -76,6 +76,7 @@ COMPILED = {
     "undefined for some": iv.compile(undefined_beyond),
     "quartic": iv.compile(oscillator),
 }
+FROM_GRAPH = iv.Invariants(iv.compile(energy), names="energy")
 ENERGY = iv.Invariants(iv.compile(energy), iv.compile(energy_slope), names="energy")
 
 
@@ -126,12 +127,13 @@ def test_results_depend_on_no_instructions_threads_or_neighbours(name, instructi
 
 
 @pytest.mark.parametrize("instructions", SETS)
-def test_an_invariant_is_held_as_without_lanes(instructions, monkeypatch):
+@pytest.mark.parametrize("invariant", [ENERGY, FROM_GRAPH], ids=["its gradient given", "not given"])
+def test_an_invariant_is_held_as_without_lanes(instructions, invariant, monkeypatch):
     monkeypatch.setattr(lanes, "FORCED", instructions)
-    alone = solve(COMPILED["quartic"], lanes=1, invariants=ENERGY)
+    alone = solve(COMPILED["quartic"], lanes=1, invariants=invariant)
     assert alone.stats.lanes == "one at a time: lanes=1"
     for workers in (1, 3):
-        found = solve(COMPILED["quartic"], workers=workers, invariants=ENERGY)
+        found = solve(COMPILED["quartic"], workers=workers, invariants=invariant)
         same(found, alone)
         assert found.stats.lanes.endswith(f"lanes, {instructions}")
     assert (found.residual_after < 1e-9).all()
@@ -248,7 +250,6 @@ def test_a_limit_of_steps_is_that_of_single_solves():
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
         ({"limits": iv.Limits(time=100.0)}, "limited"),
         ({"nonnegative": True}, "bounds"),
-        ({"invariants": iv.Invariants(energy, names="energy"), "args": [(1.0,)] * SIZE}, "not made by"),
         ({"invariants": [ENERGY, iv.Invariants(iv.compile(lambda t, y, p: y[0]), names="x")]}, "several invariants"),
         ({"invariants": ENERGY, "fsal": "evaluate"}, "evaluated again"),
     ],

@@ -53,7 +53,7 @@ class Event:
 class Linear:
     """What is known of the Jacobian of f and of the mass matrix."""
 
-    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0, product: object | None = None, preconditioner: object | None = None, dimension: int = 0) -> None: ...
+    def __init__(self, *, structure: str, n: int, lower: int, upper: int, kind: str, jacobian: object | None, mass: object | None, null_basis: object | None, lapack: object | None, found_pattern: int = 0, product: object | None = None, preconditioner: object | None = None, dimension: int = 0, rate: object | None = None) -> None: ...
 
     @property
     def kind(self) -> str:

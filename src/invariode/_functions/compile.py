@@ -40,9 +40,10 @@ def compile(
     inplace : bool, default False
         ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
     elementary : {"own", "libm"}, default "own"
-        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers it calls. Our own are inlined, also into the
-        form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and the same bits
-        on every processor. "libm": those of the platform's mathematical library, one call for each number.
+        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers a traced function calls. Our own are inlined,
+        also into the form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and
+        the same bits on every processor. "libm": those of the platform's mathematical library, one call for each
+        number, as numba calls them.
 
     Returns
     -------
@@ -72,11 +73,13 @@ def compile(
     choice("by", by, ("auto", "trace", "numba"))
     choice("elementary", elementary, ("own", "libm"))
     if isinstance(fun, CompiledFunction):
-        inplace, elementary, fun = inplace or fun.inplace, "libm" if fun.elementary == "libm" else elementary, fun.fun
+        if isinstance(fun, TracedFunction) and fun.elementary == "libm":
+            elementary = "libm"
+        inplace, fun = inplace or fun.inplace, fun.fun
     fun = getattr(fun, "py_func", fun)  # numba's
     if by == "numba":
         numba_or_say_so()
-        return CompiledFunction(fun, inplace, elementary)
+        return CompiledFunction(fun, inplace)
     if find_spec("llvmlite") is None:
         raise ModuleNotFoundError('invariode.compile needs llvmlite: pip install "invariode[compiled]"')
     return TracedFunction(fun, inplace, elementary, by)

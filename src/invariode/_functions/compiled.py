@@ -116,7 +116,7 @@ class CompiledFunction:
     inplace : bool
         Whether it fills an output.
     elementary : {"own", "libm"}
-        Whose elementary functions it calls.
+        Whose elementary functions it calls: numba the mathematical library's.
     how : str
         How it was compiled: "trace" or "numba", and why not the other; by numba, as long as it was not.
     """
@@ -124,10 +124,11 @@ class CompiledFunction:
     #: Whether its further arguments may be anything, not only numbers.
     takes_any = False
 
-    def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
+    elementary = "libm"
+
+    def __init__(self, fun: Callable[..., Any], inplace: bool) -> None:
         self.fun = fun
         self.inplace = inplace
-        self.elementary = elementary
         self.__name__ = call_name(fun, "compiled")
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
@@ -158,7 +159,7 @@ class CompiledFunction:
 
     def made_again(self) -> tuple[Any, ...]:
         """How it is made of its function: a callable and its arguments."""
-        return CompiledFunction, (self.fun, self.inplace, self.elementary)
+        return CompiledFunction, (self.fun, self.inplace)
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
         """The machine code for n components, `size` values and that many parameters, or `Arguments`. With `second` the

@@ -211,11 +211,11 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
 def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start, exact: Derived) -> _Jacobian:
     """Of the graph of f: in bands if these are given, sparse if that is chosen or pays. Its pattern is that of the
     graph, whatever was given."""
-    n, way, pattern = len(start.y), given.jac_sparsity, None
+    n, pattern = len(start.y), None
     if bands is not None:
         held, made = _Storage("banded", n, False, *bands), exact.banded(*bands)
         _require_bands(bands, exact)
-    elif way != "dense" and (way is not None or (is_large(given, n) and is_sparse_enough(exact.entries, n))):
+    elif _is_sparse(given, exact.entries, n):
         held, made = _Storage("sparse", n, False), exact.sparse()
         pattern = _columns(exact.pattern.matrix(np.ones(exact.entries)))
     else:
@@ -223,13 +223,20 @@ def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start
     return _Jacobian(held, "derived", (start.derivative(made, made.size), pattern))
 
 
+def _is_sparse(given: Matrices, entries: int, n: int) -> bool:
+    way = given.jac_sparsity
+    if way is None:
+        return is_large(given, n) and is_sparse_enough(entries, n)
+    return not isinstance(way, str) or way == "detect"
+
+
 def _require_bands(bands: tuple[int, int], exact: Derived) -> None:
     lower, upper = exact.bands
     if lower > bands[0] or upper > bands[1]:
         warn(
-            f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have lower = "
-            f"{lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as lband and "
-            "uband"
+            f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have "
+            f"lower = {lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as "
+            "lband and uband"
         )
 
 

@@ -378,11 +378,14 @@ class DescribingOptions(TypedDict, total=False):
         Any,
         Option(
             None,
-            "callable, Banded, (n, n) array_like, sparse matrix, 'complex-step' or 'differences'",
+            "callable, Banded, (n, n) array_like, sparse matrix, 'trace', 'complex-step' or 'differences'",
             "The Jacobian of f: ``jac(t, y, *args)``, or a constant. If it is (or returns) a sparse matrix, the "
-            "linear algebra is sparse; with `Banded` it is banded. Or how to compute it: by complex steps, "
-            "Im f(t, y + i h e_j) / h, exact to roundoff, if f takes complex y; or by differences. Default: complex "
-            "steps for functions of `invariode.compile` that numba compiles for complex y, else differences. "
+            "linear algebra is sparse; with `Banded` it is banded. Or how to compute it: 'trace', from the expressions "
+            "of f, which is called once with symbolic values, as by `invariode.compile`: exact, with the exact "
+            "sparsity pattern and ∂f/∂t, in machine code, for some milliseconds at the start; it pays with ode23s, in "
+            "ensembles and in long runs, and needs the extra `compiled`. By complex steps, Im f(t, y + i h e_j) / h, "
+            "exact to roundoff, if f takes complex y; or by differences. Default: 'trace' for functions of "
+            "`invariode.compile`, or complex steps for one that only numba compiles; else differences. "
             "``stats.jacobian`` tells.",
             every_method=False,
         ),

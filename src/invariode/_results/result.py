@@ -82,8 +82,8 @@ class Stats(Record):
     linear_iterations : int
         Iterations of GMRES.
     derivatives : str or None
-        How the Jacobians of the invariants were computed: 'given', 'complex step', 'central differences', 'forward
-        differences', several of these, or None.
+        How the Jacobians of the invariants were computed: 'given', 'traced' (exact, of compiled functions), 'complex
+        step', 'central differences', 'forward differences', several of these, or None.
     projected_start : bool
         y0 was off a demanded value by less than the tolerance, and was projected; or it did not satisfy the algebraic
         equations of a singular mass matrix, and was moved.
@@ -92,14 +92,14 @@ class Stats(Record):
         imposed again.
     mechanics : dict or None
         For a problem of `invariode.MechanicalSystem`: under 'derivatives' how those of its functions were formed
-        ('complex step', 'differences', 'given'), and how often in the whole run each function was called and the matrix
-        of the accelerations was factorised, 'sparse' and 'dense'.
+        ('traced', 'complex step', 'differences', 'given'), and how often in the whole run each function was called and
+        the matrix of the accelerations was factorised, 'sparse' and 'dense'.
     stiff_since : float or None
         From this t on, stability, not accuracy, limited most steps of an explicit method; None if it did not.
     jacobian : str or None
-        How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
-        differences replaced complex steps, and the sparsity pattern if it was detected; 'products' with
-        `GMRES`; None for explicit methods.
+        How the Jacobian of f was computed: 'given', 'constant', 'traced' (exact, from the expressions of f),
+        'differences' or 'complex step', from which t on differences replaced complex steps, and the sparsity pattern
+        if it was detected; 'products' with `GMRES`; None for explicit methods.
     discontinuities : tuple of float
         Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
         value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.

@@ -17,6 +17,7 @@ from .._base.failures import FailureWarning, InvariantError, SolveError
 from .._base.progress import run_bar
 from .._base.types import MethodName, OnFailure
 from .._functions.compiled import CoreFunction
+from .._functions.graph.derived import is_derived
 from .._laws.bound import Jump, as_columns
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
@@ -356,13 +357,19 @@ def _solution(
 _NO_DRIFT = BeforeProjection(np.zeros(0), np.zeros(0), 0.0)
 
 
+def _derivatives(run: _core.Run, plan: Plan) -> set[str]:
+    """How the Jacobians of the invariants were formed: some that the core was given follow from a trace."""
+    given = {"traced" if is_derived(one.jac) else "given" for one in plan.bound.specs if not isinstance(one.jac, str)}
+    return {kind for told in run.derivatives for kind in (given if told == "given" else {told})}
+
+
 def _stats(run: _core.Run, plan: Plan) -> Stats:
     if not plan.names:  # in the order of COUNTS, of which the last three are warnings
         stats = Stats(*run.counts[:-3], None, plan.moved, run.clipped)
     else:
         stats = Stats(
             *run.counts[:-3],
-            derivatives=" and ".join(sorted(set(run.derivatives))) or None,
+            derivatives=" and ".join(sorted(_derivatives(run, plan))) or None,
             projected_start=run.projected_start or plan.moved,
             clipped_amount=run.clipped,
         )

@@ -1,4 +1,4 @@
-"""Functions that follow from the graph of a function of (t, y, *args): its derivatives, exact, as compiled functions."""
+"""Functions that follow from the graph of a function of (t, y, *args): its exact derivatives, compiled."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..compiled import NativeWithInputs, Shape, to_native
+from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
 from .derivatives import Row, gradient, jacobian, tangent
 from .function import GraphFunction, OnGraph
 from .nodes import Node
 from .python import Formula, Pattern
+
+#: How these functions were compiled.
+DERIVED = "derived"
 
 
 class Derived:
@@ -119,7 +122,7 @@ class Derived:
             values = outputs()
             name = key if isinstance(key, str) else key[0]
             formula = Formula(f"{self._name}_{name}", lambda: values, (len(values),))
-            self._made[key] = GraphFunction(formula, self._elementary)
+            self._made[key] = GraphFunction(formula, self._elementary, how=DERIVED)
         return self._made[key]
 
 
@@ -141,6 +144,12 @@ def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> De
         fun.exact[shape] = Derived(fun.__name__, outputs, n, fun.elementary) if outputs else None
     found: Derived | None = fun.exact[shape]
     return found
+
+
+def is_derived(fun: Any) -> bool:
+    """Whether it is a derivative for the core."""
+    made = made_by_compile(fun)
+    return made is not None and made.function.how == DERIVED
 
 
 def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) -> Any:

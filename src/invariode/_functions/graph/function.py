@@ -29,7 +29,8 @@ class OnGraph(CompiledFunction):
     """
 
     def __init__(self, fun: Any, inplace: bool, elementary: str) -> None:
-        super().__init__(fun, inplace, elementary)
+        super().__init__(fun, inplace)
+        self.elementary = elementary
         self.exact: dict[Shape, Any] = {}
 
     def graph(self, shape: Shape) -> list[Node] | None:
@@ -73,9 +74,9 @@ class GraphFunction(OnGraph):
 
     fun: Formula
 
-    def __init__(self, formula: Formula, elementary: str = "own") -> None:
+    def __init__(self, formula: Formula, elementary: str = "own", how: str = "graph") -> None:
         super().__init__(formula, inplace=False, elementary=elementary)
-        self.how = "graph"
+        self.how = how
 
     @property
     def size(self) -> int:
@@ -83,7 +84,7 @@ class GraphFunction(OnGraph):
         return len(self.fun.outputs)
 
     def made_again(self) -> tuple[Any, ...]:
-        return GraphFunction, (self.fun, self.elementary)
+        return GraphFunction, (self.fun, self.elementary, self.how)
 
     def graph(self, shape: Shape) -> list[Node]:
         if len(self.fun.outputs) != shape.size or shape.second:

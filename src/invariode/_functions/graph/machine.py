@@ -11,6 +11,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
@@ -186,7 +187,7 @@ class _Writer:
                     self._write_member(group, lambda values: self._listed(values, k))
                 continue
             for member in range(len(group.places)):
-                self._write_member(group, lambda values: values[member])
+                self._write_member(group, itemgetter(member))
                 self._count(len(group.nodes))
         self._build.ret_void()
 

@@ -28,8 +28,9 @@ class Node:
     graph : Graph
         Where equal nodes are one.
     op : str
-        "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2", "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor",
-        "ceil", "and", "or", "not", "select"; "solve", a linear system, and "entry", a number of its solution.
+        "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2",
+        "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor", "ceil", "and", "or", "not", "select"; "solve",
+        a linear system, and "entry", a number of its solution.
     arguments : tuple of Node
         What it is computed of.
     value : float, int, (int, int) or None

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, as_rows, in_order
@@ -53,7 +54,7 @@ class Pattern(NamedTuple):
         columns = np.repeat(np.arange(self.n), np.diff(self.indptr))
         return zip(self.indices.tolist(), columns.tolist(), strict=True)
 
-    def matrix(self, values: Sequence[float]) -> Any:
+    def matrix(self, values: ArrayLike) -> Any:
         from scipy.sparse import csc_array
 
         return csc_array((np.asarray(values, dtype=float), self.indices, self.indptr), (self.n, self.n))

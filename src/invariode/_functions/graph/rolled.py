@@ -66,7 +66,7 @@ def rolled(outputs: Sequence[Node]) -> tuple[list[Group], int] | None:
     shared = _shared(nodes, outputs)
     levels: dict[Node, int] = {}
     forms: dict[tuple[Any, ...], list[tuple[_Tree, Any]]] = {}
-    tasks = [(node, "work", node) for node in nodes if node in shared]
+    tasks: list[tuple[Node, str, Any]] = [(node, "work", node) for node in nodes if node in shared]
     tasks += [(node, "out", i) for i, node in enumerate(outputs)]
     for node, target, place in tasks:
         tree, form = _tree(node, shared, whole=target == "work")
