@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -30,22 +31,22 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
     __slots__ = ("imag", "real")
     __array_priority__ = 2000
 
-    def __init__(self, real: TracedArray, imag: TracedArray) -> None:
+    def __init__(self, real: Any, imag: Any) -> None:
         self.real, self.imag = real, imag
 
     def __repr__(self) -> str:
         return f"{self.real!r} + 1j * {self.imag!r}"
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Any:
         return self.real.shape
 
     @property
-    def ndim(self) -> int:
+    def ndim(self) -> Any:
         return self.real.ndim
 
     @property
-    def size(self) -> int:
+    def size(self) -> Any:
         return self.real.size
 
     @property
@@ -103,7 +104,7 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
             return TracedComplex(*(np.where(args[0], a, b) for a, b in zip(yes, no, strict=True)))
         if name in _BILINEAR and len(args) == 2:
             (a, b), (c, d) = (parts(one, self.real) for one in args)
-            at = lambda x, y: function(x, y, **kwargs)  # noqa: E731 - a short name for the formula
+            at = functools.partial(function, **kwargs)
             return TracedComplex(at(a, c) - at(b, d), at(a, d) + at(b, c))
         if name not in _LINEAR:
             raise TraceError(f"numpy.{name} of complex numbers")
@@ -141,8 +142,8 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
 
     def interleaved(self) -> TracedArray:
         """The real numbers that stand for it in memory."""
-        found: TracedArray = np.stack([self.real.ravel(), self.imag.ravel()], axis=-1).ravel()  # type: ignore[assignment, call-overload]
-        return found
+        found: Any = np.stack([self.real.ravel(), self.imag.ravel()], axis=-1).ravel()
+        return cast("TracedArray", found)
 
 
 def is_complex(value: Any) -> bool:
@@ -158,13 +159,13 @@ def pair(value: Any, like: TracedArray) -> TracedComplex:
     return value if isinstance(value, TracedComplex) else TracedComplex(*parts(value, like))
 
 
-def parts(value: Any, like: TracedArray) -> tuple[TracedArray, TracedArray]:
+def parts(value: Any, like: TracedArray) -> tuple[Any, Any]:
     """Real and imaginary part of numbers, arrays, and lists of traced ones."""
     if isinstance(value, TracedComplex):
         return value.real, value.imag
     if isinstance(value, (list, tuple)) and any(has_traced(one) or isinstance(one, TracedComplex) for one in value):
         each = [parts(one, like) for one in value]
-        return np.stack([one for one, _ in each]), np.stack([one for _, one in each])  # type: ignore[call-overload, no-any-return]
+        return np.stack([one for one, _ in each]), np.stack([one for _, one in each])
     if isinstance(value, TracedArray):
         return value, value * 0.0
     found = np.asarray(value)

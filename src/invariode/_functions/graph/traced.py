@@ -63,7 +63,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         return self
 
     @property
-    def imag(self) -> TracedArray:
+    def imag(self) -> Any:
         return self * 0.0
 
     @property
@@ -598,7 +598,8 @@ def _interpolated(
         if all(node.op == "number" for node in (*xs, *fs)):
             from .tables import linear
 
-            return linear(at, *(np.array([node.value for node in each]) for each in (xs, fs)), first, last)
+            numbers = [np.array([node.value for node in each]) for each in (xs, fs)]
+            return linear(at, numbers[0], numbers[1], first, last)
         if len(xs) > _MOST_CHAINED:
             raise TraceError(f"numpy.interp in a table of more than {_MOST_CHAINED} values that are not constant")
         found = fs[-1]
