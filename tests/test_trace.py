@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import functools
 import math
 import random
@@ -260,7 +261,7 @@ def test_what_cannot_be_traced_says_at_which_line_and_why(what):
     fun, why = REFUSED[what]
     with pytest.raises(TypeError, match=why) as refused:
         iv.compile(fun, by="trace").native(2, 2, 0, False)
-    if what not in ("a count of calls", "random"):
+    if what not in ("a count of calls", "random", "complex numbers"):
         assert re.search(rf"at line \d+ of .*{re.escape('test_trace.py')}", str(refused.value))
     assert 'leave by="trace" out' in str(refused.value)
     assert LOG == []
@@ -545,6 +546,56 @@ def cancelling(t, y):
 
 def test_roundoff_is_no_difference():
     iv.solve_ivp(iv.compile(cancelling, by="trace"), (0, 1), [0.3, 0.7], check="strict", rtol=1e-3)
+
+
+HAMILTONIAN = np.array([[1.0, 0.3j], [-0.3j, 2.0]])
+
+
+def wave(t, u, dx):
+    inner = -1j * (-0.5 * np.diff(u, 2) / dx**2 - (np.abs(u) ** 2 * u)[1:-1])
+    return np.hstack([0.0 + 0j, inner, 0j])
+
+
+def filled_complex(t, y, w):
+    slopes = np.zeros(2, dtype=complex)
+    slopes[0] = 1j * w * y[0] + np.exp(1j * t) * y[1].conj()
+    slopes[1] = -y[1] + abs(y[0]) * cmath.exp(1j * w)
+    return slopes
+
+
+def complex_list(t, z):
+    a, b = z
+    return [1j * a * b.real, -b + a.imag * np.sqrt(a) + (1 + 2j) / a + a**3 + np.sum(z) * (2 - 1j)]
+
+
+COMPLEX = {
+    "matrix": (lambda t, psi: -1j * (HAMILTONIAN @ psi), [1.0, 0.5j], ()),
+    "wave": (wave, np.exp(-(np.linspace(-3, 3, 20) ** 2)) + 0j, (0.3,)),
+    "filled": (filled_complex, [1.0, 0.2j], (2.0,)),
+    "list": (complex_list, [1.0 + 0.5j, 0.2 - 1j], ()),
+}
+
+
+@pytest.mark.parametrize("name", COMPLEX)
+def test_complex_problems_are_traced_as_pairs(name):
+    fun, y0, args = COMPLEX[name]
+    options = {"args": args, "rtol": 1e-8, "atol": 1e-10}
+    plain, code = (
+        iv.solve_ivp(one, (0, 0.3), np.array(y0, complex), check="strict", **options)
+        for one in (fun, iv.compile(fun, by="trace"))
+    )
+    assert plain.stats.steps == code.stats.steps
+    np.testing.assert_allclose(code.y[:, -1], plain.y[:, -1], rtol=1e-12, atol=1e-14)
+
+
+def test_complex_numbers_may_come_in_between():
+    def fun(t, y):
+        z = y[0] + 1j * y[1]
+        w = z**2 * np.exp(1j * t) + 1 / (z + 2)
+        return [w.real, w.imag]
+
+    found = Formula("f", lambda: trace(fun, 2).outputs, (2,))
+    np.testing.assert_allclose(found(0.3, [0.5, 0.7]), fun(0.3, [0.5, 0.7]), rtol=1e-14)
 
 
 def test_ensembles_vary_the_arguments_without_compiling_again():

@@ -21,6 +21,7 @@ from .._base.arguments import (
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
 from .._functions.compiled import is_native
+from .._functions.graph.function import TracedFunction
 from .._functions.lambdified import unlambdified
 from .bounds import Bounds, to_bounds
 from .events import direction_sign, terminal_count, to_events
@@ -78,6 +79,8 @@ class Description:
         for event in listed:
             terminal_count(event), direction_sign(event)
         is_complex = start.dtype.kind == "c"
+        if is_complex and isinstance(called, TracedFunction):
+            called = called.of_complex()
         matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")

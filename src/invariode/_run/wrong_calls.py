@@ -10,6 +10,7 @@ import numpy as np
 
 from .._base.arguments import PACKAGE, call_name, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
+from .._functions.graph.function import TracedFunction
 from .._problem.description import Description
 
 
@@ -41,7 +42,9 @@ def require_values(problem: Description) -> None:
     t0 = problem.t_span[0]
     parameters = native_parameters((*(one(t0) for one in problem.inputs), *problem.args), [fun])
     try:
-        returned = np.size(fun.at(t0, problem.y0.view(float), parameters=parameters))
+        is_complex = isinstance(fun, TracedFunction) and fun.is_complex
+        y0 = problem.y0.copy() if is_complex else problem.y0.view(float)
+        returned = np.size(fun.at(t0, y0, parameters=parameters)) * (2 if is_complex else 1)
     except Exception:  # whatever the user's code raises: there NaN is right
         return
     if returned != n:

@@ -111,9 +111,12 @@ class TracedFunction(OnGraph):
 
     takes_any = True
 
-    def __init__(self, fun: Any, inplace: bool, elementary: str, by: Literal["trace", "auto"]) -> None:
+    def __init__(
+        self, fun: Any, inplace: bool, elementary: str, by: Literal["trace", "auto"], is_complex: bool = False
+    ) -> None:
         super().__init__(fun, inplace, elementary)
-        self.by = by
+        self.by, self.is_complex = by, is_complex
+        self._of_complex: TracedFunction | None = None
         self._graphs: dict[Shape, list[Node] | None] = {}
         #: How arguments are handed over: as they are, with those up to a rank as constants; None: all in one array.
         self._ways: dict[Shape, int | None] = {}
@@ -121,7 +124,15 @@ class TracedFunction(OnGraph):
         self.outputs: list[list[Node]] = []
 
     def made_again(self) -> tuple[Any, ...]:
-        return TracedFunction, (self.fun, self.inplace, self.elementary, self.by)
+        return TracedFunction, (self.fun, self.inplace, self.elementary, self.by, self.is_complex)
+
+    def of_complex(self) -> TracedFunction:
+        """The same function, of complex y, which is traced as pairs of real numbers."""
+        if self.is_complex:
+            return self
+        if self._of_complex is None:
+            self._of_complex = TracedFunction(self.fun, self.inplace, self.elementary, self.by, is_complex=True)
+        return self._of_complex
 
     def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
         """The Python function, with the arguments of the problem."""
@@ -189,7 +200,7 @@ class TracedFunction(OnGraph):
                 continue
             self.how = "trace" if way in (None, TRUTHS) else "trace, with arguments that are constants"
             return way
-        if self.by == "trace" or any(isinstance(one, Constant) for one in arguments.entries):
+        if self.by == "trace" or self.is_complex or any(isinstance(one, Constant) for one in arguments.entries):
             raise self._untraceable(errors[-1])
         self._graphs[whole] = None
         self.how = f"numba, as {errors[-1]}"
@@ -203,7 +214,7 @@ class TracedFunction(OnGraph):
         """The values for arguments that are handed over like this."""
         arguments = shape.parameters if isinstance(shape.parameters, Arguments) else _in_one(shape.parameters)
         inplace = shape.size if self.inplace and not shape.event else 0
-        found = trace(self.fun, shape.n, arguments, second=shape.second, inplace=inplace)
+        found = trace(self.fun, shape.n, arguments, second=shape.second, inplace=inplace, is_complex=self.is_complex)
         if len(found.outputs) != shape.size:
             raise TraceError(f"{self.__name__} returns {len(found.outputs)} values, expected {shape.size}")
         self._compare(found, shape, arguments)
@@ -221,11 +232,14 @@ class TracedFunction(OnGraph):
             first = shape.n - shape.second
             vectors = [y[:first].copy(), *([y[first:].copy()] if shape.second else [])]
             out = np.full(shape.size, np.nan)
-            given = [t, *vectors, *([out] if self.inplace and not shape.event else []), *arguments.given(p)]
+            kind = complex if self.is_complex else float
+            vectors = [one.view(kind) for one in vectors]
+            given = [t, *vectors, *([out.view(kind)] if self.inplace and not shape.event else []), *arguments.given(p)]
             try:
                 with np.errstate(all="ignore"):
                     returned = self.fun(*given)
-                    expected = out if self.inplace and not shape.event else np.ravel(np.asarray(returned, dtype=float))
+                    filled = self.inplace and not shape.event
+                    expected = out if filled else np.ravel(np.asarray(returned, dtype=kind)).view(float)
             except Exception:  # whatever it raises where it is not defined
                 continue
             values = np.asarray(formula(t, y, *p.tolist()))
@@ -249,10 +263,12 @@ class TracedFunction(OnGraph):
 
     def _called(self, t: float, y: Array, parameters: Array, size: int) -> Array:
         """The values of the Python function at one point."""
+        kind = complex if self.is_complex else float
+        y = y.copy().view(kind)
         if not self.inplace:
-            return np.ravel(np.asarray(self.at(t, y.copy(), parameters=parameters), dtype=float))
+            return np.ravel(np.asarray(self.at(t, y, parameters=parameters), dtype=kind)).view(float)
         out = np.full(size, np.nan)
-        self.at(t, y.copy(), out, parameters=parameters)
+        self.at(t, y, out.view(kind), parameters=parameters)
         return out
 
 

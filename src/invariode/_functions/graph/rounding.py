@@ -25,10 +25,9 @@ def bounds(outputs: Sequence[Node], t: float, y: Sequence[float], p: Sequence[fl
     """How far two evaluations of each value may be apart. Infinite where a condition is as near as that to changing."""
     known: dict[Node, _Value] = {}
     systems: dict[Node, list[float]] = {}
-    given = {"t": lambda _: t, "y": lambda i: y[i], "p": lambda i: p[i]}
     for node in in_order(outputs):
-        if node.op in given:
-            known[node] = _Value(float(given[node.op](node.value)), 0.0)
+        if node.op in ("t", "y", "p"):
+            known[node] = _Value(t if node.op == "t" else (y if node.op == "y" else p)[node.value], 0.0)
         elif node.op == "solve":
             systems[node] = solved([known[one].value for one in node.arguments], *node.value)
             known[node] = _Value(max(map(abs, systems[node])), 0.0)

@@ -106,9 +106,10 @@ def _polynomials(table: Any) -> Callable[[Node], Any]:
     if isinstance(table, interp1d):
         return _of_interp1d(table)
     if isinstance(table, UnivariateSpline):
-        if table.ext not in (0, "extrapolate"):
-            raise TraceError(f"a spline with ext={table.ext}")
-        return _of_polynomials(PPoly.from_spline(table._eval_args, extrapolate=True))
+        given: Any = table
+        if given.ext not in (0, "extrapolate"):
+            raise TraceError(f"a spline with ext={given.ext}")
+        return _of_polynomials(PPoly.from_spline(given._eval_args, extrapolate=True))
     if isinstance(table, BSpline):
         return _of_polynomials(_as_polynomials(table, table.extrapolate))
     if isinstance(table, PPoly) and table.axis == 0:

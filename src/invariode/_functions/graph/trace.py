@@ -8,6 +8,7 @@ and the other remembered; f runs again until all paths are known, and their outc
 from __future__ import annotations
 
 import builtins
+import cmath
 import dis
 import functools
 import math
@@ -20,6 +21,7 @@ import numpy as np
 
 from ..._base.arguments import PACKAGE, call_name
 from ..layout import Arguments, Numbers
+from .complexes import TracedComplex, is_complex, pair
 from .nodes import ELEMENTARY, Graph, Node
 from .selections import helpers, selecting
 from .tables import Table, is_table
@@ -60,6 +62,7 @@ def trace(
     *,
     second: int = 0,
     inplace: int = 0,
+    is_complex: bool = False,
     limits: Limits | None = None,
 ) -> Traced:
     """The graph of a function of (t, y, *args).
@@ -76,6 +79,8 @@ def trace(
         The function takes two vectors, of n - second and second components, which follow each other in y.
     inplace : int, default 0
         How many values the function writes to an argument after these; 0: it returns them.
+    is_complex : bool, default False
+        The function takes complex y, of n / 2 components, and returns complex values: all as pairs of real numbers.
     limits : Limits, optional
         Beyond them it is refused.
 
@@ -88,7 +93,7 @@ def trace(
     TraceError
         It cannot be traced: the message names the line and the reason.
     """
-    given = (fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits())
+    given = (fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits(), is_complex)
     found = _Run(*given).traced(alone=True)
     if found is not None:
         return found
@@ -119,10 +124,11 @@ class _Run:
         args: Arguments,
         inplace: int,
         limits: Limits,
+        is_complex: bool,
         selections: bool = False,
     ) -> None:
         self._name, self._sizes, self._args = call_name(fun, "f"), [n, *([second] if second else [])], args
-        self._inplace, self._limits = inplace, limits
+        self._inplace, self._limits, self._is_complex = inplace, limits, is_complex
         self._graph = Graph()
         self._copies = _Copies(self, selections)
         self._fun = self._copies.of(fun)
@@ -165,14 +171,18 @@ class _Run:
         given: list[Any] = [wrapped(graph.t, self.decide)]
         first = 0
         for size in self._sizes:
-            given.append(self._array([graph.y(first + i) for i in range(size)], (size,)))
+            y = self._array([graph.y(first + i) for i in range(size)], (size,))
+            given.append(TracedComplex(y[::2].copy(), y[1::2].copy()) if self._is_complex else y)
             first += size
-        out = self._array([graph.node(math.nan)] * self._inplace, (self._inplace,)) if self._inplace else None
+        out: Any = self._array([graph.node(math.nan)] * self._inplace, (self._inplace,)) if self._inplace else None
+        if out is not None and self._is_complex:
+            out = TracedComplex(out[::2].copy(), out[1::2].copy())
         given += [] if out is None else [out]
         try:
             given += self._args.made(self._parameter, self._copies.of)
             returned = self._fun(*given)
-            return cells_of(out if out is not None else returned, graph)
+            values = out if out is not None else returned
+            return cells_of(pair(values, self._real).interleaved() if self._is_complex else values, graph)
         except TraceError as error:
             raise TraceError(self._refused(str(error), error)) from None
         except _UNDEFINED as error:
@@ -181,6 +191,10 @@ class _Run:
             raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
         except Exception as error:
             raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
+
+    @property
+    def _real(self) -> TracedArray:
+        return self._array([self._graph.t], ())
 
     def _parameter(self, numbers: Numbers, place: int) -> Any:
         """An argument: the values themselves where they are constants."""
@@ -304,6 +318,8 @@ class _Copies:
             return self._numpy.linalg
         if value is math:
             return self._math
+        if value is cmath:
+            return self._numpy
         if isinstance(value, types.ModuleType):
             return _Interpolation(value, self._run) if value.__name__ == "scipy.interpolate" else value
         if is_table(value):
@@ -351,6 +367,8 @@ class _Copies:
 
     def _of_library(self, value: Any, module: str) -> Any:
         name = getattr(value, "__name__", "")
+        if module == "cmath" and hasattr(np, name):
+            return getattr(self._numpy, name)
         if module == "math":
             return getattr(self._math, name)
         if isinstance(value, np.ufunc) or getattr(np, name, None) is value:
@@ -468,6 +486,8 @@ class _Joined:
     def __getitem__(self, key: Any) -> Any:
         if not has_traced(key):
             return _filled(self._run, np.r_[key])
+        if is_complex(key):
+            return np.concatenate([np.atleast_1d(pair(one, self._run._real)) for one in key])
         if isinstance(key[0], str):
             raise TraceError("numpy.r_ with a string")
         parts = [np.r_[one] if isinstance(one, slice) else one for one in key]
@@ -489,6 +509,8 @@ class _Interpolation:
 def _gathered(value: Any, run: Any) -> Any:
     """A list of traced values as an array, if its rows have one shape."""
     if isinstance(value, (list, tuple)) and has_traced(value):
+        if is_complex(value):
+            return value
         try:
             return TracedArray(cells_of(value, run._graph), run.decide)
         except TraceError:
@@ -498,15 +520,19 @@ def _gathered(value: Any, run: Any) -> Any:
 
 def _array(run: Any, function: Any, args: Any, kwargs: Any) -> Any:
     first, *_ = args
+    if is_complex(first) and has_traced(first):
+        return pair(first, run._real).copy()
     if has_traced(first):
-        cells = cells_of(first, run._graph).copy()
-        return TracedArray(cells, run.decide)
-    found = function(*args, **kwargs)
-    return _filled(run, found)
+        found = TracedArray(cells_of(first, run._graph).copy(), run.decide)
+        dtype = kwargs.get("dtype", args[1] if len(args) > 1 else None)
+        return found if dtype is None or np.dtype(dtype).kind != "c" else found.astype(complex)
+    return _filled(run, function(*args, **kwargs))
 
 
 def _filled(run: Any, found: Any) -> Any:
     """An array of floats, as one that can hold traced values. Integers, which may be indices, stay."""
+    if isinstance(found, np.ndarray) and found.dtype.kind == "c":
+        return pair(found, run._real)
     if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
         return found
     return TracedArray(cells_of(found, run._graph), run.decide)

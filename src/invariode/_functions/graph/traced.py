@@ -63,6 +63,10 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         return self
 
     @property
+    def imag(self) -> Any:
+        return self * 0.0
+
+    @property
     def flat(self) -> Iterator[TracedArray]:
         return iter(self.ravel())
 
@@ -142,6 +146,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         if options.pop("where", True) is not True:
             raise TraceError(f"numpy.{ufunc.__name__} with where=")
         options.pop("dtype", None)
+        if any(map(_is_complex, inputs)):
+            return self._complex().__array_ufunc__(ufunc, method, *inputs, out=out, **options)
         graph = next(one._graph for one in (*inputs, *(out or ())) if isinstance(one, TracedArray))
         given = [cells_of(one, graph) for one in inputs]
         if method == "__call__":
@@ -164,6 +170,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         name = function.__name__
+        if any(map(_is_complex, args)):
+            return self._complex().__array_function__(function, types, args, kwargs)
         if _all_constant(args) and _all_constant([*kwargs.values()]):
             return self._of_constants(function, args, kwargs)
         if name in _OWN:
@@ -189,6 +197,15 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         if isinstance(found, (float, np.ndarray)) and np.asarray(found).dtype.kind == "f":
             return self._with(cells_of(found, self._graph))
         return found
+
+    def _complex(self) -> Any:
+        from .complexes import TracedComplex
+
+        return TracedComplex(self, self * 0.0)
+
+    def constant(self, value: Any) -> TracedArray:
+        """Numbers as an array of nodes of the same graph."""
+        return self._with(cells_of(value, self._graph))
 
     # Methods of arrays
 
@@ -219,6 +236,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         kind = np.dtype(dtype).kind
         if kind == "f":
             return self._with(_mapped(number, self.cells))
+        if kind == "c":
+            return self._complex()  # type: ignore[no-any-return]
         raise TraceError(f"astype({np.dtype(dtype)})")
 
     def tolist(self) -> Any:
@@ -287,9 +306,15 @@ def _plain_index(key: Any) -> Any:
     return key
 
 
+def _is_complex(value: Any) -> bool:
+    from .complexes import is_complex
+
+    return is_complex(value)
+
+
 def has_traced(value: Any) -> bool:
     """Whether there are nodes in it."""
-    if isinstance(value, (TracedArray, Node)):
+    if isinstance(value, (TracedArray, Node)) or type(value).__name__ == "TracedComplex":
         return True
     if isinstance(value, (list, tuple)):
         return any(has_traced(one) for one in value)
@@ -302,6 +327,8 @@ def cells_of(value: Any, graph: Graph) -> Any:
         return value.cells
     if isinstance(value, Node):
         return _scalar(value)
+    if _is_complex(value):
+        raise TraceError("complex values, where y is real")
     if isinstance(value, (list, tuple)) and has_traced(value):
         rows = [cells_of(one, graph) for one in value]
         if len({row.shape for row in rows}) > 1:
@@ -571,7 +598,8 @@ def _interpolated(
         if all(node.op == "number" for node in (*xs, *fs)):
             from .tables import linear
 
-            return linear(at, *(np.array([node.value for node in each]) for each in (xs, fs)), first, last)
+            numbers = [np.array([node.value for node in each]) for each in (xs, fs)]
+            return linear(at, numbers[0], numbers[1], first, last)
         if len(xs) > _MOST_CHAINED:
             raise TraceError(f"numpy.interp in a table of more than {_MOST_CHAINED} values that are not constant")
         found = fs[-1]
