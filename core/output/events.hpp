@@ -1,6 +1,7 @@
 #pragma once
 // Location of events: zeros of functions of (t, y) along the solution (docs/algorithms.md, 'Events').
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
