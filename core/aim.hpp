@@ -32,8 +32,8 @@ struct Aimed {
 /// `reach`: so many times the step proposed may lead to the target. (The longest one may be stretched by a tenth in any
 /// attempt, or a retry with the same h would not land again.)
 template <class Mask, class Real>
-Aimed<Real, Mask> aimed(const Real& t, const Real& proposed, const Real& reach, const Real& hmin, double hmax,
-                        double forward, double target) {
+INVARIODE_EACH Aimed<Real, Mask> aimed(const Real& t, const Real& proposed, const Real& reach, const Real& hmin,
+                                       double hmax, double forward, double target) {
   const Real goal(target), rest = goal - t, distance = absolute(rest);
   const Real size = larger(hmin, smaller(Real(hmax), proposed));
   const Mask near = (distance <= stretch * size) & (distance <= reach * larger(size, proposed));

@@ -43,11 +43,12 @@ class Block {
         host_(host),
         rows_(job),
         now_(take<W>(host, rows_.size)),
-        ready_(take<W>(host, rows_.size)),
         y_(now_ + Rows::y),
         p_(now_ + rows_.parameters),
         stage_(take<W>(host, job.n)),
         candidate_(take<W>(host, job.n)),
+        slopes_(take<W>(host, job.n * ((job.looks_inside() ? T.all_stages : T.stages) - 1))),
+        ready_(take<W>(host, rows_.size)),
         reached_y_(take<W>(host, job.n)),
         points_(take<W>(host, Series::points * job.n)->lanes()),
         between_(job, T.degree, host),
@@ -55,7 +56,7 @@ class Block {
         held_(job, now_ + rows_.invariant, ready_ + rows_.invariant, host),
         watched_(job, intervals_of_step(T.degree), now_ + rows_.events, host) {
     k_[0] = now_ + rows_.slope;
-    for (std::size_t k = 1; k < (job.looks_inside() ? T.all_stages : T.stages); ++k) k_[k] = take<W>(host, job.n);
+    for (std::size_t k = 1; k < (job.looks_inside() ? T.all_stages : T.stages); ++k) k_[k] = slopes_ + (k - 1) * job.n;
   }
 
   /// Until there is nothing left to take.
@@ -215,29 +216,22 @@ class Block {
 
   /// One attempt in each lane, from which those that are accepted go on.
   void attempt() {
-    const P hmin = hmin_ulps * ulp(t_()), reach = choose(retries(), P(1), P(stretch));
-    const Aimed<P, M> aim = aimed<M>(t_(), row(Rows::h), reach, hmin, job_.hmax, job_.forward(), job_.tf);
-    LaneStep<W> step{.t0 = t_(),
-                     .t1 = aim.t1,
-                     .h = aim.h,
-                     .purified = aim.t1 - t_(),
-                     .reached_t = aim.t1,
-                     .y0 = y_,
-                     .y1 = candidate_,
-                     .p = p_,
-                     .reached_y = candidate_};
+    const P t = t_(), hmin = hmin_ulps * ulp(t), reach = choose(retries(), P(1), P(stretch));
+    const Aimed<P, M> aim = aimed<M>(t, row(Rows::h), reach, hmin, job_.hmax, job_.forward(), job_.tf);
+    const P purified = aim.t1 - t;
     M odd = no_lane<W>();
-    Kernel::inner_stages(step.t0, y_, step.h, k_, job_.n, stage_, [&](const P& t, P* y, std::size_t k) {
+    Kernel::inner_stages(t, y_, aim.h, k_, job_.n, stage_, [&](const P& at, P* y, std::size_t k) {
       odd = odd | mend(y, y_, job_.n);
-      evaluate(job_.f, t, y, k_[k], p_);
+      evaluate(job_.f, at, y, k_[k], p_);
       return true;
     });
-    Kernel::candidate(y_, step.purified, k_, job_.n, candidate_);
+    Kernel::candidate(y_, purified, k_, job_.n, candidate_);
     odd = odd | mend(candidate_, y_, job_.n);
-    if constexpr (T.last_in_error()) evaluate(job_.f, step.t1, candidate_, k_[last], p_);
-    const P error = absolute(step.purified) * Kernel::error(k_, job_.n, weight_of(y_, candidate_));
+    if constexpr (T.last_in_error()) evaluate(job_.f, aim.t1, candidate_, k_[last], p_);
+    const P error = absolute(purified) * Kernel::error(k_, job_.n, weight_of(y_, candidate_));
     odd = odd | ~(error < P(infinity));
     M accepted = (error <= P(job_.rtol)) & ~odd;
+    LaneStep<W> step{t, aim.t1, aim.h, purified, aim.t1, y_, candidate_, p_, candidate_};
     doubted_ = inside_ = cut_ = 0;
     if (holds()) project(accepted, step);
     if constexpr (!T.last_in_error()) {
@@ -251,7 +245,8 @@ class Block {
     decide(accepted, step, error, hmin);
     odd = odd | (~accepted & (absolute(step.h) <= hmin)) | (P(StepLook::long_streak) <= row(Rows::limited));
     reached_ = bits(accepted & aim.lands) | cut_;
-    odd_ = bits(odd) | doubted_ | inside_ | jumping_ | (bits(P(job_.max_steps) <= row(Rows::steps)) & ~reached_);
+    odd_ = bits(odd) | doubted_ | inside_ | jumping_;
+    if (job_.max_steps < infinity) odd_ |= bits(P(job_.max_steps) <= row(Rows::steps)) & ~reached_;
   }
 
   /// Takes the candidates onto the manifold.
@@ -408,9 +403,11 @@ class Block {
   const Job& job_;
   Host& host_;
   Rows rows_;
-  P *now_, *ready_;  // what belongs to the trajectories in lanes, and to those that are ready to take their places
-  P *y_, *p_;        // of these rows
-  P *stage_, *candidate_, *reached_y_;
+  P* now_;  // the rows of the trajectories in lanes; of these
+  P *y_, *p_;
+  P *stage_, *candidate_, *slopes_;  // what every attempt needs stands together
+  P* ready_;                         // the rows of those that are ready to take their places
+  P* reached_y_;
   double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
   Between<W> between_;

@@ -35,7 +35,8 @@ class Held {
     ready_[Rows::jacobians] = ready_[Rows::next_look] = P(1);
     for (std::size_t i = 0; i < job_.n; ++i) w_[i] = weight(job_, i, absolute(y[i]));
     const P residual = g - held_;
-    const M odd = linearize(t, y, p) | ~(absolute(residual) < P(infinity)) | ~(absolute(residual) <= roundoff());
+    M odd = linearize(t, y, p);
+    odd = odd | ~(absolute(residual) < P(infinity)) | ~(absolute(residual) <= roundoff());
     if (job_.output_at_times() && job_.times[0] == job_.t0) ready_[Rows::after] = absolute(residual);
     return invariant().tested ? odd | start_tests(t, y, f, h, p) : odd;
   }

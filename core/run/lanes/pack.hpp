@@ -9,16 +9,6 @@
 
 #include "number.hpp"
 
-// Functions of which the kernels share one, and those that are a part of each: the compiler would take its decision for
-// both by their number.
-#if defined(__GNUC__)
-#define INVARIODE_SHARED [[gnu::noinline]]
-#define INVARIODE_EACH [[gnu::always_inline]] inline
-#else
-#define INVARIODE_SHARED
-#define INVARIODE_EACH inline
-#endif
-
 namespace invariode::lanes::INVARIODE_LANES {
 
 // Doubles in a vector register; 1: the compiler knows no vectors, or the target has none.

@@ -206,8 +206,16 @@ void LaneWorker::go_on(const lanes::Suspended& suspended) {
   alone_.pair.go_on(alone_.job, suspended, *this);
 }
 
+/// Piece after piece of as few allocations as possible: what a kernel reads together stands together.
 void* LaneWorker::memory(std::size_t bytes) {
-  return memory_.emplace_back(static_cast<std::byte*>(::operator new(bytes, alignment))).get();
+  const std::size_t size = (bytes + alignment - 1) / alignment * alignment;
+  if (memory_.empty() || size > left_in_memory_) {
+    left_in_memory_ = std::max(size, least_memory);
+    memory_.emplace_back(static_cast<std::byte*>(::operator new(left_in_memory_, std::align_val_t{alignment})));
+    next_memory_ = memory_.back().get();
+  }
+  left_in_memory_ -= size;
+  return std::exchange(next_memory_, next_memory_ + size);
 }
 
 bool LaneWorker::jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) {

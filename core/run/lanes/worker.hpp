@@ -58,9 +58,10 @@ class LaneWorker final : public lanes::Host {
     const lanes::Job job;
   };
 
-  static constexpr std::align_val_t alignment{64};  // of the widest registers
+  static constexpr std::size_t alignment = 64;  // of the widest registers
+  static constexpr std::size_t least_memory = std::size_t{1} << 16U;
   struct Free {
-    void operator()(std::byte* bytes) const { ::operator delete(bytes, alignment); }
+    void operator()(std::byte* bytes) const { ::operator delete(bytes, std::align_val_t{alignment}); }
   };
 
   const Solver& solver_;
@@ -73,6 +74,8 @@ class LaneWorker final : public lanes::Host {
   std::optional<EventSearch> search_;
   std::unordered_map<std::uint32_t, std::vector<Trajectory>> occurrences_;  // of trajectories that have not ended
   std::vector<std::unique_ptr<std::byte, Free>> memory_;
+  std::byte* next_memory_ = nullptr;
+  std::size_t left_in_memory_ = 0;
   std::size_t kept_ = 0, left_ = 0;
   EnsembleResult::Left left_why_{};
   JumpSearch jump_search_;
