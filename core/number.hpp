@@ -4,8 +4,8 @@
 
 #include <cmath>
 
-// Functions of which the code for packs shares one, and those that are a part of each caller: the compiler would take its
-// decision for both by their number.
+// Functions of which the code for packs shares one, and those that are a part of each caller: the compiler would take
+// its decision for both by their number.
 #if defined(__GNUC__)
 #define INVARIODE_SHARED [[gnu::noinline]]
 #define INVARIODE_EACH [[gnu::always_inline]] inline
