@@ -15,6 +15,7 @@
 
 #include "arrays.hpp"
 #include "interpreter.hpp"
+#include "linear/solve.hpp"
 #include "manifolds.hpp"
 #include "mechanics.hpp"
 
@@ -683,6 +684,9 @@ void define_callables(nb::module_& module) {
         return reinterpret_cast<std::uintptr_t>(pointer);
       },
       nb::arg("capsule"), "The pointer in a capsule.");
+  module.def(
+      "solve_address", [] { return reinterpret_cast<std::uintptr_t>(&solve_in_place); },
+      "Of a function (k, m, numbers) that solves a linear system in place, for generated code.");
 }
 
 }  // namespace invariode::binding

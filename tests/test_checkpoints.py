@@ -129,7 +129,7 @@ def test_a_run_that_has_not_ended_is_not_overwritten(tmp_path):
     assert (sol.status, sol.success) == (-3, False)
     assert not differences(iv.solve_ivp(lambda t, y: [-y[0]], (0, 3), [1.0]), sol.extend(3))
     (tmp_path / "mine.txt").write_text("not yours")
-    with pytest.raises(ValueError, match="was not written"):
+    with pytest.raises(ValueError, match=r"mine\.txt was not written by a run with checkpoint="):
         iv.solve_ivp(decay, (0, 3), [1.0], checkpoint=tmp_path / "mine.txt")
 
 
@@ -206,7 +206,9 @@ def test_other_versions_are_refused_by_their_number(tmp_path):
     with pytest.raises(ValueError, match="has version 99 of the memory of a run"):
         iv.load(path, problem())
     changed(path, version=99, invariode="9.9")
-    with pytest.raises(ValueError, match=r"has version 99 of the format, written by invariode 9\.9"):
+    with pytest.raises(
+        ValueError, match=r"kind 'checkpoint' in version 99 of the format, written by invariode 9\.9; .* upg"
+    ):
         iv.load(path, problem())
 
 
@@ -238,6 +240,27 @@ def test_damaged_files_are_refused(tmp_path):
     with pytest.raises(
         ValueError, match=r"is half of a checkpoint: .*\.output-\w+ with the output of the run is missing"
     ):
+        iv.load(path, problem())
+
+
+@pytest.mark.parametrize(("dense_output", "order"), [
+    (False, [0, 2, 3]), (False, [0, 1, 1, 2, 3]), (True, [0, 1, 3, 2]), (True, [0, 1, 1, 3]),
+], ids=str)  # fmt: skip
+def test_the_parts_of_the_output_are_all_there_and_those_of_continuous_output_in_order(dense_output, order, tmp_path):
+    """Behind right checksums."""
+    path = tmp_path / "run.checkpoint"
+    problem().solve(checkpoint=path, checkpoint_every=1e-9, dense_output=dense_output, max_steps=4)
+    (output,) = tmp_path.glob("run.checkpoint.output-*")
+    whole, parts = output.read_bytes(), []
+    start = at = whole.index(b"\n") + 1
+    while at < len(whole):
+        size = 12 + int.from_bytes(whole[at : at + 8], "little")
+        parts.append(whole[at : at + size])
+        at += size
+    assert len(parts) >= 4
+    output.write_bytes(whole[:start] + b"".join(parts[i] for i in [*order, *range(4, len(parts))]))
+    changed(path, length=output.stat().st_size)
+    with pytest.raises(ValueError, match=r"is damaged: ValueError: (it has \d+ parts, and|the parts of the contin)"):
         iv.load(path, problem())
 
 

@@ -55,13 +55,11 @@ def test_factors_need_a_jacobian(method, tmp_path):
     problem().solve(method, max_steps=7).save(tmp_path / "a")
 
     def empty(arrays, about):
-        memory = arrays["origin.memory"].tobytes()
+        memory = arrays["memory"].tobytes()
         nine = struct.pack("<Q", 9)
         at = [i for i in range(len(memory) - 80) if memory[i : i + 8] == nine and memory[i - 1] == 1]
         assert at  # J, after the flag that it is kept
-        arrays["origin.memory"] = np.frombuffer(
-            memory[: at[0]] + struct.pack("<Q", 0) + memory[at[0] + 80 :], dtype=np.uint8
-        )
+        arrays["memory"] = np.frombuffer(memory[: at[0]] + struct.pack("<Q", 0) + memory[at[0] + 80 :], dtype=np.uint8)
 
     rewritten(tmp_path / "a", empty)
     with pytest.raises(ValueError, match="the memory of the run is damaged"):
@@ -78,8 +76,8 @@ def test_no_byte_of_a_memory_does_more_than_spoil_the_solution(tmp_path):
     for at in range(0, size, 3):
 
         def change(arrays, about, at=at):
-            arrays["origin.memory"] = np.frombuffer(sol._origin.memory, np.uint8).copy()
-            arrays["origin.memory"][at] = 2
+            arrays["memory"] = np.frombuffer(sol._origin.memory, np.uint8).copy()
+            arrays["memory"][at] = 2
 
         rewritten(tmp_path / "a", change)
         try:
@@ -98,7 +96,7 @@ DAMAGE = {
     "the end": lambda arrays, about: arrays.update(y_end=np.zeros(7)),
     "the status": lambda arrays, about: about.update(status="0"),
     "the statistics": lambda arrays, about: about["stats"].pop("steps"),
-    "values": lambda arrays, about: arrays.update(value=np.zeros(3)),
+    "values": lambda arrays, about: arrays.update({"invariants.value": np.zeros(3)}),
 }
 
 
@@ -241,3 +239,64 @@ def test_a_prepared_solver_and_an_input_travel():
     with pytest.raises(AttributeError, match="an Input cannot be changed: make another one, with values="):
         level.values = np.zeros(3)
     assert pickle.loads(pickle.dumps(level))(0.5) == level(0.5) == 1.5
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The tables of fields
+
+
+def full(path):
+    """A file that has every field but those of former runs."""
+    total = iv.Invariants(lambda t, y: y[0] + y[1] + y[2], names="total")
+    sol = problem(invariants=total, events=lambda t, y: y[0] - 0.5).solve("ode15s", dense_output=True)
+    sol.mask = np.array([1.0])
+    sol.save(path)
+
+
+def test_every_field_of_a_file_is_of_its_type_and_shape_or_is_named(tmp_path):
+    full(tmp_path / "a")
+    with np.load(tmp_path / "a") as archive:
+        arrays = {name: one for name, one in archive.items() if name != "about"}
+        values = json.loads(str(archive["about"])).keys() - {"format", "version", "invariode"}
+    others = ("dense.", "identity.", "added.")  # which those check that use them
+
+    def wrong(name):
+        def put(arrays, about):
+            if name in about:
+                about[name] = [about[name]] * 2
+            else:
+                arrays[name] = np.array([[[[1.5j]]]])
+
+        return put
+
+    def left_out(name):
+        return lambda arrays, about: (arrays.pop(name, None), about.pop(name, None))
+
+    def added(arrays, about):
+        arrays["more"] = np.zeros(1)
+
+    full(tmp_path / "b")
+    for name in [*values, *(name for name in arrays if not name.startswith(others))]:
+        rewritten(tmp_path / "b", wrong(name))
+        with pytest.raises(ValueError, match=rf"b is damaged: ValueError: {name}, .* does not fit"):
+            iv.load(tmp_path / "b")
+        (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes())
+        if name not in ("steps", "y_end", "memory"):
+            rewritten(tmp_path / "b", left_out(name))
+            with pytest.raises(ValueError, match=rf"b is damaged: it has no '{name}'"):
+                iv.load(tmp_path / "b")
+            (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes())
+    rewritten(tmp_path / "b", added)
+    with pytest.raises(ValueError, match="b is damaged: ValueError: 'more' should not be there"):
+        iv.load(tmp_path / "b")
+
+
+@pytest.mark.parametrize(("name", "value"), [("status", "0"), ("t_end", None), ("nfev", True)])
+def test_what_could_not_be_read_is_not_written(name, value, tmp_path):
+    sol = problem().solve()
+    sol.save(tmp_path / "a")
+    before = (tmp_path / "a").read_bytes()
+    sol[name] = value
+    with pytest.raises(ValueError, match=f"{name}, {value!r}, does not fit"):
+        sol.save(tmp_path / "a")
+    assert (tmp_path / "a").read_bytes() == before

@@ -134,7 +134,7 @@ def test_quaternions_have_more_positions_than_velocities():
     np.testing.assert_allclose(momentum, momentum[0], atol=1e-3)  # in space: not imposed
 
 
-def test_a_constraint_of_quaternions_is_differentiated_through_the_kinematics():
+def test_a_constraint_of_quaternions_is_differentiated_through_the_kinematics(tmp_path):
     """The body axis e₁ stays in the plane z = 0, as a holonomic constraint of q."""
 
     def level(t, q):
@@ -148,6 +148,8 @@ def test_a_constraint_of_quaternions_is_differentiated_through_the_kinematics():
     energy = INERTIA @ sol.y[4:] ** 2
     np.testing.assert_allclose(energy, energy[0], rtol=1e-7)  # constraints do no work
     assert system.multipliers(sol).shape == (1, len(sol.t))
+    sol.save(tmp_path / "top")
+    np.testing.assert_array_equal(system.multipliers(iv.load(tmp_path / "top")), system.multipliers(sol))
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+import stiff_ends
 from problems import implicit, switching
 
 IMPLICIT = [name for name in filter(implicit, iv.METHODS) if not switching(name)]
@@ -166,3 +167,30 @@ def test_evaluations_that_test_jacobians_are_counted_apart(method_code):
     sol = iv.solve_ivp(fun, (0, 1), [1.0, 0.0], method_code)
     assert len(calls) == sol.nfev + sol.stats.nfev_check
     assert 1 <= sol.stats.nfev_check <= 1 + math.log2(sol.njev)
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Iterates far away
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3])
+@pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].mass == "any"])
+def test_iterates_stay_where_an_exponential_can_be_evaluated(method, rtol, monkeypatch):
+    """The transistor amplifier with math.exp as it is, which raises from 18 V on; its supply is 6 V."""
+    monkeypatch.setattr(stiff_ends, "transistor", lambda v: stiff_ends.SATURATION * math.exp(v / stiff_ends.THERMAL))
+    mass, y0 = stiff_ends.AMPLIFIER_MASS, stiff_ends.AMPLIFIER_START
+    sol = iv.solve_ivp(stiff_ends.amplifier, (0, 0.2), y0, method, mass=mass, rtol=rtol, atol=rtol, keep="end")
+    assert sol.success
+
+
+def test_a_jacobian_whose_stiffness_has_gone_is_renewed():
+    """A catalyst decays; the J from before makes Newton's updates in y0 - y1 far too small."""
+
+    def reaction(t, y):
+        rate = 1e6 * y[2] * (y[0] - y[1])
+        return [-rate, rate - y[1] + 0.2 * math.sin(3 * t), -40 * y[2]]
+
+    rtol = 1e-4
+    sol = iv.solve_ivp(reaction, (0, 4), [1.0, 1.0, 1.0], "ode15s", rtol=rtol, atol=rtol)
+    end = iv.solve_ivp(reaction, (0, 4), [1.0, 1.0, 1.0], "radau", rtol=1e-10, atol=1e-12)
+    assert np.abs(sol.y[:, -1] - end.y[:, -1]).max() <= 100 * rtol  # 5e7 without a look at J

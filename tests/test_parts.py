@@ -378,10 +378,10 @@ class TestStore:
             iv.solve_ensemble(compiled, SPAN, np.vstack([y0[:6], y0[6:] + 1]), **given)
 
     def test_something_else_is_no_store(self, zarr: Any, tmp_path: Path) -> None:
-        with pytest.raises(ValueError, match="not a store of an ensemble"):
+        with pytest.raises(ValueError, match="was not written by solve_ensemble"):
             iv.EnsembleStore(tmp_path / "nothing.zarr")
         zarr.create_group(tmp_path / "other.zarr")
-        with pytest.raises(ValueError, match="not a store of an ensemble"):
+        with pytest.raises(ValueError, match="was not written by solve_ensemble"):
             solve("native", store=tmp_path / "other.zarr", resume=True)
 
     def test_invariants_and_complex_states(self, tmp_path: Path) -> None:

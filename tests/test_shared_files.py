@@ -238,7 +238,7 @@ def test_what_another_process_has_added_is_not_undone(tmp_path, monkeypatch):
 
 def test_every_part_of_the_output_must_be_of_the_run(tmp_path):
     for name in ("a", "b"):
-        problem().solve(checkpoint=tmp_path / name)
+        problem().solve(checkpoint=tmp_path / name, checkpoint_every=1e-9)
     first, second = sorted(tmp_path.glob("*.output-*"))
     whole, other = first.read_bytes(), second.read_bytes()
     head = whole.index(b"\n") + 1
@@ -298,9 +298,9 @@ def test_a_store_that_was_growing_goes_on(tmp_path):
 
 def test_a_second_process_is_told_who_fills_the_store(tmp_path):
     pytest.importorskip("zarr")
-    from invariode._base.locks import held
+    from invariode._base.locks import Lock
 
-    lock = held(tmp_path / "store", "store")
+    lock = Lock(tmp_path / "store", "store")
     with pytest.raises(ValueError, match=r"store: .*store is in use by process \d+ \(this process\) on"):
         solve_into(tmp_path / "store")
     lock.release()

@@ -10,6 +10,9 @@ namespace {
 
 // A row of which less than this is left in the components that may move does not depend on them: roundoff.
 constexpr double least_share = 1e-13;
+// Rows of which less is left than this nearly depend on others: roundoff of their residuals makes corrections of ε / σ
+// in q, and of ε / σ² in v.
+constexpr double nearly_dependent = 0.01;
 
 Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
@@ -39,6 +42,9 @@ Levels::Levels(const Invariants& invariants)
       delta_l_(n_),
       gradient_(n_),
       scale_(n_),
+      doubt_(m_),
+      open_l_(n_),
+      open_(n_),
       left_out_(m_) {
   std::size_t row = 0;
   for (const InvariantBlock& block : invariants.blocks()) {
@@ -83,16 +89,16 @@ Status Levels::update(double t, const double* y) {
   return Status::ok;
 }
 
-std::size_t Levels::solve(const double* J, const double* r, const double* w, double threshold, const char* idle,
-                          double* delta) {
+std::size_t Levels::solve(const double* J, const double* r, const double* noise, const double* w, double threshold,
+                          const char* idle, double* delta) {
   std::fill(left_out_.begin(), left_out_.end(), 0);
   idle_ = idle;
-  if (layout_.sparse() && solve_sparse(J, r, w, threshold, delta)) {
+  if (layout_.sparse() && solve_sparse(J, r, w, std::max(threshold, nearly_dependent), delta)) {
     std::size_t rank = m_;
     for (const Level& level : levels_) rank -= idle_rows(level);
     return rank;
   }
-  return solve_dense(J, r, w, threshold, delta);
+  return solve_dense(J, r, noise, w, threshold, delta);
 }
 
 std::size_t Levels::idle_rows(const Level& level) const {
@@ -129,8 +135,10 @@ bool Levels::scales(Level& level, const double* w) {
   return true;
 }
 
-std::size_t Levels::solve_dense(const double* J, const double* r, const double* w, double threshold, double* delta) {
+std::size_t Levels::solve_dense(const double* J, const double* r, const double* noise, const double* w,
+                                double threshold, double* delta) {
   reserve_dense();
+  std::fill(open_.begin(), open_.end(), 0);
   std::fill(delta, delta + n_, 0);
   std::size_t rank = 0;
   for (std::size_t l = 0; l < levels_.size(); ++l) {
@@ -151,7 +159,7 @@ std::size_t Levels::solve_dense(const double* J, const double* r, const double* 
     orthonormalize(waiting_, threshold);
     for (std::size_t k = before; k < basis_.size(); ++k) left_out_[basis_[k]] = 0;
     rank += basis_.size() - before;
-    correct(levels_[l], before, J, r, w, delta);
+    correct(levels_[l], before, J, r, noise, w, delta);
   }
   return rank;
 }
@@ -211,22 +219,47 @@ void Levels::remove_component(std::size_t row, std::size_t basis_row) {
   R_(index(basis_row), index(row)) += component;
 }
 
+/// What roundoff makes of the combination of rows that is basis vector k: of its own residual, of what it leaves open
+/// in the levels before, and in the combinations before.
+double Levels::noise_of(std::size_t k, std::size_t first, const double* J, const double* noise) const {
+  const std::size_t i = basis_[k];
+  double sum = noise[i];
+  layout_.row(i, J).for_each([&](std::size_t j, double value) { sum += std::abs(value) * open_[j]; });
+  sum /= norm_[i];
+  for (std::size_t l = first; l < k; ++l) sum += std::abs(R_(index(basis_[l]), index(i))) * doubt_[l];
+  return sum;
+}
+
 /// δ += δ_l, in the part of the basis from `first` on: what is before belongs to earlier levels.
-void Levels::correct(Level& level, std::size_t first, const double* J, const double* r, const double* w,
-                     double* delta) {
+void Levels::correct(Level& level, std::size_t first, const double* J, const double* r, const double* noise,
+                     const double* w, double* delta) {
   const bool by_metric = level.by_metric();
   std::fill(delta_l_.begin(), delta_l_.end(), 0);
+  std::fill(open_l_.begin(), open_l_.end(), 0);
   for (std::size_t k = first; k < basis_.size(); ++k) {
     const std::size_t i = basis_[k];
     double rest = r[i];  // r_i − J_i δ of the levels before
     layout_.row(i, J).for_each([&](std::size_t j, double value) { rest -= value * delta[j]; });
     double sum = rest / norm_[i];
     for (std::size_t l = first; l < k; ++l) sum -= R_(index(basis_[l]), index(i)) * z_[l];
-    z_[k] = sum / R_(index(i), index(i));
-    for (std::size_t j = 0; j < n_; ++j) delta_l_[j] += (by_metric ? 1 : w[j]) * scaled_(index(j), index(i)) * z_[k];
+    const double pivot = R_(index(i), index(i)), roundoff = noise_of(k, first, J, noise);
+    const bool doubtful = pivot < nearly_dependent;
+    doubt_[k] = roundoff / pivot;
+    z_[k] = doubtful && std::abs(sum) <= roundoff ? 0 : sum / pivot;
+    for (std::size_t j = 0; j < n_; ++j) {
+      const double direction = (by_metric ? 1 : w[j]) * scaled_(index(j), index(i));
+      delta_l_[j] += direction * z_[k];
+      if (doubtful) open_l_[j] += direction * doubt_[k];
+    }
   }
-  if (by_metric) level.metric->divide_transposed(delta_l_.data());
-  for (std::size_t j = 0; j < n_; ++j) delta[j] += delta_l_[j];
+  if (by_metric) {
+    level.metric->divide_transposed(delta_l_.data());
+    level.metric->divide_transposed(open_l_.data());
+  }
+  for (std::size_t j = 0; j < n_; ++j) {
+    delta[j] += delta_l_[j];
+    open_[j] += std::abs(open_l_[j]);
+  }
 }
 
 }  // namespace invariode

@@ -31,10 +31,11 @@ class Levels {
   /// Takes the metrics at (t, y).
   Status update(double t, const double* y);
   /// Writes δ. J (m, n) and r (m) are the linearization, w (n) the weights. Rows that depend on others of their level
-  /// and those before to within `threshold` are left out. `idle`: which rows take no part; null: none. Returns the
-  /// rank.
-  std::size_t solve(const double* J, const double* r, const double* w, double threshold, const char* idle,
-                    double* delta);
+  /// and those before to within `threshold` are left out. `noise` (m): the size below which a residual is roundoff;
+  /// combinations of rows that nearly depend on each other are not corrected for it. `idle`: which rows take no part;
+  /// null: none. Returns the rank.
+  std::size_t solve(const double* J, const double* r, const double* noise, const double* w, double threshold,
+                    const char* idle, double* delta);
   /// Which rows the last `solve` left out.
   [[nodiscard]] const std::vector<char>& left_out() const { return left_out_; }
 
@@ -52,7 +53,8 @@ class Levels {
 
   Level& level_of(const InvariantBlock& block);
   bool solve_sparse(const double* J, const double* r, const double* w, double threshold, double* delta);
-  std::size_t solve_dense(const double* J, const double* r, const double* w, double threshold, double* delta);
+  std::size_t solve_dense(const double* J, const double* r, const double* noise, const double* w, double threshold,
+                          double* delta);
   [[nodiscard]] bool idle(std::size_t row) const { return idle_ != nullptr && idle_[row] != 0; }
   [[nodiscard]] std::size_t idle_rows(const Level& level) const;
   bool scales(Level& level, const double* w);
@@ -61,7 +63,9 @@ class Levels {
   void apply_metric(const double* J, std::size_t row, Level& level);
   void orthonormalize(std::vector<std::size_t>& rows, double threshold);
   void remove_component(std::size_t row, std::size_t basis_row);
-  void correct(Level& level, std::size_t first, const double* J, const double* r, const double* w, double* delta);
+  void correct(Level& level, std::size_t first, const double* J, const double* r, const double* noise, const double* w,
+               double* delta);
+  double noise_of(std::size_t k, std::size_t first, const double* J, const double* noise) const;
 
   const RowLayout& layout_;
   std::size_t n_, m_;
@@ -73,6 +77,8 @@ class Levels {
   std::vector<std::size_t> basis_;    // rows in whose place there is a basis vector, in their order
   std::vector<std::size_t> waiting_;  // rows to be orthonormalized
   std::vector<double> z_, delta_l_, gradient_, scale_;
+  std::vector<double> doubt_;          // of z, by roundoff of the residuals
+  std::vector<double> open_l_, open_;  // (n): what roundoff leaves open in δ_l, and in the levels so far
   std::vector<char> left_out_;
   const char* idle_ = nullptr;  // of the latest `solve`
 };

@@ -189,10 +189,15 @@ Imposed Projector::approach(double t, double* y) {
 }
 
 double Projector::roundoff_units(const double* y) {
+  take_units(y);
+  return in_units();
+}
+
+/// The sizes below which residuals at y, where J is known, are roundoff.
+void Projector::take_units(const double* y) {
   for (std::size_t i = 0; i < r_.size(); ++i)
     unit_[i] = std::max({invariants_.roundoff(i, y, J_.data()), invariants_.resolution(i, y, J_.data()),
                          std::numeric_limits<double>::min()});
-  return in_units();
 }
 
 double Projector::in_units() const {
@@ -427,7 +432,9 @@ std::size_t Projector::solve_in_levels(double t) {
       if (fixed(j)) free_w_[j] = 0;
     w = free_w_.data();
   }
-  const std::size_t rank = levels_->solve(J_.data(), r_.data(), w, pivot_threshold(), without_part(), delta_.data());
+  take_units(point_.data());
+  const std::size_t rank =
+      levels_->solve(J_.data(), r_.data(), unit_.data(), w, pivot_threshold(), without_part(), delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
     if (levels_->left_out()[i] != 0 || (stuck(i) && !idle(i))) leave_out(i, t);
   return rank;

@@ -144,7 +144,8 @@ class Projector {
   void leave_out(std::size_t i, double t);
   [[nodiscard]] double pivot_threshold() const;
   double roundoff_units(const double* y);  ///< largest residual, in units of its roundoff there,
-  [[nodiscard]] double in_units() const;   ///< and in the units that were taken last
+  void take_units(const double* y);
+  [[nodiscard]] double in_units() const;  ///< and in the units that were taken last
 
   Invariants& invariants_;
   const Weights& tolerances_;

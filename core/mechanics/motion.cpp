@@ -1,6 +1,7 @@
 #include "mechanics/motion.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -21,6 +22,11 @@ constexpr double densest = 0.25;
 // A position is nearly singular where rows of A, of norm 1, are so close to depending on each other: what is off the
 // constraints by e then changes accelerations by e divided by the square of that.
 constexpr double nearly_singular = 0.05;
+// At a distance of σ from a singular position, roundoff of the constraints changes accelerations by ε / σ³. Nearer than
+// `too_near` they are interpolated, as functions that are smooth along the motion, between points on both sides, at √1,
+// √2, √3 and √4 times the `spacing`: there, what roundoff and interpolation leave are both about 1e-11 of their size.
+constexpr double too_near = 0.01, far_enough = 0.005, spacing = 0.03;
+constexpr std::array<double, 4> interpolation = {2, -3, 2, -0.5};  // Lagrange's polynomial in the square, at 0
 constexpr int most_corrections = 6;       // Newton's iteration, which starts near, squares its errors
 constexpr double last_correction = 1e-8;  // of q: its square is roundoff
 
@@ -100,6 +106,7 @@ Motion::Motion(MotionTerms terms) : terms_(std::move(terms)) {
   beside_.resize(n_q);
   terms_of_rate_.resize(m_phi);
   satisfying_.resize(n);
+  shifted_.resize(n);
   nothing_ = Eigen::VectorXd::Zero(index(n_v));
   rest_.resize(A_.rows());
   entries_.resize(most_entries());
@@ -235,9 +242,55 @@ Status Motion::accelerations(double t, const double* y, ConstrainedSolution& fou
   if (accelerations_at(t, y, found) == Status::stop) return Status::stop;
   if (!(found.pivot < nearly_singular) || !kept_psi_.empty() || terms_.kinematics.m() > 0) return Status::ok;
   ++singular_count_;
+  if (found.pivot < too_near) {
+    bool interpolated = false;
+    if (interpolate(t, y, found, interpolated) == Status::stop) return Status::stop;
+    if (interpolated) return Status::ok;
+  }
   bool satisfied = false;
   if (satisfy(t, y, satisfied) == Status::stop) return Status::stop;
   return satisfied ? accelerations_at(t, satisfying_.data(), found) : Status::ok;
+}
+
+/// How fast the rows of A turn: the largest |γ_i| / (‖A_i‖ max |v|), since γ is −(dA/dt) v.
+double Motion::turning() const {
+  Eigen::VectorXd square = Eigen::VectorXd::Zero(A_.rows());
+  for (Index j = 0; j < A_.outerSize(); ++j)
+    for (SparseMatrix::InnerIterator it(A_, j); it; ++it) square[it.row()] += it.value() * it.value();
+  double fastest = 0;
+  for (Index i = 0; i < A_.rows(); ++i)
+    if (square[i] > 0) fastest = std::max(fastest, std::abs(gamma_[i]) / std::sqrt(square[i]));
+  double speed = 0;
+  for (const double v : q_dot_) speed = std::max(speed, std::abs(v));
+  return speed > 0 ? fastest / speed : 0;
+}
+
+/// Takes for `found` what interpolation gives from (q + s v, v), put on the constraints. Not `interpolated`: there is
+/// no motion, or the positions beside are about as near to a singular one.
+Status Motion::interpolate(double t, const double* y, ConstrainedSolution& found, bool& interpolated) {
+  const double s = spacing / turning();
+  if (!std::isfinite(s)) return Status::ok;
+  ConstrainedSolution sum{.a = Eigen::VectorXd::Zero(found.a.size()),
+                          .lambda = Eigen::VectorXd::Zero(found.lambda.size()),
+                          .pivot = found.pivot};
+  for (std::size_t k = 0; k < interpolation.size(); ++k)
+    for (const double side : {1.0, -1.0}) {
+      const double away = side * std::sqrt(static_cast<double>(k + 1)) * s;
+      std::copy(y, y + size(), shifted_.begin());
+      for (std::size_t j = 0; j < terms_.n_q; ++j) shifted_[j] += away * y[terms_.n_q + j];
+      bool satisfied = false;
+      if (satisfy(t + away, shifted_.data(), satisfied) == Status::stop) return Status::stop;
+      if (!satisfied) return Status::ok;
+      if (accelerations_at(t + away, satisfying_.data(), there_) == Status::stop) return Status::stop;
+      if (!(there_.pivot >= far_enough)) return Status::ok;
+      sum.a += interpolation[k] * there_.a;
+      sum.lambda += interpolation[k] * there_.lambda;
+      sum.rank = there_.rank;
+      sum.unique = there_.unique;
+    }
+  found = std::move(sum);
+  interpolated = true;
+  return Status::ok;
 }
 
 Status Motion::accelerations_at(double t, const double* y, ConstrainedSolution& found) {

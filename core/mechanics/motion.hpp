@@ -82,7 +82,7 @@ class Motion {
 
   Status slope(double t, const double* y, double* out);
   /// v' and λ; what is not finite makes both NaN. Near singular positions those of the nearest (q, v) that satisfies
-  /// the constraints.
+  /// the constraints, or interpolated between such points beside.
   Status accelerations(double t, const double* y, ConstrainedSolution& found);
   /// A and the right-hand side γ of A v' = γ, of what is kept.
   Status rows(double t, const double* y);
@@ -131,6 +131,8 @@ class Motion {
   void solve(const Eigen::VectorXd& Q, const Eigen::VectorXd& gamma, ConstrainedSolution& found);
   Status row_values(double t, const double* y);
   Status satisfy(double t, const double* y, bool& found);
+  Status interpolate(double t, const double* y, ConstrainedSolution& found, bool& interpolated);
+  [[nodiscard]] double turning() const;
   Status correct_positions(double t, double& size);
   Status correct_velocities(double t);
   void choose_patterns();
@@ -150,10 +152,11 @@ class Motion {
   SparseMatrix rates_;        // the Jacobian of φ' with respect to y
   bool sparse_ = false, diagonal_mass_ = false;
   SparseSaddle saddle_;
-  ConstrainedSolution solution_, correction_;
+  ConstrainedSolution solution_, correction_, there_;
   Eigen::VectorXd force_, gamma_;
   std::vector<double> q_dot_, along_, bend_, values_, size_, ones_, beside_, entries_, terms_of_rate_;
   std::vector<double> satisfying_;  // (q, v) on the constraints
+  std::vector<double> shifted_;     // (q, v) beside a singular position
   Eigen::VectorXd nothing_, rest_;  // right-hand sides of corrections: no force, what is left of the constraints
   std::int64_t sparse_count_ = 0, dense_count_ = 0, singular_count_ = 0;
 };

@@ -22,6 +22,7 @@ constexpr double kappa[most] = {0, -37.0 / 200, -1.0 / 9, -0.0823, -0.0415, 0, 0
 
 constexpr double newton_cut = 0.3;  // of h, where a current Jacobian does not help
 constexpr int old_jacobian = 20;    // steps
+constexpr int look_period = 10;     // steps with one J
 
 constexpr double safety_same = 1.2, safety_lower = 1.3, safety_higher = 1.4;  // 1/c after a success
 constexpr double retry_same = 0.833, retry_lower = 0.769, smallest_retry = 0.1;
@@ -168,6 +169,12 @@ Step::Attempt Ndf::attempt(double h, double t1) {
     case Newton::Result::failed: return diverged;
     case Newton::Result::converged: break;
   }
+  if (look_due(c)) {
+    bool doubtful = false;
+    const Outcome outcome = newton_.doubt(c, psi_.data(), d_.data(), doubtful);
+    if (outcome == Outcome::stop) return stopped;
+    if (doubtful) return diverged;
+  }
   error_ = norm(d_.data()) * error_constant(order_);
   return {Outcome::ok, error_, candidate_.data()};
 }
@@ -205,6 +212,12 @@ double Ndf::optimal_h(int k, double error, double safety) const {
 /// |h| of a retry with formula k, whose error at the present |h| is `error`.
 double Ndf::retry_h(int k, double error, double safety) const {
   return h_ * std::max(smallest_retry, safety * std::pow(weights_.rtol() / error, 1.0 / (k + 1)));
+}
+
+/// Whether J is looked at: one that is not stiff cannot be much too large.
+bool Ndf::look_due(double c) {
+  const int age = newton_.jacobian_age();
+  return !newton_.matrix_free() && age > 0 && age % look_period == 0 && newton_.stiff(c, weight_.data());
 }
 
 /// Whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong, and in

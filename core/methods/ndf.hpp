@@ -71,6 +71,7 @@ class Ndf final : public Step {
   [[nodiscard]] double optimal_h(int k, double error, double safety) const;
   [[nodiscard]] double retry_h(int k, double error, double safety) const;
   [[nodiscard]] bool misleading_jacobian();
+  [[nodiscard]] bool look_due(double c);
 
   Options options_;
   int order_ = 1;         // k of the next attempt

@@ -14,6 +14,7 @@ namespace {
 constexpr double slowest_rate = 0.9;
 constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
+constexpr double unchanged = 0.95;        // part of a residual that is left where J is much too large
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
@@ -92,6 +93,14 @@ Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
   if (all_finite(out, n)) return Outcome::ok;
   undefined_ = static_cast<int>(std::find_if_not(out, out + n, [](double x) { return std::isfinite(x); }) - out);
   return Outcome::not_finite;
+}
+
+Outcome AgingJacobian::evaluate_apart(double t, const double* y, double* out) {
+  Callback f = f_;
+  ++work_.checks;
+  if (f(t, y, out) == Status::stop) return Outcome::stop;
+  jacobian_.extend(y, out);
+  return all_finite(out, weights_.size()) ? Outcome::ok : Outcome::not_finite;
 }
 
 Status AgingJacobian::take_jacobian(double t, const double* y, const double* slope) {
@@ -396,6 +405,7 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Outcome::ok: break;
     }
     residual(c, psi, d);
+    if (!matrix_free()) before_ = norm(residual_.data());
     switch (precondition(residual_.data())) {
       case Outcome::stop: return Result::stop;
       case Outcome::not_finite: return Result::failed;
@@ -417,6 +427,16 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       case Convergence::Verdict::go_on: break;
     }
   }
+}
+
+Outcome Newton::doubt(double c, const double* psi, const double* d, bool& doubtful) {
+  const double* w = place_.w;
+  if (const Outcome outcome = evaluate_apart(place_.t, place_.y, f_value_.data()); outcome != Outcome::ok)
+    return outcome;
+  residual(c, psi, d);
+  const double after = max_norm(sum_.size(), [&](std::size_t i) { return residual_[i] / w[i]; });
+  doubtful = after > unchanged * before_ && after > weights_.rtol();
+  return Outcome::ok;
 }
 
 Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }

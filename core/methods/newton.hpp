@@ -110,6 +110,8 @@ class AgingJacobian {
   /// f(t, y), outside of bounds by its linearization within; it must be finite; a component that is not is remembered
   /// until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
+  /// The same for a look at J, counted apart.
+  Outcome evaluate_apart(double t, const double* y, double* out);
   [[nodiscard]] int undefined_component() const { return undefined_; }
   void forget_undefined() { undefined_ = -1; }
   void note_singular() { work_.singular = true; }
@@ -210,6 +212,9 @@ class Newton : public AgingJacobian {
   Outcome prepare(double c, double t1);
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
+  /// Whether J may be much too large where `solve` has ended: the residual of its d is what it was before the last
+  /// update, and more than steps may be off. Newton's updates are then too small to show it. Takes one f.
+  Outcome doubt(double c, const double* psi, const double* d, bool& doubtful);
   /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
   Result damp(double* v);
   /// See `Step::end_attempts`.
@@ -234,6 +239,7 @@ class Newton : public AgingJacobian {
   Convergence convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
+  double before_ = 0;             // the residual before the last update, in the norm
   std::vector<double> f_value_, residual_, sum_;
 };
 

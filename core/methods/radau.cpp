@@ -23,8 +23,12 @@ constexpr double newton_cut = 0.5;       // of h, where a current Jacobian does 
 constexpr double starting_safety = 1.25;
 constexpr double roundoff_units = 100;  // of ε: an update of this size relative to y is roundoff
 constexpr double first_goal = 0.1;      // of the goal of later iterations
-constexpr double linear_half = 0.5;     // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
-constexpr double least_growth = 1.6;    // of h, where the estimate is nothing but errors of Newton's iteration
+// An update of so many sizes of a component, in the norm of the error test, leads out of where J is known to hold, and
+// f may not be defined there: a part of it is tried first. Converging iterations on the stiff set have 0.5 at most.
+constexpr double large_update = 1, tried_part = 0.1;
+constexpr double slowest_rate = 0.9;  // of convergence, that the part shows
+constexpr double linear_half = 0.5;   // of the goal, 1/30 rtol or less: what GMRES may leave (benchmarks/krylov.py)
+constexpr double least_growth = 1.6;  // of h, where the estimate is nothing but errors of Newton's iteration
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
 constexpr double rate_to_raise = 0.002, rate_to_lower = 0.8;
@@ -189,6 +193,8 @@ Newton::Result Radau::solve_stages() {
       convergence_.settle(tolerance);
       return Newton::Result::converged;
     }
+    if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && systems_.has_matrices())
+      if (const auto tried = try_part(size); tried != Newton::Result::converged) return tried;
     switch (convergence_.judge(update_stages())) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged: return Newton::Result::failed;
@@ -222,13 +228,38 @@ Outcome Radau::stage_residuals() {
   return Outcome::ok;
 }
 
+/// The norm of the largest stage.
+double Radau::size_of_residuals() const {
+  MaxNorm size;
+  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm(residuals_.data() + stage * n()));
+  return size.value();
+}
+
+/// Whether the iteration would converge over a part θ of an update Δ of that size: the next update is then (1 − θ) Δ,
+/// if f is linear, and differs from that by at most 0.9 θ Δ. `failed`: J does not hold there.
+Newton::Result Radau::try_part(double size) {
+  const std::size_t all = stages() * n();
+  const double part = tried_part / size;
+  untried_.assign(increments_.begin(), increments_.begin() + static_cast<std::ptrdiff_t>(all));
+  update_.assign(residuals_.begin(), residuals_.begin() + static_cast<std::ptrdiff_t>(all));
+  for (std::size_t i = 0; i < all; ++i) increments_[i] += part * update_[i];
+  const Outcome outcome = stage_residuals();
+  std::copy(untried_.begin(), untried_.end(), increments_.begin());
+  if (outcome != Outcome::ok) return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;
+  bool negligible = false;
+  const auto solved = systems_.solve(mass(), weight_.data(), 0, residuals_.data(), scratch_.data(), negligible);
+  if (solved != Newton::Result::converged) return solved;
+  for (std::size_t i = 0; i < all; ++i) residuals_[i] -= (1 - part) * update_[i];
+  const bool holds = size_of_residuals() <= slowest_rate * tried_part;
+  std::copy(update_.begin(), update_.end(), residuals_.begin());
+  return holds ? Newton::Result::converged : Newton::Result::failed;
+}
+
 /// Adds the updates, which the residuals have become, to Z. Their size.
 double Radau::update_stages() {
   for (std::size_t i = 0; i < stages() * n(); ++i) increments_[i] += residuals_[i];
   weigh_first_update();
-  MaxNorm size;
-  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm(residuals_.data() + stage * n()));
-  return size.value();
+  return size_of_residuals();
 }
 
 /// The error of the attempt. Where a first look would fail it in a step that starts anew, f is taken once more, at

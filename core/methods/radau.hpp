@@ -71,6 +71,8 @@ class Radau final : public Step {
   Newton::Result solve_stages();
   Outcome stage_residuals();
   double update_stages();
+  [[nodiscard]] double size_of_residuals() const;
+  Newton::Result try_part(double size);
   void weigh_first_update();
   Newton::Result estimate();
   Newton::Result solve_for_error(const double* f);
@@ -86,11 +88,12 @@ class Radau final : public Step {
   RadauSystems systems_;
   InitialSlopes initial_;
   Convergence convergence_;
-  std::vector<double> increments_;    // Z_1 … Z_s
-  std::vector<double> polynomial_;    // of the last accepted step, in nested form, 0 at θ = 0
-  std::vector<double> residuals_;     // of the stages; before them h Y', afterwards the updates
-  std::vector<Matrix> stage_masses_;  // M(t) at the stages
-  std::vector<double> f_, slope_;     // f and y' at (t, y), where they are not the same
+  std::vector<double> increments_;        // Z_1 … Z_s
+  std::vector<double> polynomial_;        // of the last accepted step, in nested form, 0 at θ = 0
+  std::vector<double> residuals_;         // of the stages; before them h Y', afterwards the updates
+  std::vector<double> update_, untried_;  // the update that is tried in part, and the increments before it
+  std::vector<Matrix> stage_masses_;      // M(t) at the stages
+  std::vector<double> f_, slope_;         // f and y' at (t, y), where they are not the same
   std::vector<double> last_y_, candidate_, weight_, error_vector_, gap_, scratch_;
   double signed_h_ = 0, t1_ = 0;
   double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step

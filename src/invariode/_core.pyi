@@ -29,6 +29,11 @@ class Native:
 def capsule_address(capsule: object) -> int:
     """The pointer in a capsule."""
 
+def solve_address() -> int:
+    """
+    Of a function (k, m, numbers) that solves a linear system in place, for generated code.
+    """
+
 class Invariant:
     """An invariant, for the core."""
 

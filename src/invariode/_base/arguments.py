@@ -131,9 +131,12 @@ def positive(name: str, value: object) -> float:
 
 
 def path(name: str, value: object) -> str:
-    if not isinstance(value, (str, os.PathLike)):
-        raise TypeError(f"{name} must be a str or path-like, got {shown(value)}")
-    return os.fspath(value)
+    """The name of a file. A number would be the file that happens to be open under it."""
+    text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
+    if not isinstance(text, str):
+        decode = ": decode it, os.fsdecode" if isinstance(text, bytes) else ""
+        raise TypeError(f"{name} must be a str or path-like, got {shown(value)}{decode}")
+    return text
 
 
 def positive_integer(name: str, value: object) -> int:

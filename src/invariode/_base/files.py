@@ -1,58 +1,147 @@
-"""Archives of arrays as files: every byte is checked before it is believed, and nothing in them is ever executed."""
+"""Archives of arrays as files: written all at once, every byte checked when read, and nothing in them ever executed."""
 
 from __future__ import annotations
 
 import errno
-import json
+import io
 import math
 import os
+import secrets
 import stat
-from importlib.metadata import version
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import Array, shown
+from . import arguments
+from .arguments import Array
 
 if TYPE_CHECKING:  # needs a tenth of the time of our own import
     from zipfile import ZipFile, ZipInfo
 
-__all__ = ["ENSEMBLE", "ENSEMBLE_VERSION", "PathLike", "about_of", "arrays_in", "path_of", "read_arrays", "unreadable"]
+__all__ = ["ABOUT", "TEMPORARY", "PathLike", "arrays_in", "damage_of", "named"]
+__all__ += ["read_arrays", "take_mode", "unreadable", "write_arrays"]
 
 PathLike = str | os.PathLike[str]
 
-NOT_OURS = "was not written by Solution.save, nor as a checkpoint"
+#: The only member of an archive that is text.
+ABOUT = "about"
 
-#: What the file of an ensemble says of itself, and the version of its contents: raised whenever they change.
-ENSEMBLE, ENSEMBLE_VERSION = "invariode ensemble", 1
-
-
-def path_of(given: Any) -> str:
-    """The name of a file. A number would be the file that happens to be open under it."""
-    if not isinstance(given, (str, os.PathLike)):
-        raise TypeError(f"path must be a str or path-like, got {shown(given)}")
-    path = os.fspath(given)
-    if not isinstance(path, str):
-        raise TypeError(f"path must be a str or path-like, got {shown(given)}: decode it, os.fsdecode(path)")
-    return path
+#: How the names of files end that are being written.
+TEMPORARY = ".invariode-part"
 
 
-def read_arrays(path: PathLike, only: str | None = None) -> dict[str, Any]:
-    """All arrays of a file, or one."""
-    mode = os.stat(path_of(path)).st_mode
+def named(path: Any) -> str:
+    """A path, or a store of another library, in messages."""
+    return os.fspath(path) if isinstance(path, (str, os.PathLike)) else str(path)
+
+
+def unreadable(path: Any, what: str) -> ValueError:
+    return ValueError(f"the file {named(path)} {what}")
+
+
+@contextmanager
+def damage_of(path: PathLike) -> Iterator[None]:
+    """Reports any exception inside as damage of the file, which must be the only input."""
+    try:
+        yield
+    except Exception as wrong:
+        what = f"it has no {wrong}" if isinstance(wrong, KeyError) else f"{type(wrong).__name__}: {wrong}"
+        raise unreadable(path, f"is damaged: {what}") from None
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Written
+
+
+def write_arrays(path: PathLike, arrays: Mapping[str, Any], durable: bool = False) -> None:
+    """Writes an archive of arrays, which takes the place of an existing file when it is complete; `durable`: when it
+    is on the disk."""
+    path = arguments.path("path", path)
+    try:
+        there = os.stat(path)
+    except FileNotFoundError:
+        there = None
+    if there is None or stat.S_ISREG(there.st_mode):
+        _replace(Path(os.path.realpath(path)), there, arrays, durable)
+    else:  # a pipe, a device, where an archive cannot go back; of a directory this says what it is
+        with open(path, "wb") as file:
+            whole = io.BytesIO()
+            np.savez(whole, **arrays)
+            file.write(whole.getbuffer())
+
+
+def _replace(target: Path, there: os.stat_result | None, arrays: Mapping[str, Any], durable: bool) -> None:
+    """Writes the file beside the target, and puts it in its place once it is complete."""
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{TEMPORARY}")
+    try:
+        nameless = _nameless(target.parent)
+        with nameless or open(temporary, "xb") as file:
+            if there is not None:
+                take_mode(file.fileno(), there)
+            np.savez(file, **arrays)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+            if nameless:  # src_dir_fd: without it Python's os.link does not follow symbolic links
+                os.link(f"/proc/self/fd/{file.fileno()}", temporary, src_dir_fd=file.fileno(), follow_symlinks=True)
+        os.replace(temporary, target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    if durable and os.name == "posix":  # the names in the folder too
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _nameless(folder: Path) -> Any:
+    """A file without a name, which is gone when the process is killed; None if the system has no such files."""
+    if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
+        return None
+    try:
+        return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_RDWR, 0o666), "w+b")
+    except OSError:  # not on this file system
+        return None
+
+
+def take_mode(file: int, other: os.stat_result) -> None:
+    """Gives a file the mode of another one, and its owner if we may."""
+    if not hasattr(os, "fchmod"):
+        return
+    if other.st_uid != os.fstat(file).st_uid:
+        with suppress(PermissionError):
+            os.fchown(file, other.st_uid, other.st_gid)
+    os.fchmod(file, stat.S_IMODE(other.st_mode))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Read
+
+
+def read_arrays(path: PathLike, only: str | None = None) -> dict[str, Array]:
+    """All arrays of a file, or one; no arrays of a file that is not an archive."""
+    mode = os.stat(arguments.path("path", path)).st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # reading from a pipe would wait; of a folder `open` says it
         raise unreadable(path, "is not a regular file: save to one first")
     with open(path, "rb") as file:
         return arrays_in(file, os.fstat(file.fileno()).st_size, path, only)
 
 
-def arrays_in(file: IO[bytes], size: int, path: PathLike, only: str | None = None) -> dict[str, Any]:
-    """All arrays of an archive of that size, which is in the file `path`; or the one of a name, if it is there."""
+def arrays_in(file: IO[bytes], size: int, path: PathLike, only: str | None = None) -> dict[str, Array]:
+    """All arrays of an archive of that size, which is in the file `path`, or the one of a name, if it is there; no
+    arrays of something else."""
     import zipfile
 
     if not zipfile.is_zipfile(file):
         file.seek(0)
-        raise unreadable(path, "is incomplete" if file.read(2) == b"PK" else NOT_OURS)
+        if file.read(2) == b"PK":
+            raise unreadable(path, "is incomplete")
+        return {}
     file.seek(0)
     try:
         with zipfile.ZipFile(file) as archive:
@@ -80,37 +169,10 @@ def _array(archive: ZipFile, member: ZipInfo) -> Array:
         except Exception as wrong:  # a header is Python source: tokenizer, parser and NumPy each have their own error
             raise ValueError(f"{member.filename} is not an array: {type(wrong).__name__}: {wrong}") from None
         contents = stream.read()
-    kinds = "U" if member.filename.endswith("about.npy") else "fciub"
+    kinds = "U" if member.filename.endswith(f"{ABOUT}.npy") else "fciub"
     if dtype.kind not in kinds or size != len(contents) or min(shape, default=0) < 0:
         raise ValueError(f"{member.filename} is of {len(contents)} bytes, and says {shape} of {dtype}")
     if dtype.kind == "b":  # a byte may be any
         contents, dtype = (np.frombuffer(contents, np.uint8) != 0).tobytes(), np.dtype(bool)
     array = np.frombuffer(contents, dtype).reshape(shape, order="F" if by_columns else "C")
     return array.astype(dtype.newbyteorder("="))  # a copy, which may be written to
-
-
-def about_of(
-    path: PathLike, arrays: dict[str, Any], known: dict[str, int], otherwise: str = NOT_OURS
-) -> dict[str, Any]:
-    """What an archive says of itself. `known`: the formats that are expected, and the newest version of each;
-    `otherwise`: what is said of a file of another one."""
-    try:
-        about = json.loads(str(arrays.get("about", "")))
-    except (ValueError, RecursionError):
-        about = None
-    if isinstance(about, dict) and about.get("format") == ENSEMBLE:
-        about.setdefault("version", 0)  # of 0.2, whose files do not say it
-    if not isinstance(about, dict) or about.get("format") not in known or not isinstance(about.get("version"), int):
-        raise unreadable(path, otherwise)
-    newest = known[about["format"]]
-    if about["version"] > newest:
-        raise unreadable(
-            path,
-            f"has version {about['version']} of the format, written by invariode {about.get('invariode')}; this is "
-            f"invariode {version('invariode')}, which reads versions up to {newest}: upgrade it",
-        )
-    return about
-
-
-def unreadable(path: PathLike, what: str) -> ValueError:
-    return ValueError(f"the file {os.fspath(path)} {what}")

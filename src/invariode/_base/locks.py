@@ -16,7 +16,7 @@ from weakref import WeakSet
 
 from .arguments import warn
 
-__all__ = ["Lock", "LockedError", "NotALock", "held"]
+__all__ = ["Lock"]
 
 #: What a system says of a lock that somebody holds.
 _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
@@ -32,66 +32,38 @@ _LOOKS, _PAUSE = 20, 0.05
 _LOCK = "invariode lock"
 
 
-class LockedError(Exception):
-    """Somebody holds the lock; the text says who."""
-
-
-class NotALock(Exception):  # noqa: N818 - the file is in order, but not ours
-    """The file is there and is not one of ours."""
-
-
 class Lock:
-    """A locked file, which goes away when the lock is released.
-
-    Attributes
-    ----------
-    file : int
-        Its descriptor.
-    works : bool
-        Whether the file system has locks. Without, nobody is kept out.
+    """A locked file beside a path, which goes away when the lock is released. `what` is what the lock is for.
 
     Raises
     ------
-    LockedError
-        Somebody else holds it.
-    NotALock
-        The file there is not a lock.
+    ValueError
+        Somebody else holds it, or the file there is not a lock.
     OSError
         There can be no such file.
     """
 
     _holds = False
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        while True:
-            self.file = _opened(path)
+    def __init__(self, path: Path, what: str) -> None:
+        self._place = path.with_name(f".{path.name}.invariode-lock")
+        while not self._holds:
+            self._file = _opened(self._place, what)
             try:
-                self.works = _locked(self.file)
-                self._introduce()
-                if _is_at(self.file, path):
-                    self._holds = True
-                    _all.add(self)
-                    return
+                works = _locked(self._file)
+                _introduce(self._file, self._place, what)
+                self._holds = _is_at(self._file, self._place)  # or its last holder has removed it meanwhile
             except BlockingIOError:
-                holder = _holder(self.file)
-                os.close(self.file)
-                raise LockedError(holder) from None
-            except BaseException:
-                os.close(self.file)
-                raise
-            os.close(self.file)  # its last holder has removed it meanwhile
-
-    def _introduce(self) -> None:
-        """Who holds it, for those who come."""
-        before = os.read(self.file, _TEXT)
-        if before and not before.startswith(json.dumps({"format": _LOCK})[:-1].encode()):
-            raise NotALock
-        since = datetime.now().astimezone().isoformat(timespec="seconds")
-        about = {"format": _LOCK, "pid": os.getpid(), "host": platform.node(), "since": since}
-        os.ftruncate(self.file, 0)
-        os.lseek(self.file, 0, os.SEEK_SET)
-        os.write(self.file, json.dumps(about).encode())
+                raise ValueError(
+                    f"{what}: {path} is in use by {_holder(self._file)}: wait until that run has ended, or give "
+                    "another name"
+                ) from None
+            finally:
+                if not self._holds:
+                    os.close(self._file)
+        _all.add(self)
+        if not works:
+            warn(f"{what}: the file system of {path} has no locks: make sure that no other process uses the same name")
 
     def release(self) -> None:
         """Lets others take it. A second time it does nothing."""
@@ -99,11 +71,11 @@ class Lock:
             return
         self._holds = False
         if sys.platform == "win32":  # an open file stays
-            os.close(self.file)
+            os.close(self._file)
         with suppress(OSError):
-            self.path.unlink()
+            self._place.unlink()
         if sys.platform != "win32":
-            os.close(self.file)
+            os.close(self._file)
 
     def __del__(self) -> None:
         self.release()
@@ -117,25 +89,41 @@ def _close_in_child() -> None:
     for lock in _all:
         if lock._holds:
             lock._holds = False
-            os.close(lock.file)
+            os.close(lock._file)
 
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_close_in_child)
 
 
-def _opened(path: Path) -> int:
+def _not_a_lock(place: Path, what: str) -> ValueError:
+    return ValueError(f"{what}: the file {place} is there, and is not a lock of ours: move it away")
+
+
+def _opened(place: Path, what: str) -> int:
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        file = os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)
+        file = os.open(place, flags | getattr(os, "O_BINARY", 0), 0o666)
     except OSError as wrong:
         if wrong.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
-            raise NotALock from None
+            raise _not_a_lock(place, what) from None
         raise
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
-        raise NotALock
+        raise _not_a_lock(place, what)
     return file
+
+
+def _introduce(file: int, place: Path, what: str) -> None:
+    """Who holds the lock, for those who come."""
+    before = os.read(file, _TEXT)
+    if before and not before.startswith(json.dumps({"format": _LOCK})[:-1].encode()):
+        raise _not_a_lock(place, what)
+    since = datetime.now().astimezone().isoformat(timespec="seconds")
+    about = {"format": _LOCK, "pid": os.getpid(), "host": platform.node(), "since": since}
+    os.ftruncate(file, 0)
+    os.lseek(file, 0, os.SEEK_SET)
+    os.write(file, json.dumps(about).encode())
 
 
 def _locked(file: int) -> bool:
@@ -178,19 +166,3 @@ def _holder(file: int) -> str:
             return f"process {about['pid']}{here} on {about['host']}, since {about['since']}"
         sleep(_PAUSE)
     return "another process"
-
-
-def held(path: Path, what: str) -> Lock:
-    """The lock on a path, in a file beside it. A ValueError, if another run has it."""
-    place = path.with_name(f".{path.name}.invariode-lock")
-    try:
-        lock = Lock(place)
-    except LockedError as holder:
-        raise ValueError(
-            f"{what}: {path} is in use by {holder}: wait until that run has ended, or give another name"
-        ) from None
-    except NotALock:
-        raise ValueError(f"{what}: the file {place} is there, and is not a lock of ours: move it away") from None
-    if not lock.works:
-        warn(f"{what}: the file system of {path} has no locks: make sure that no other process uses the same name")
-    return lock

@@ -78,12 +78,11 @@ class Outcomes:
             self.messages.pop(i, None)
         if self.error is not None and self.error[0] not in self.messages:  # the next one is of the other attempt
             self.error = None if other.error is None else (int(rows[other.error[0]]), other.error[1])
-        self.events = [
-            in_order(
-                *(np.concatenate(pair) for pair in zip(_without(old, places), _only(new, rows, better), strict=True))
-            )
-            for old, new in zip(self.events, other.events, strict=True)
-        ]
+        for e, (old, new) in enumerate(zip(self.events, other.events, strict=True)):
+            stays, comes = ~np.isin(old.trajectory, places), np.isin(new.trajectory, better)
+            pairs = {name: (old[name][stays], new[name][comes]) for name in old}
+            pairs["trajectory"] = pairs["trajectory"][0], rows[pairs["trajectory"][1]]
+            self.events[e] = in_order(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
 #: The arrays of `Outcomes` that every run fills.
@@ -123,14 +122,3 @@ def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
     """Occurrences as trajectories ended, by trajectory; those of each one are in order."""
     order = np.argsort(trajectory, kind="stable")
     return EnsembleEvents(trajectory[order], t[order], y[order])
-
-
-def _without(events: EnsembleEvents, rows: Array) -> tuple[Array, Array, Array]:
-    others = ~np.isin(events.trajectory, rows)
-    return events.trajectory[others], events.t[others], events.y[others]
-
-
-def _only(events: EnsembleEvents, rows: Array, chosen: Array) -> tuple[Array, Array, Array]:
-    """Those of the chosen ones, whose numbers are those of `rows`."""
-    these = np.isin(events.trajectory, chosen)
-    return rows[events.trajectory[these]], events.t[these], events.y[these]

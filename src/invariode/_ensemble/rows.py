@@ -201,7 +201,7 @@ def _solve_one(task: Task, i: int) -> _Outcome:
 def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     bound = plan.bound
     if jumps := run.take_jumps():
-        bound = bound.jumped(jumps, forward=plan.settings.forward)
+        bound = bound.jumped(jumps)
     t, y, t_end, y_end = run.take_points()
     counts = np.array(run.counts)
     counts[_NG] += bound.evaluations  # before the run, as in a single run

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import operator
 import os
 import pickle
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Literal, overload
+from operator import attrgetter
+from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import numpy as np
 
 from .._base.arguments import Array, choice
-from .._base.files import ENSEMBLE, ENSEMBLE_VERSION, about_of, read_arrays, unreadable
+from .._base.files import damage_of
+from .._base.formats import GROUP, Field, Kind, read, under, write
 from .._base.notebook import html_of_ensemble
 from .._base.types import Numbers
 from .._laws.bound import BoundInvariants
-from .._results.export import ensemble_to_dataframe, ensemble_to_xarray, write_arrays
+from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
 from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
+from .._results.saving import OCCURRENCES, apart, together
 from .._results.solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used
@@ -103,6 +105,11 @@ class EnsembleEvents(Record):
 
     def __repr__(self) -> str:
         return f"EnsembleEvents({len(self.t)} occurrences in {len(np.unique(self.trajectory))} trajectories)"
+
+
+def none_of(states: Array) -> dict[str, Array]:
+    """The fields of no events of trajectories with such states."""
+    return {"trajectory": np.zeros(0, dtype=np.int64), "t": np.zeros(0), "y": states[:0]}
 
 
 @dataclasses.dataclass(eq=False, repr=False)
@@ -410,18 +417,7 @@ class EnsembleSolution:
         OSError
             The file cannot be written.
         """
-        fields = {name: self[name] for name in self.keys() if name not in ("events", "stats", "messages")}
-        arrays = {**fields, **{f"stats.{name}": counts for name, counts in self.stats.items()}}
-        for i, event in enumerate(self.events):
-            arrays |= {f"events.{i}.{name}": event[name] for name in event}
-        about = {
-            "format": ENSEMBLE,
-            "version": ENSEMBLE_VERSION,
-            "messages": self.messages,
-            "events": len(self.events),
-            "final": self._final,
-        }
-        write_arrays({**arrays, "about": np.array(json.dumps(about))}, path)
+        write(path, _ENSEMBLE, _ENSEMBLE.taken(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EnsembleSolution:
@@ -434,34 +430,48 @@ class EnsembleSolution:
         OSError
             It cannot be read.
         """
-        arrays = read_arrays(path)
-        about = about_of(path, arrays, {ENSEMBLE: ENSEMBLE_VERSION}, "was not written by EnsembleSolution.save")
-        try:
-            return _from_arrays(arrays, about)
-        except Exception as wrong:  # whatever it is: the file is the only input
-            raise unreadable(path, f"is damaged: {type(wrong).__name__}: {wrong}") from None
+        _, found = read(path, _ENSEMBLE)
+        with damage_of(path):
+            return cls(**{
+                **{name: one for name, one in found.items() if name in cls.__annotations__},
+                "stats": EnsembleStats(**under("stats", found)),
+                "events": [EnsembleEvents(**one) for one in apart(under("events", found), found["events"])],
+                "messages": {int(i): text for i, text in found["messages"].items()},
+                "_final": found["final"],
+            })  # fmt: skip
 
 
-def _from_arrays(arrays: dict[str, Any], about: dict[str, Any]) -> EnsembleSolution:
-    parts: dict[str, dict[str, Any]] = {}
-    for name in [name for name in arrays if "." in name]:
-        room, _, field = name.rpartition(".")
-        parts.setdefault(room, {})[field] = arrays.pop(name)
-    del arrays["about"]
-    size, n = arrays["y_end"].shape
-    stats = EnsembleStats(**parts["stats"])
-    events = [EnsembleEvents(**parts[f"events.{i}"]) for i in range(about["events"])]
-    messages = {int(i): str(text) for i, text in about["messages"].items()}
-    final = about["final"] is True
-    m = EnsembleSolution(**arrays, stats=stats, events=events, messages=messages, _final=final)
-    rows = ("t_end", "status", "success", "correction", "attempt")
-    laws = (m.value, m.residual_before, m.residual_after)
-    if (
-        m.y.shape != (size, n, len(m.t))
-        or any(m[name].shape != (size,) for name in rows)
-        or any(one.shape != (size,) for one in stats.values())
-        or any(one.shape != (size, m.value.shape[1]) for one in laws)
-        or any(one.y.shape != (len(one.t), n) or one.trajectory.shape != one.t.shape for one in events)
-    ):
-        raise ValueError("arrays do not match")
-    return m
+#: The arrays with a row for each trajectory, in files and in stores.
+OF_TRAJECTORIES = {
+    "y": Field(None, "trajectory component t"),
+    "t_end": Field(float, "trajectory"),
+    "y_end": Field(None, "trajectory component"),
+    "status": Field(np.int8, "trajectory"),
+    "value": Field(float, "trajectory invariant"),
+    "residual_before": Field(float, "trajectory invariant"),
+    "residual_after": Field(float, "trajectory invariant"),
+    "correction": Field(float, "trajectory"),
+    "attempt": Field(np.int8, "trajectory"),
+}
+
+
+def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
+    return len(m.events), together(m.events, none_of(m.y_end))
+
+
+_COUNTED = [name for name in EnsembleStats.__annotations__ if name != "_lanes"]
+_REAL = ("clipped_amount", "stiff_since", "discontinuity")
+_ENSEMBLE = Kind(
+    "ensemble",
+    {
+        "messages": Field(dict[str, str], of=lambda m: {str(i): text for i, text in m.messages.items()}),
+        "final": Field(bool, of=attrgetter("_final")),
+        "t": Field(float, "t"),
+        "success": Field(bool, "trajectory"),
+        **OF_TRAJECTORIES,
+        **{f"stats.{name}": Field(float if name in _REAL else np.int64, "trajectory") for name in _COUNTED},
+        "events": Field(Annotated[int, "event"], GROUP, _events),
+        **OCCURRENCES,
+        "events.trajectory": Field(np.int64, "occurrence", within=(0, "<trajectory")),
+    },
+)

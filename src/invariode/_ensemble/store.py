@@ -6,17 +6,19 @@ import inspect
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
-from .._base.locks import held
+from .._base.files import damage_of, named
+from .._base.formats import Field, Kind, header, kind_of
+from .._base.locks import Lock
+from .._results.saving import apart, together
 from .outcomes import ROWS, Outcomes, counts_by_name
-from .solution import EnsembleEvents, EnsembleSolution, EnsembleStats, final_states
+from .solution import OF_TRAJECTORIES, EnsembleEvents, EnsembleSolution, EnsembleStats, final_states, none_of
 from .sources import Part, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used
@@ -24,53 +26,45 @@ if TYPE_CHECKING:  # an extra, imported when it is used
 
 __all__ = ["EnsembleStore", "Layout", "StoreWriter", "parameter_names"]
 
-#: What every store says of itself, and what it says before it is complete.
-_FORMAT, _UNFINISHED = "invariode ensemble", "invariode ensemble, unfinished"
+#: What a store says that is being made.
+_UNFINISHED = "invariode store, unfinished"
 #: The version in which what an array holds where nothing was written is no missing value.
 _ZARR_FORMAT = 3
 #: The status of a trajectory that is not solved yet.
 UNSOLVED = -128
-#: The dimensions of each array, after that of the trajectories.
-_DIMENSIONS: Mapping[str, tuple[str, ...]] = {
-    "y0": ("component",),
-    "args": ("parameter",),
-    "y": ("component", "t"),
-    "y_end": ("component",),
-    "t_end": (),
-    "status": (),
-    "attempt": (),
-    "counts": ("count",),
-    "clipped_amount": (),
-    "stiff_since": (),
-    "discontinuity": (),
-    "value": ("invariant",),
-    "residual_before": ("invariant",),
-    "residual_after": ("invariant",),
-    "correction": (),
+#: The arrays with a row for each trajectory.
+_ROWS = {
+    "y0": Field(None, "trajectory component"),
+    "args": Field(float, "trajectory parameter"),
+    **OF_TRAJECTORIES,
+    "counts": Field(np.int64, "trajectory count"),
+    "clipped_amount": Field(float, "trajectory"),
+    "stiff_since": Field(float, "trajectory"),
+    "discontinuity": Field(float, "trajectory"),
 }
 
 
-class Layout:
-    """What the arrays of a store are, and what problem they are of.
+#: And what it says of itself.
+_STORE = Kind(
+    "store",
+    {
+        "problem": Field(dict[str, Any]),
+        "chunk": Field(int, within=(1, np.inf)),  # rows in a part
+        "size": Field(int | None, within=(0, np.inf)),
+        "seed": Field(Any),
+        "kept_times": Field(bool),
+    },
+)
 
-    Parameters
-    ----------
-    about : dict
-        What describes the problem, its method and options, in text and numbers.
-    names : dict of str to list of str
-        The coordinates 'component', 'parameter', 'invariant' and 'event'.
-    t : ndarray, (n_t,)
-        The times of y.
-    dtype : dtype
-        Of y.
-    times : bool
-        Whether `t_eval` was given; otherwise only the final states are kept.
-    """
 
-    def __init__(
-        self, about: dict[str, Any], names: dict[str, list[str]], t: Array, dtype: np.dtype[Any], times: bool
-    ) -> None:
-        self.about, self.names, self.t, self.dtype, self.times = about, names, t, dtype, times
+class Layout(NamedTuple):
+    """What the arrays of a store are, and what problem they are of."""
+
+    about: dict[str, Any]  # what describes the problem, its method and options, in text and numbers
+    names: dict[str, list[str]]  # the coordinates 'component', 'parameter', 'invariant' and 'event'
+    t: Array  # the times of y
+    dtype: np.dtype[Any]  # of y
+    times: bool  # `t_eval` was given; otherwise only the final states are kept
 
     def arrays(self) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any], Any]]:
         """Each array: its name, its shape without the trajectories, its type, its value for unsolved ones."""
@@ -78,17 +72,12 @@ class Layout:
             "t": len(self.t),
             "count": len(_core.COUNTS),
         }
-        whole, real = self.dtype, np.dtype(float)
-        types = {"y0": whole, "y": whole, "y_end": whole, "counts": np.dtype(np.int64)}
-        for name, dimensions in _DIMENSIONS.items():
-            shape = tuple(sizes[one] for one in dimensions)
+        for name, field in _ROWS.items():
+            shape = tuple(sizes[one] for one in field.dimensions[1:])
             if 0 in shape or (name == "y" and not self.times):
                 continue
-            if name in ("status", "attempt"):
-                yield name, shape, np.dtype(np.int8), UNSOLVED if name == "status" else 0
-            else:
-                dtype = types.get(name, real)
-                yield name, shape, dtype, 0 if name == "counts" else np.nan
+            dtype = np.dtype(field.type or self.dtype)
+            yield name, shape, dtype, UNSOLVED if name == "status" else np.nan if dtype.kind in "fc" else 0
 
 
 class StoreWriter:
@@ -108,7 +97,7 @@ class StoreWriter:
     ) -> None:
         self.path, self._layout = path, layout
         folder = _folder(path)
-        self._lock = None if folder is None else held(folder, "store")
+        self._lock = None if folder is None else Lock(folder, "store")
         try:
             group = _opened(path, "r+")
             if group is None or group.attrs.get("format") == _UNFINISHED:
@@ -120,9 +109,9 @@ class StoreWriter:
             else:
                 if not resume:
                     raise FileExistsError(
-                        f"{_shown(path)} exists already: continue it with resume=True, remove it, or give another name"
+                        f"{named(path)} exists already: continue it with resume=True, remove it, or give another name"
                     )
-                _require_same(group, layout, size, seed)
+                _require_same(path, group, layout, size, seed)
             self._group = group
             #: Rows in a part.
             self.length = int(group.attrs["chunk"])
@@ -161,14 +150,13 @@ class StoreWriter:
         group = _zarr().create_group(path, zarr_format=_ZARR_FORMAT, overwrite=True, attributes=attributes)
         rows = length if size is None else size
         for name, shape, dtype, fill in self._layout.arrays():
-            dimensions = ["trajectory", *_DIMENSIONS[name]]
             group.create_array(
                 name,
                 shape=(rows, *shape),
                 chunks=(length, *shape),
                 dtype=dtype,
                 fill_value=fill,
-                dimension_names=dimensions,
+                dimension_names=_ROWS[name].dimensions,
             )
         coordinates: dict[str, Any] = {**self._layout.names, "count": list(_core.COUNTS), "t": self._layout.t}
         for name, values in coordinates.items():
@@ -184,8 +172,8 @@ class StoreWriter:
             fill_value=0,
             dimension_names=["part"],
         )
-        about = {"format": _FORMAT, "version": version("invariode"), "problem": self._layout.about, "chunk": length}
-        group.attrs.update(about | {"size": size, "seed": seed, "kept_times": self._layout.times})
+        about = {"problem": self._layout.about, "chunk": length, "size": size, "seed": seed}
+        group.attrs.update({**header("store"), **about, "kept_times": self._layout.times})
         return group
 
     def missing(self, parts: Iterator[Part]) -> Iterator[Part]:
@@ -202,7 +190,7 @@ class StoreWriter:
                 yield part
             elif there != digest(part):
                 raise ValueError(
-                    f"{_shown(self.path)} has other y0 or args for trajectories {part.start} to {part.stop - 1}: "
+                    f"{named(self.path)} has other y0 or args for trajectories {part.start} to {part.stop - 1}: "
                     "resume with the same rows (and seed), or give another name"
                 )
 
@@ -224,16 +212,15 @@ class StoreWriter:
 
     def _write_apart(self, part: Part, found: Outcomes) -> None:
         """What only some trajectories have: messages and events, in a group of the part."""
-        happened = [(e, one) for e, one in enumerate(found.events) if len(one.t)]
-        if not found.messages and not happened:
+        happened = together(found.events, none_of(part.y0))
+        if not found.messages and not len(happened["t"]):
             return
         own = self._group.create_group(f"parts/{part.number}", overwrite=True)
         own.attrs["messages"] = {str(part.start + i): text for i, text in found.messages.items()}
-        for e, one in happened:
-            for name, values in (("trajectory", part.start + one.trajectory), ("t", one.t), ("y", one.y)):
-                dtype = np.dtype(values.dtype.str)  # Zarr knows one of the two C types of 8 bytes
-                array = own.create_array(f"event{e}_{name}", shape=values.shape, dtype=dtype)
-                array[...] = values
+        happened["trajectory"] += part.start
+        for name, values in happened.items():
+            dtype = np.dtype(values.dtype.str)  # Zarr knows one of the two C types of 8 bytes
+            own.create_array(name, shape=values.shape, dtype=dtype)[...] = values
 
     def _grow(self, rows: int) -> None:
         for array in self._arrays.values():
@@ -275,11 +262,8 @@ class EnsembleStore:
 
     def __init__(self, path: Any) -> None:
         self.path = path
-        group = _opened(path, "r")
-        if group is None or group.attrs.get("format") != _FORMAT:
-            raise ValueError(f"{_shown(path)} is not a store of an ensemble: make one with solve_ensemble(store=...)")
-        self._group = group
-        self.attributes: dict[str, Any] = dict(group.attrs)
+        self._group = _opened(path, "r")
+        self.attributes = _about(path, self._group)
 
     def __len__(self) -> int:
         size = self.attributes["size"]
@@ -288,7 +272,7 @@ class EnsembleStore:
     def __repr__(self) -> str:
         missing = self.missing
         left = f", {missing} not solved yet: resume=True" if missing else ""
-        return f"EnsembleStore({_shown(self.path)!r}) of {len(self)} trajectories, {len(self.failed)} failed{left}"
+        return f"EnsembleStore({named(self.path)!r}) of {len(self)} trajectories, {len(self.failed)} failed{left}"
 
     def _of_parts(self, name: str) -> Iterator[tuple[int, Array]]:
         """An array part by part, with the first row of each: no more than a part is in memory."""
@@ -320,22 +304,16 @@ class EnsembleStore:
     @property
     def events(self) -> list[EnsembleEvents]:
         """The events, as those of `EnsembleSolution`."""
-        names = self._group["event"][:] if "event" in self._group else []
-        return [self._event(e) for e in range(len(names))]
+        each = [{name: part[name][:] for name in part.array_keys()} for part in self._parts()]
+        empty = {"number": np.zeros(0, dtype=np.int64), **none_of(self._group["y_end"])}
+        whole = {name: np.concatenate([none, *(one[name] for one in each)]) for name, none in empty.items()}
+        size = self._group["event"].shape[0] if "event" in self._group else 0
+        return [EnsembleEvents(**one) for one in apart(whole, size)]
 
     def _parts(self) -> list[Any]:
         if "parts" not in self._group:
             return []
         return [part for _, part in sorted(self._group["parts"].groups(), key=lambda named: int(named[0]))]
-
-    def _event(self, e: int) -> EnsembleEvents:
-        parts = [part for part in self._parts() if f"event{e}_t" in part]
-        y = self._group["y_end"]
-        return EnsembleEvents(
-            np.concatenate([np.zeros(0, dtype=np.int64), *(part[f"event{e}_trajectory"][:] for part in parts)]),
-            np.concatenate([np.zeros(0), *(part[f"event{e}_t"][:] for part in parts)]),
-            np.concatenate([np.zeros((0, y.shape[1]), y.dtype), *(part[f"event{e}_y"][:] for part in parts)]),
-        )
 
     def to_xarray(self) -> xarray.Dataset:
         """The store as a data set of xarray, which reads only what is used.
@@ -374,6 +352,11 @@ class EnsembleStore:
         if missing := self.missing:
             raise ValueError(f"{missing} trajectories are not solved yet: solve them with resume=True")
         size, group = len(self), self._group
+        with damage_of(self.path):
+            sizes = {name: group[name].shape[0] for name in ("component", "invariant", "t") if name in group}
+            for name in _ROWS.keys() & set(group.array_keys()):
+                if not _ROWS[name].fits(group[name], sizes | {"count": len(_core.COUNTS)}):
+                    raise ValueError(f"{name} is of {group[name].dtype} and shape {group[name].shape}")
         m = group["invariant"].shape[0] if "invariant" in group else 0
         times = bool(self.attributes["kept_times"])
         held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
@@ -389,11 +372,18 @@ class EnsembleStore:
 # The same problem?
 
 
-def _require_same(group: Any, layout: Layout, size: int | None, seed: Any) -> None:
+def _about(path: Any, group: Any) -> dict[str, Any]:
+    """What a store says of itself. A ValueError, if there is none, or something else."""
+    about = {} if group is None else dict(group.attrs)
+    kind_of(path, about, "store")
+    with damage_of(path):
+        _STORE.require(about)
+    return about
+
+
+def _require_same(path: Any, group: Any, layout: Layout, size: int | None, seed: Any) -> None:
     """Refuses a store that belongs to another problem."""
-    held = dict(group.attrs)
-    if held.get("format") != _FORMAT:
-        raise ValueError("something else is there, not a store of an ensemble: give another name")
+    held = _about(path, group)
     theirs, ours = _flat(held["problem"]), _flat(layout.about)
     differing = [key for key in {**theirs, **ours} if theirs.get(key) != ours.get(key)]
     if size is not None and held["size"] not in (None, size):
@@ -461,7 +451,3 @@ def _folder(path: Any) -> Path | None:
     folder = Path(os.path.realpath(path))
     folder.parent.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def _shown(path: Any) -> str:
-    return os.fspath(path) if isinstance(path, (str, os.PathLike)) else str(path)

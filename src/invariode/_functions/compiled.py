@@ -33,6 +33,7 @@ from .._base.arguments import Array, call_name, choice, shown, warn
 __all__ = [
     "Compiled",
     "CompiledFunction",
+    "Shape",
     "compile",
     "complex_form",
     "event_value",
@@ -69,7 +70,7 @@ class CoreFunction:
         raise NotImplementedError
 
 
-class _Shape(NamedTuple):
+class Shape(NamedTuple):
     """What machine code takes and gives."""
 
     n: int
@@ -137,8 +138,8 @@ class CompiledFunction:
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
         self._made: dict[tuple[Any, ...], _core.Native] = {}
-        self._own: set[_Shape] = set()
-        self._copying: set[_Shape] = set()
+        self._own: set[Shape] = set()
+        self._copying: set[Shape] = set()
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
@@ -150,7 +151,7 @@ class CompiledFunction:
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
 
-    def __reduce__(self) -> str | tuple[type[CompiledFunction], tuple[Callable[..., Any], bool, str]]:
+    def __reduce__(self) -> str | tuple[Any, ...]:
         """By name where `compile` was the decorator of a function; never with the machine code."""
         try:
             named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
@@ -161,7 +162,7 @@ class CompiledFunction:
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
         """The machine code for n components, `size` values and that many parameters. With `second` the function takes
         two vectors, of n - second and second components, which follow each other in y."""
-        return self._machine_code(_Shape(n, size, parameters, event, second))
+        return self._machine_code(Shape(n, size, parameters, event, second))
 
     def complex_native(
         self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
@@ -175,7 +176,7 @@ class CompiledFunction:
             numba cannot compile it for complex numbers.
         """
         try:
-            return self._machine_code(_Shape(n, size, parameters, False, second, is_complex=True, real_time=real_time))
+            return self._machine_code(Shape(n, size, parameters, False, second, is_complex=True, real_time=real_time))
         except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
 
@@ -186,9 +187,9 @@ class CompiledFunction:
 
     def result_type(self, n: int, size: int, parameters: int) -> Any:
         """numba's type of what the function returns for n components, where that is `size` values."""
-        return self._result(self.jitted, _Shape(n, size, parameters, event=False), copies=False)
+        return self._result(self.jitted, Shape(n, size, parameters, event=False), copies=False)
 
-    def _machine_code(self, shape: _Shape) -> _core.Native:
+    def _machine_code(self, shape: Shape) -> _core.Native:
         with self._making:
             made = self._made.get(shape)
             if made is None:
@@ -196,7 +197,7 @@ class CompiledFunction:
                 made = self._made[shape] = _Native(code.address, shape.event, code, (self, shape))
         return made
 
-    def _make(self, shape: _Shape) -> Any:
+    def _make(self, shape: Shape) -> Any:
         """Its arguments are arrays that it may only read. What numba does not compile for these, because it writes to
         them or hands them to a function of a fixed signature, gets copies."""
         refused = _numba().core.errors.NumbaError
@@ -214,7 +215,7 @@ class CompiledFunction:
         self._own.add(shape)
         return own
 
-    def _code(self, shape: _Shape, *, copies: bool) -> Any:
+    def _code(self, shape: Shape, *, copies: bool) -> Any:
         """numba's code, whose arguments are read-only or copies."""
         from .given_arrays import copied, read_only
 
@@ -248,11 +249,11 @@ class CompiledFunction:
 
     def works_on_copies(self, n: int, size: int, parameters: int, event: bool) -> bool:
         """Whether what was made for n components, with `size` values, gets copies of y and p."""
-        return _Shape(n, size, parameters, event) in self._copying
+        return Shape(n, size, parameters, event) in self._copying
 
     def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
         """Whether what was made for n components, with `size` values, calls our elementary functions."""
-        return _Shape(n, size, parameters, event) in self._own
+        return Shape(n, size, parameters, event) in self._own
 
     def _jit(self, is_complex: bool) -> Any:
         """For numba; 1/0 is inf: no exceptions."""
@@ -327,7 +328,7 @@ class CompiledFunction:
             raise TypeError(f"compile({self.__name__}): the function returns {what}, expected {size} values")
         return [f"out[{i * columns + j}] = r[{i}][{j}]" for i in range(rows) for j in range(columns)]
 
-    def _result(self, jitted: Any, shape: _Shape, copies: bool) -> Any:
+    def _result(self, jitted: Any, shape: Shape, copies: bool) -> Any:
         """numba's type of what the function returns."""
         numba = _numba()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
@@ -535,7 +536,7 @@ def made_by_compile(fun: Any) -> Compiled | None:
     if not isinstance(fun, _Native) or fun.made_of is None:
         return None
     compiled, shape = fun.made_of
-    known = _Shape(shape.n, shape.size, shape.parameters, shape.event)
+    known = Shape(shape.n, shape.size, shape.parameters, shape.event)
     return Compiled(compiled, known.n, known.size, known.parameters, known.event) if shape == known else None
 
 

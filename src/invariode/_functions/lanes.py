@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .. import _core
 from .._base.arguments import warn
 from .compiled import Compiled, made_by_compile
+from .graph.function import GraphFunction
 
 if TYPE_CHECKING:
     from .machine_code import MachineCode
@@ -110,6 +111,11 @@ def choose_lanes(solver: _core.Solver, functions: Mapping[str, Any], size: int) 
 def _lane_code(made: Compiled, width: int, bits: int) -> MachineCode | str:
     """The form, or the reason why the function {f} has no form for lanes."""
     global _warned
+    if isinstance(made.function, GraphFunction):
+        if made.function.solves_systems:
+            return "{f} solves a linear system"
+        code: MachineCode = made.function.lane_code(width)
+        return code
     if made.function.works_on_copies(*made[1:]):
         return "{f} writes to y or p, or hands them to a function that may"
     reason, own = "", made.function.has_own_functions(*made[1:])

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 from llvmlite import ir
-from numba.core.registry import cpu_target
 
 from .elementary import FORMULAS, LARGEST, LIBRARY, POWERS, Formula
 from .llvm_values import Value
@@ -237,6 +236,8 @@ def _all(truths: Value) -> Value:
 
 def machine() -> Any:
     """A target machine with numba's own options: the code must have the same bits."""
+    from numba.core.registry import cpu_target
+
     codegen: Any = cpu_target.target_context.codegen()
     options: dict[str, Any] = {"opt": 3}
     codegen._tm_features = codegen._customize_tm_features()

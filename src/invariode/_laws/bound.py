@@ -121,9 +121,9 @@ class BoundInvariants:
         """The values at which the invariants are held at the end of the run."""
         return self.jumps[-1].value[: len(self)] if self.jumps else self.value
 
-    def jumped(self, jumps: Iterable[tuple[int, float, Array]], forward: float) -> BoundInvariants:
-        """The same with the jumps of a run in the direction `forward`."""
-        return replace(self, jumps=tuple(Jump(*jump) for jump in jumps), forward=forward)
+    def jumped(self, jumps: Iterable[tuple[int, float, Array]]) -> BoundInvariants:
+        """The same with the jumps of a run."""
+        return replace(self, jumps=tuple(Jump(*jump) for jump in jumps))
 
     def pieces_of_output(self, size: int) -> Array:
         """Between which jumps each point of the output lies."""

@@ -311,8 +311,8 @@ class MechanicalSystem(HasPoints):
 
     def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
-        origin = getattr(sol, "_origin", None)
-        known = self.args if origin is None else origin.source.problem.args
+        source = getattr(getattr(sol, "_origin", None), "source", None)  # None: of a file or a pickle
+        known = self.args if source is None else source.problem.args
         used = known if args is None else extra_arguments(args)
         points = [Point(float(t), y[:n], y[n:], used) for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True)]
         motion = self._motion(points[0]) if points else None

@@ -1,54 +1,26 @@
-"""Solutions as data: labelled arrays, tables, and the files that `load` reads."""
+"""Solutions as data: labelled arrays and tables."""
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
-import io
 import json
 import os
-import secrets
-import stat
-from contextlib import suppress
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, shown, warn
-from .._base.files import path_of
+from .._base.arguments import Array
+from .._base.formats import write
 from .result import Result, default_labels
+from .saving import SOLUTION
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import pandas
     import xarray
 
-__all__ = [
-    "FORMAT",
-    "PLAIN",
-    "TEMPORARY",
-    "VERSION",
-    "Exports",
-    "ensemble_to_dataframe",
-    "ensemble_to_xarray",
-    "save",
-    "to_dataframe",
-]
-__all__ += ["take_mode", "to_xarray", "write_arrays"]
-
-#: What every file says about itself, and the version of its contents: raised whenever they change.
-FORMAT, VERSION = "invariode solution", 4
-
-#: How deep lists and dicts may be nested in fields that the user adds.
-_DEEPEST = 50
-
-#: How the names of files end that are being written.
-TEMPORARY = ".invariode-part"
-
-#: The fields of a Solution that JSON takes as they are.
-PLAIN = ("nfev", "njev", "nlu", "status", "message", "success")
+__all__ = ["Exports", "ensemble_to_dataframe", "ensemble_to_xarray", "to_dataframe", "to_xarray"]
 
 
 class Exports(Result):
@@ -109,7 +81,7 @@ class Exports(Result):
         OSError
             The file cannot be written.
         """
-        save(self, path)
+        write(path, SOLUTION, SOLUTION.taken(self))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -242,170 +214,3 @@ def _tolerance(given: ArrayLike) -> float | list[float]:
     """A number, also for an array of one, which netCDF does not tell from it."""
     values = np.asarray(given, dtype=float)
     return float(values.item()) if values.size == 1 else [float(one) for one in values]
-
-
-# ----------------------------------------------------------------------------------------------------------------------
-# Files: an .npz archive of arrays, and in `about` everything else, as JSON. Nothing in it is ever executed.
-
-
-def save(solution: Result, path: str | os.PathLike[str]) -> None:
-    """See `Solution.save`."""
-    write_arrays(_to_arrays(solution), path)
-
-
-def write_arrays(arrays: dict[str, Any], path: str | os.PathLike[str], durable: bool = False) -> None:
-    """Writes an archive of arrays, which takes the place of one that is there when it is complete; `durable`: when it
-    is on the disk."""
-    path = path_of(path)
-    try:
-        there = os.stat(path)
-    except FileNotFoundError:
-        there = None
-    if there is None or stat.S_ISREG(there.st_mode):
-        target = Path(os.path.realpath(path))
-        _replace(target, there, arrays, durable)
-        if durable:
-            _write_through(target.parent)
-    else:  # a pipe, a device, where an archive cannot go back; of a directory this says what it is
-        with open(path, "wb") as file:
-            whole = io.BytesIO()
-            np.savez(whole, **arrays)
-            file.write(whole.getbuffer())
-
-
-def _write_through(folder: Path) -> None:
-    """Waits until the names in a folder are on the disk, where the system can say so."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _replace(target: Path, there: os.stat_result | None, arrays: dict[str, Any], durable: bool) -> None:
-    """Writes the file beside the target, and puts it in its place once it is complete."""
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{TEMPORARY}")
-    try:
-        nameless = _nameless(target.parent)
-        with nameless or open(temporary, "xb") as file:
-            if there is not None:
-                take_mode(file.fileno(), there)
-            np.savez(file, **arrays)
-            file.flush()
-            if durable:
-                os.fsync(file.fileno())
-            if nameless:  # src_dir_fd: without it Python's os.link does not follow symbolic links
-                os.link(f"/proc/self/fd/{file.fileno()}", temporary, src_dir_fd=file.fileno(), follow_symlinks=True)
-        os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def _nameless(folder: Path) -> Any:
-    """A file without a name, which is gone when the process is killed; None if the system has no such files."""
-    if not hasattr(os, "O_TMPFILE") or not os.path.isdir("/proc/self/fd"):
-        return None
-    try:
-        return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_RDWR, 0o666), "w+b")
-    except OSError:  # not on this file system
-        return None
-
-
-def take_mode(file: int, other: os.stat_result) -> None:
-    """Gives a file the mode of another one, and its owner if we may."""
-    if not hasattr(os, "fchmod"):
-        return
-    if other.st_uid != os.fstat(file).st_uid:
-        with suppress(PermissionError):
-            os.fchown(file, other.st_uid, other.st_gid)
-    os.fchmod(file, stat.S_IMODE(other.st_mode))
-
-
-def _to_arrays(solution: Result) -> dict[str, Any]:
-    g, dense = solution._invariants, solution.sol
-    pieces = g.pieces_of_output(len(solution.t))
-    arrays: dict[str, Any] = {
-        "t": solution.t,
-        "y": solution.y,
-        "rtol": np.asarray(solution._rtol, dtype=float),
-        "atol": np.asarray(solution._atol, dtype=float),
-        "drift.residual": solution._drift.residual,
-        "drift.distance": solution._drift.distance,
-        "drift.correction": np.asarray(solution._drift.correction),
-        "invariants.value": g.value,
-        "invariants.residual": solution.residual,
-        "invariants.distance": g.distance(solution.t, solution.y, solution._rtol, solution._atol, pieces),
-        "jumps.row": np.array([jump.row for jump in g.jumps], dtype=np.int64),
-        "jumps.t": np.array([jump.t for jump in g.jumps], dtype=float),
-        "jumps.value": np.array([jump.value for jump in g.jumps], dtype=float).reshape(len(g.jumps), len(g)),
-    }
-    if solution.steps is not None:
-        arrays["steps"] = solution.steps._rows
-    for what, events in (("t_events", solution.t_events), ("y_events", solution.y_events)):
-        arrays |= {f"{what}.{i}": one for i, one in enumerate(events or ())}
-    origin: dict[str, Any] | None = None
-    if solution._origin is not None:
-        origin, of_origin = solution._origin.stored()
-        arrays |= {f"origin.{name}": one for name, one in of_origin.items()}
-    parts = {} if dense is None else dense._dense.parts()
-    arrays |= {f"dense.{name}": part for name, part in parts.items() if isinstance(part, np.ndarray)}
-    added, of_added = _added(solution)
-    arrays |= of_added
-    about = {
-        "format": FORMAT,
-        "version": VERSION,
-        "invariode": version("invariode"),
-        "name": solution._names.problem,
-        "labels": _labels(solution),
-        "events": None if solution.t_events is None else len(solution.t_events),
-        "title": solution._names.title,
-        "event_names": solution._names.events,
-        "invariants": g.names,
-        "forward": g.forward,
-        **{name: solution[name] for name in PLAIN},
-        "t_end": solution.t_end,
-        "stats": dict(solution.stats),
-        "methods": [] if solution.steps is None else list(solution.steps._methods),
-        "dense": {name: part for name, part in parts.items() if not isinstance(part, np.ndarray)},
-        "imposed": dense is not None and dense._imposed is not None,
-        "origin": origin,
-        "added": added,
-    }
-    arrays["about"] = np.array(json.dumps(about))
-    return arrays
-
-
-def _added(solution: Result) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The fields that the user has added: by name, values in JSON's types or the names of arrays."""
-    own = {field.name for field in dataclasses.fields(Result)}
-    added: dict[str, Any] = {}
-    arrays: dict[str, Array] = {}
-    left_out: list[str] = []
-    for name, value in solution.items():
-        if name in own:
-            continue
-        if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biufc":
-            array = f"added.{len(arrays)}"
-            arrays[array] = np.asarray(value)
-            added[name] = {"array": array}
-        elif _is_plain(name) and _is_plain(value):
-            added[name] = {"value": value}
-        else:
-            left_out.append(shown(name))
-    if left_out:
-        warn(f"save keeps numbers, text, lists, dicts and arrays, and leaves out the fields {', '.join(left_out)}")
-    return added, arrays
-
-
-def _is_plain(value: Any, depth: int = 0) -> bool:
-    """Whether JSON gives the same value back."""
-    if value is None or type(value) in (bool, int, float, str):
-        return True
-    if depth == _DEEPEST:
-        return False
-    if type(value) is dict:
-        return all(type(name) is str and _is_plain(one, depth + 1) for name, one in value.items())
-    return type(value) is list and all(_is_plain(one, depth + 1) for one in value)

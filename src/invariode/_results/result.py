@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -333,13 +333,13 @@ class DenseSolution:
 
 @dataclasses.dataclass
 class Names:
-    """The names in tables and pictures."""
+    """The names in tables and pictures; in files the lengths of the lists are dimensions."""
 
     problem: str
     title: str | None  # the problem's name, where one was given
-    labels: list[str] | None
-    size: int
-    events: list[str]
+    labels: Annotated[list[str], "component"] | None
+    size: Annotated[int, "component"]
+    events: Annotated[list[str], "event"]
 
     @property
     def components(self) -> list[str]:

@@ -19,6 +19,26 @@ __all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution
 class Origin(Protocol):
     """What a solution was made from: what is needed to continue it."""
 
+    @property
+    def imposed(self) -> bool:
+        """Whether its extension will be projected to roundoff."""
+
+    @property
+    def y(self) -> Array:
+        """Where it ended."""
+
+    @property
+    def next_h(self) -> float | None:
+        """The step to go on with; None: the method chooses one."""
+
+    @property
+    def memory(self) -> bytes:
+        """What the method remembers,"""
+
+    @property
+    def memory_version(self) -> int:
+        """in this version."""
+
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
@@ -28,8 +48,8 @@ class Origin(Protocol):
     def field(self, y: Array) -> Array | None:
         """f at the start of the run, in other states (n, k)."""
 
-    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """The same for a file: in JSON's types, and arrays by name."""
+    def identity(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """What tells its run from another, in JSON's types, and arrays by name."""
 
     def imposing(self) -> Origin:
         """The same for the projected solution: its extension will be projected too."""

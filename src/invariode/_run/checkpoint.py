@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import json
+import math
 import os
 import platform
 import re
@@ -11,23 +10,20 @@ import secrets
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._base.arguments import Array
-from .._base.files import PathLike, about_of, arrays_in, path_of, read_arrays, unreadable
-from .._base.locks import Lock, held
-from .._results.export import PLAIN, TEMPORARY, take_mode, write_arrays
+from .._base.files import TEMPORARY, PathLike, damage_of, take_mode, unreadable
+from .._base.formats import Field, Kind, packed, read, read_values, unpacked, write
+from .._base.locks import Lock
 from .._results.result import Result
-from .identity import Identity
+from .._results.saving import END, OUTPUT, RUN, SOLUTION
 
-__all__ = ["CHECKPOINT", "CHECKPOINT_VERSION", "Checkpoint", "Stored", "read_checkpoint"]
+__all__ = ["CHECKPOINT", "Checkpoint", "Stored", "read_checkpoint"]
 
-#: What every checkpoint says of itself, and the version of its contents: raised whenever they change.
-CHECKPOINT, CHECKPOINT_VERSION = "invariode checkpoint", 2
 #: Between the name of a checkpoint and the token of its run, in the name of the file of the output,
 _OUTPUT = ".output-"
 #: and before that token at the start of the file.
@@ -40,12 +36,24 @@ _HEAD = struct.Struct("<QI")
 _READINGS = 10
 
 
+_OF_THE_FILES = {
+    "token": Field(str),  # of the run, in both files
+    "length": Field(int, within=(0, math.inf)),  # of the output that counts
+    "sequence": Field(int),  # number of this state file
+    "writer": Field(str),  # the process
+    "running": Field(bool),
+}
+CHECKPOINT = Kind("checkpoint", END | _OF_THE_FILES)
+_PART = Kind("output", OUTPUT | {"token": Field(str)})
+_FIRST_PART = Kind("output", RUN | _PART.fields)
+_WHOLE = Kind("checkpoint", RUN | END | OUTPUT | {name: SOLUTION.fields[name] for name in ("imposed", "added")})
+
+
 class Stored(NamedTuple):
     """A run as its files have it."""
 
-    about: dict[str, Any]
-    arrays: dict[str, Array]  # of the run up to here, its memory among them
-    identity: Identity
+    fields: dict[str, Any]  # as those of a solution, without its continuous output,
+    parts: list[dict[str, Any]]  # which is in the parts
     checkpoint: Checkpoint
 
 
@@ -59,11 +67,11 @@ class Checkpoint:
     """
 
     def __init__(self, path: PathLike, token: str, length: int = 0, sequence: int = 0) -> None:
-        self._path = Path(os.path.realpath(path_of(path)))
+        self._path = Path(os.path.realpath(path))
         self._token = token  # of the run, in both files
         self._length = length  # of the output that counts
         self._sequence = sequence  # number of the state file that was written last
-        self._begin: Callable[[], tuple[dict[str, Any], dict[str, Any]]] | None = None  # for a new run: its first part
+        self._begin: Callable[[Any], Result] | None = None  # for a new run: adds to its first part what was before
         self._left: dict[str, Any] | None = None  # what the state file said when this run last saw it; None: no file
         self._lock: Lock | None = None
         self.mechanics: dict[str, Any] | None = None  # what the parts of other processes have cost
@@ -74,97 +82,68 @@ class Checkpoint:
 
     def go_on(self, mechanics: dict[str, Any] | None) -> None:
         """The run is extended: the files must still be its own, and as it left them. Takes the lock."""
-        self._lock = held(self._path, "checkpoint")
-        try:
-            self._left = _about(self._path)
-            if self._left is None or self._left["token"] != self._token:
+        with self._taking() as left:
+            if left is None or left["token"] != self._token:
                 raise ValueError(
                     f"checkpoint: {self._path} holds another run by now: load it, or solve with another file"
                 )
-            if self._left["sequence"] != self._sequence and self._left["writer"] != _writer():
+            if left["sequence"] != self._sequence and left["writer"] != _writer():
                 raise ValueError(
-                    f"checkpoint: another process has gone on with {self._path}, to t = {self._left['t_end']!r}: load "
-                    "it again"
+                    f"checkpoint: another process has gone on with {self._path}, to t = {left['t_end']!r}: load it "
+                    "again"
                 )
-            self._remove_remains()
-        except BaseException:
-            self.release()
-            raise
         self.mechanics = mechanics
 
     @classmethod
-    def of_new_run(cls, path: PathLike, identity: Callable[[], Identity], y0: Array, at_start: list[int]) -> Checkpoint:
-        """Files for a run that begins, and the lock on them; `identity` is called when the run has started. A
-        ValueError where there is a run that has not ended, or something else; a FileNotFoundError where there is no
-        such folder."""
+    def of_new_run(cls, path: PathLike, begin: Callable[[Any], Result]) -> Checkpoint:
+        """Files for a run that begins, and the lock on them; `begin` adds to the first part of its output. A ValueError
+        where there is a run that has not ended, or something else; a FileNotFoundError where there is no such
+        folder."""
         self = cls(path, secrets.token_hex(_TOKEN))
         if not self._path.parent.is_dir():
             raise FileNotFoundError(
                 f"checkpoint: there is no folder {self._path.parent}: make it, or give another file"
             )
-        self._lock = held(self._path, "checkpoint")
+        with self._taking() as left:
+            if left is not None and left["running"]:
+                raise ValueError(
+                    f"checkpoint: {os.fspath(path)} holds a run that has come to t = {left['t_end']!r} and has not "
+                    "ended: go on with load(path, problem).extend(tf), or delete it"
+                )
+        self._begin = begin
+        return self
+
+    @contextmanager
+    def _taking(self) -> Iterator[dict[str, Any] | None]:
+        """Takes the lock, unless what the state file says is refused inside."""
+        self._lock = Lock(self._path, "checkpoint")
         try:
             self._left = _about(self._path)
-            if self._left is not None and self._left["running"]:
-                raise ValueError(
-                    f"checkpoint: {os.fspath(path)} holds a run that has come to t = {self._left['t_end']!r} and has "
-                    "not ended: go on with load(path, problem).extend(tf), or delete it"
-                )
+            yield self._left
             self._remove_remains()
         except BaseException:
             self.release()
             raise
-
-        def first() -> tuple[dict[str, Any], dict[str, Any]]:
-            who = identity()
-            arrays = {f"identity.{name}": one for name, one in who.arrays.items()}
-            return {**arrays, "start": y0}, {"identity": who.about, "at_start": at_start}
-
-        self._begin = first
-        return self
 
     def release(self) -> None:
         """Others may go on with the files."""
         if self._lock is not None:
             self._lock.release()
 
-    def keep(self, part: Result, running: bool, arrays: dict[str, Any], about: dict[str, Any]) -> None:
-        """Adds the output of a part of the run. `arrays` and `about`: what it takes to go on behind it."""
+    def keep(self, part: Result, running: bool) -> None:
+        """Adds the output of a part of the run, and what it takes to go on behind it."""
         self._require_untouched()
-        if self._begin is not None:
+        if self._begin is None:
+            self._append(_PART, part)
+        else:
             self._create()
-            self._append(*self._begin())
+            self._append(_FIRST_PART, self._begin(part))
             self._begin = None
-        self._append(_output_of(part), {})
         self._sequence += 1
-        stored = {
-            "format": CHECKPOINT,
-            "version": CHECKPOINT_VERSION,
-            "invariode": version("invariode"),
-            "token": self._token,
-            "length": self._length,
-            "sequence": self._sequence,
-            "writer": _writer(),
-            "running": running,
-            **{name: part[name] for name in PLAIN},
-            "t_end": part.t_end,
-            "stats": dict(part.stats),
-            "methods": [] if part.steps is None else list(part.steps._methods),
-            **about,
-        }
-        drift = part._drift
-        write_arrays(
-            {
-                **arrays,
-                "drift.residual": drift.residual,
-                "drift.distance": drift.distance,
-                "drift.correction": np.asarray(drift.correction),
-                "about": np.array(json.dumps(stored)),
-            },
-            self._path,
-            durable=True,
-        )
-        replaced, self._left = self._left, stored
+        own = {"token": self._token, "sequence": self._sequence, "writer": _writer()}
+        state = CHECKPOINT.taken(part, **own, length=self._length, running=running)
+        write(self._path, CHECKPOINT, state, durable=True)
+        replaced, self._left = self._left, own
         if replaced is None or replaced["token"] != self._token:
             self._remove_remains()
 
@@ -180,8 +159,9 @@ class Checkpoint:
             )
 
     def _create(self) -> None:
-        with open(self._output, "xb") as file:
-            if self._left is not None:  # of a former run, which others may not be allowed to read
+        mode = 0o666 if self._left is None else 0o600  # the file of a former run may be private: from the beginning
+        with open(self._output, "xb", opener=lambda path, flags: os.open(path, flags, mode)) as file:
+            if self._left is not None:
                 take_mode(file.fileno(), os.stat(self._path))
             file.write(_head_of(self._token))
             self._length = file.tell()
@@ -197,10 +177,8 @@ class Checkpoint:
             if temporary.fullmatch(one.name) or (found and found[1] not in mine and _carries(one, found[1])):
                 one.unlink(missing_ok=True)
 
-    def _append(self, arrays: dict[str, Any], about: dict[str, Any]) -> None:
-        contents = io.BytesIO()
-        np.savez(contents, about=np.array(json.dumps({"token": self._token, **about})), **arrays)
-        data = contents.getbuffer()
+    def _append(self, kind: Kind, part: Result) -> None:
+        data = packed(kind, kind.taken(part, token=self._token))
         with open(self._output, "r+b") as file:
             file.truncate(self._length)  # what a process has left that was killed
             file.seek(self._length)
@@ -235,110 +213,51 @@ def _carries(path: Path, token: str) -> bool:
 def _about(path: Path) -> dict[str, Any] | None:
     """What the state file says, or None without one. A ValueError, if something else is there."""
     try:
-        about = about_of(path, read_arrays(path, only="about"), {CHECKPOINT: CHECKPOINT_VERSION})
+        return read_values(path, CHECKPOINT)
     except FileNotFoundError:
         return None
-    _require_known(path, about)
-    return about
-
-
-#: What the state file says of the files, and of which type.
-_TYPES = {"token": str, "length": int, "sequence": int, "writer": str, "running": bool, "t_end": float}
-
-
-def _require_known(path: PathLike, about: dict[str, Any]) -> None:
-    if about["version"] < CHECKPOINT_VERSION:
-        raise unreadable(
-            path,
-            f"is a checkpoint of invariode {about.get('invariode')}, in version {about['version']} of the format: go "
-            "on with the invariode that wrote it, or delete it",
-        )
-    wrong = [name for name, kind in _TYPES.items() if type(about.get(name)) is not kind]
-    if wrong or about["length"] < 0 or not re.fullmatch(rf"[0-9a-f]{{{2 * _TOKEN}}}", about["token"]):
-        raise unreadable(path, f"is damaged: what it says of {', '.join(wrong) or 'its output'} is wrong")
-
-
-def _output_of(part: Result) -> dict[str, Any]:
-    g, jumps = part._invariants, part._invariants.jumps
-    values = np.array([jump.value[: len(g)] for jump in jumps], dtype=float)
-    arrays: dict[str, Any] = {
-        "t": part.t,
-        "y": part.y,
-        "jumps.row": np.array([jump.row for jump in jumps], dtype=np.int64),
-        "jumps.t": np.array([jump.t for jump in jumps], dtype=float),
-        "jumps.value": values.reshape(len(jumps), len(g)),
-    }
-    if part.steps is not None:
-        arrays["steps"] = part.steps._rows
-    for what, events in (("t_events", part.t_events), ("y_events", part.y_events)):
-        arrays |= {f"{what}.{i}": one for i, one in enumerate(events or ())}
-    if part.sol is not None:
-        parts = part.sol._dense.parts()
-        arrays |= {f"dense.{name}": one for name, one in parts.items() if isinstance(one, np.ndarray)}
-        arrays["dense.about"] = np.array(
-            json.dumps({n: one for n, one in parts.items() if not isinstance(one, np.ndarray)})
-        )
-    return arrays
 
 
 # ----------------------------------------------------------------------------------------------------------------------
 # Read again
 
 
-def read_checkpoint(path: PathLike, arrays: dict[str, Any], about: dict[str, Any]) -> Stored:
+def read_checkpoint(path: PathLike, state: dict[str, Any]) -> Stored:
     """The run of a checkpoint, of which the state file has been read. A running process may replace it meanwhile."""
     for _ in range(_READINGS):
-        _require_known(path, about)
         try:
-            return _read(path, arrays, about)
+            return _read(path, state)
         except ValueError:
-            arrays, before = read_arrays(path), about
-            about = about_of(path, arrays, {CHECKPOINT: CHECKPOINT_VERSION})
-            if all(about.get(name) == before[name] for name in ("token", "sequence", "writer")):
+            before, (_, state) = state, read(path, CHECKPOINT)
+            if all(state[name] == before[name] for name in ("token", "sequence", "writer")):
                 raise
     raise unreadable(path, "is replaced again and again while it is read: try again")
 
 
-def _read(path: PathLike, arrays: dict[str, Any], about: dict[str, Any]) -> Stored:
-    checkpoint = Checkpoint(path, about["token"], about["length"], about["sequence"])
-    place = checkpoint._output
+def _read(path: PathLike, state: dict[str, Any]) -> Stored:
+    token, length = state["token"], state["length"]
+    if not re.fullmatch(rf"[0-9a-f]{{{2 * _TOKEN}}}", token):
+        raise unreadable(path, "is damaged: it has no token of a run")
+    checkpoint = Checkpoint(path, token, length, state["sequence"])
+    place, start = checkpoint._output, _head_of(token)
     try:
         file = open(place, "rb")  # noqa: SIM115 - the with statement is below: only this line may miss the file
     except FileNotFoundError:
         raise unreadable(path, f"is half of a checkpoint: {place} with the output of the run is missing") from None
     with file:
-        if os.fstat(file.fileno()).st_size < about["length"]:
+        if os.fstat(file.fileno()).st_size < length:
             raise unreadable(place, "is shorter than its checkpoint says")
-        if file.read(len(_head_of(about["token"]))) != _head_of(about["token"]):
+        if file.read(len(start)) != start:
             raise unreadable(place, "belongs to another run than its checkpoint")
-        parts = list(_parts(place, file.read(about["length"] - file.tell())))
-    try:
-        heads = [json.loads(str(part.pop("about"))) for part in parts]
-        if any(head["token"] != about["token"] for head in heads):
+        parts = list(_parts(place, file.read(max(0, length - file.tell()))))
+    with damage_of(place):
+        if any(part.pop("token") != token for part in parts):
             raise ValueError("it has parts of another run")
-        whole = {**arrays, **_output(parts, heads[0], arrays, about)}
-        return Stored(about, whole, _identity(parts[0], heads[0]), checkpoint)
-    except Exception as wrong:  # whatever it is: the file is the only input
-        raise unreadable(place, f"is damaged: {type(wrong).__name__}: {wrong}") from None
-
-
-def _output(
-    parts: list[dict[str, Any]], head: dict[str, Any], arrays: dict[str, Any], about: dict[str, Any]
-) -> dict[str, Array]:
-    """The output of the run, of which the first part is what it started with."""
-    output = _joined(parts[1:])
-    options = head["identity"]["options"]
-    if "end" in (options.get("keep"), options.get("save")):
-        output |= {"t": np.array([about["t_end"]]), "y": arrays["y_end"][:, None]}
-    for e in head["at_start"]:
-        output[f"t_events.{e}"] = np.concatenate([[head["identity"]["problem"]["t0"]], output[f"t_events.{e}"]])
-        output[f"y_events.{e}"] = np.concatenate([parts[0]["start"][None, :], output[f"y_events.{e}"]])
-    return output
-
-
-def _identity(first: dict[str, Any], head: dict[str, Any]) -> Identity:
-    arrays = {name.removeprefix("identity."): one for name, one in first.items() if name.startswith("identity.")}
-    return Identity(head["identity"], arrays)
+        if len(parts) != state["sequence"]:
+            raise ValueError(f"it has {len(parts)} parts, and its checkpoint says {state['sequence']}")
+        whole = _joined(state, parts)
+        _WHOLE.require(whole)
+    return Stored(whole, parts, checkpoint)
 
 
 def _parts(place: Path, contents: bytes) -> Iterator[dict[str, Any]]:
@@ -350,41 +269,18 @@ def _parts(place: Path, contents: bytes) -> Iterator[dict[str, Any]]:
         data = contents[at + _HEAD.size : at + _HEAD.size + size]
         if len(data) != size or zlib.crc32(data) != checksum:
             raise unreadable(place, "is damaged")
-        yield arrays_in(io.BytesIO(data), size, place)
+        yield unpacked(data, place, _PART if at else _FIRST_PART)
         at += _HEAD.size + size
 
 
-def _joined(parts: list[dict[str, Any]]) -> dict[str, Array]:
-    """The output of all parts."""
+def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """The fields of the whole run as one solution has them, but for its continuous output."""
+    whole = {name: one for name, one in parts[0].items() if not name.startswith("dense.")}
+    for name in whole.keys() & OUTPUT.keys() - {"dense", "events"}:
+        whole[name] = np.concatenate([part[name] for part in parts], axis=int(name == "y"))
     rows = np.cumsum([0, *(len(part["t"]) for part in parts)])
-    whole = {"y": np.concatenate([part["y"] for part in parts], axis=1)}
-    for name in parts[0]:
-        if name == "y" or name.startswith("dense."):
-            continue
-        whole[name] = np.concatenate([part[name] for part in parts])
-    whole["jumps.row"] = np.concatenate([part["jumps.row"] + row for part, row in zip(parts, rows, strict=False)])
-    if "dense.t" in parts[0]:
-        whole |= _joined_dense(parts)
-    return whole
-
-
-def _joined_dense(parts: list[dict[str, Any]]) -> dict[str, Array]:
-    """The continuous solution: each part begins at the last knot of the one before, or beside it after a jump."""
-    t, y, end, offset, data = ([parts[0][f"dense.{name}"]] for name in ("t", "y", "end", "offset", "data"))
-    size = len(data[0])
-    for part in parts[1:]:
-        known = part["dense.t"][0] == t[-1][-1] and np.array_equal(part["dense.y"][0], y[-1][-1])
-        if not known:
-            end.append(part["dense.t"][:1])
-            offset.append(np.array([size]))
-        t.append(part["dense.t"][known:])
-        y.append(part["dense.y"][known:])
-        end.append(part["dense.end"])
-        offset.append(part["dense.offset"] + size)
-        data.append(part["dense.data"])
-        size += len(data[-1])
-        if not len(t[-1]):  # nothing has happened in this part
-            t.pop(), y.pop()
-    others = {name: one for name, one in parts[0].items() if name.startswith("dense.")}
-    joined = {"t": t, "y": y, "end": end, "offset": offset, "data": data}
-    return {**others, **{f"dense.{name}": np.concatenate(one) for name, one in joined.items()}}
+    whole["jumps.row"] += np.repeat(rows[:-1], [len(part["jumps.row"]) for part in parts])
+    options = whole["identity"]["options"]
+    if "end" in (options.get("keep"), options.get("save")):
+        whole |= {"t": np.array([state["t_end"]]), "y": state["y_end"][:, None]}
+    return {**whole, **{name: state[name] for name in END}, "imposed": False, "added": {}}

@@ -59,6 +59,8 @@ def without_start(plan: Plan, found: list[int]) -> Plan:
 
 def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
     """The solution of that plan, with the occurrences at the start in front."""
+    if not found:
+        return sol
     t_events, y_events = list(sol.t_events), list(sol.y_events)
     for e in found:
         t_events[e] = np.concatenate([[plan.settings.t0], t_events[e]])

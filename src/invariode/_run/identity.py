@@ -16,6 +16,7 @@ import numpy as np
 from .._base.arguments import Array, call_name, shown
 from .._base.types import MethodName
 from .._functions.compiled import CompiledFunction, CoreFunction
+from .._functions.graph.python import Formula
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.methods import find_method
@@ -33,37 +34,41 @@ _OF_THE_SESSION = frozenset({"progress", "on_interrupt", "on_failure", "checkpoi
 _SAME = 1e-9
 
 
-def _array(value: Array) -> str:
-    return f"array {value.shape} {_digest(_parts(value))}"
-
-
 # ----------------------------------------------------------------------------------------------------------------------
 # Values and code
 
 
-def in_words(value: Any) -> Any:
+def in_words(value: Any, *, code: bool = True) -> Any:
     """What `value` is, as JSON can hold it: equal for what is written alike, in another process too. Of a function its
-    code."""
-    if value is None or isinstance(value, (bool, str)):
+    code, or only that it is one."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, str)):
         return value
-    if isinstance(value, (int, float, np.number)):
-        number = value.item() if isinstance(value, np.generic) else value
-        return (
-            number if isinstance(number, int) or (isinstance(number, float) and math.isfinite(number)) else repr(number)
-        )
+    if isinstance(value, (float, complex, np.number)):  # the last has digits that the others lack
+        return value if isinstance(value, float) and math.isfinite(value) else repr(value)
+    if hasattr(value, "tocsc"):
+        columns = value.tocsc()
+        value = [columns.indptr, columns.indices, columns.data]
+    if isinstance(value, (list, tuple)) and len(value) > _FEW and all(type(one) is float for one in value):
+        value = np.array(value)
     if isinstance(value, np.ndarray):
-        return in_words(value.tolist()) if value.size <= _FEW and value.dtype != object else _array(value)
-    if isinstance(value, (list, tuple)):
-        return [in_words(one) for one in value]
+        large = value.size > _FEW and value.dtype.kind in "biufc" and value.dtype.char not in "gG"
+        if large or value.dtype == object:
+            return f"array {value.shape} {_digest(_parts(value))}"
+        value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(name): in_words(one) for name, one in value.items()}
-    code = _digest_of_code(value)
-    if code is not None:
+        return {str(name): in_words(one, code=code) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [in_words(one, code=code) for one in value]
+    if callable(value) and not code:
+        return "function"
+    digest, own = _digest_of_code(value), getattr(value, "__dict__", None)
+    if digest is not None:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
-        return f"{call_name(value, 'function')} ({code}{', libm' * libm})"
-    own = getattr(value, "__dict__", None)
+        return f"{call_name(value, 'function')} ({digest}{', libm' * libm})"
     if type(value).__module__.startswith("invariode.") and own is not None:
-        about = {name: in_words(one) for name, one in own.items() if not name.startswith("_")}
+        about = {name: in_words(one, code=code) for name, one in own.items() if not name.startswith("_")}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
 
@@ -88,6 +93,9 @@ def _digest_of_code(value: Any) -> str | None:
     if isinstance(value, CoreFunction):
         codes = [_digest_of_code(one) for one in value.functions]
         return _digest(iter([repr(codes).encode()])) if any(codes) else None
+    formula = value.fun if isinstance(value, CompiledFunction) else value
+    if isinstance(formula, Formula):
+        return _digest(iter([formula.text.encode()]))
     function = _function(value)
     if function is None or (function.__module__ or "").startswith("invariode."):
         return None
@@ -111,11 +119,16 @@ def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
     if id(function) in seen:
         return
     seen.add(id(function))
-    yield from _instructions(function.__code__)
-    own = set(_rebound(function.__code__))  # what it changes itself is its memory, not its code
+    codes = list(_nested(function.__code__))
+    for code in codes:
+        yield code.co_code
+        yield repr((code.co_names, code.co_varnames)).encode()
+        yield from (repr(_in_order(one)).encode() for one in code.co_consts if not isinstance(one, CodeType))
+    # What it changes itself is its memory, not its code.
+    own = {one.argval for code in codes for one in dis.get_instructions(code) if one.opname in _BINDS}
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=False)
     kept = [cell.cell_contents for name, cell in cells if name not in own and _is_filled(cell)]
-    names = [name for name in _names(function.__code__) if name not in own]
+    names = [name for code in codes for name in code.co_names if name not in own]
     used = [function.__globals__[name] for name in names if name in function.__globals__]
     for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values(), *kept, *used):
         inner = _function(value)
@@ -127,38 +140,23 @@ def _code(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             yield from _parts(value)
 
 
+#: Instructions that bind a name from outside anew.
+_BINDS = ("STORE_GLOBAL", "STORE_DEREF")
+
+
+def _nested(code: CodeType) -> Iterator[CodeType]:
+    """The code of a function, and of those inside it."""
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from _nested(one)
+
+
 def _is_filled(cell: Any) -> bool:
     try:
         return cell.cell_contents is not cell
     except ValueError:
         return False
-
-
-def _rebound(code: CodeType) -> Iterator[str]:
-    """Names from outside that a function binds anew."""
-    for one in dis.get_instructions(code):
-        if one.opname in ("STORE_GLOBAL", "STORE_DEREF"):
-            yield one.argval
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            yield from _rebound(inner)
-
-
-def _names(code: CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _names(one)
-
-
-def _instructions(code: CodeType) -> Iterator[bytes]:
-    yield code.co_code
-    yield repr((code.co_names, code.co_varnames)).encode()
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _instructions(one)
-        else:
-            yield repr(_in_order(one)).encode()
 
 
 def _in_order(constant: Any) -> Any:
@@ -207,15 +205,11 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
     return Identity(about, arrays)
 
 
-def known_identity(about: Any, arrays: dict[str, Array]) -> Identity:
-    """That of a file. Raises whatever the damage causes: what is not there, or of another type."""
-    kinds = {"method": str, "options": dict, "arrays": list, "functions": list, "bdf": bool, "problem": dict}
-    for name, kind in {**kinds, "code": dict}.items():
-        if not isinstance(about[name], kind):
-            raise TypeError(f"{name} of the run is of type {type(about[name]).__name__}")
+def known_identity(about: dict[str, Any], arrays: dict[str, Array]) -> Identity:
+    """That of a file, whose types are known to be right. Raises whatever else the damage causes."""
     known = table_of(Options).keys() - _OF_THE_SESSION
     for name in (*about["options"], *about["arrays"], *about["functions"]):
-        if not isinstance(name, str) or name not in known:
+        if name not in known:
             raise ValueError(f"{shown(name)} is no option of a run")
     for name in ("y0", "f0", *about["arrays"], *{"breakpoints"}.intersection(about["functions"])):
         arrays[name]
@@ -233,7 +227,7 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
         if name in about["functions"] or name in _OF_THE_SESSION:
             options[name] = value
         elif not _equal(options.get(name), value):
-            was = _told(options.get(name))
+            was = in_words(options.get(name), code=False)
             raise ValueError(f"{name} is {value!r} here, and {was} in the file: leave it out, or load another file")
     for name in about["functions"]:
         if name not in given:
@@ -242,7 +236,7 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
         here, there = _times(given["breakpoints"]), arrays["breakpoints"]
         if not _equal(there, here):
             raise ValueError(
-                f"breakpoints are at {_told(here)} here, and at {_told(there)} in the file: give those of the run"
+                f"breakpoints are at {in_words(here)} here, and at {in_words(there)} in the file: give those of the run"
             )
     return cast("Options", options)
 
@@ -255,7 +249,7 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
     pairs = [(what, here.get(what), was) for what, was in there.items() if here.get(what) != was]
     if not pairs:
         pairs = [
-            (what, _told(now.arrays[name]), _told(stored.arrays[name]))
+            (what, in_words(now.arrays[name]), in_words(stored.arrays[name]))
             for name, what in (("y0", "y0"), ("f0", "fun at the start"))
             if not _close(now.arrays[name], stored.arrays[name])
         ]
@@ -286,51 +280,23 @@ def _codes(problem: Description, breakpoints: Any) -> dict[str, str]:
     return {name: code for name, code in found.items() if code is not None}
 
 
-def _described(problem: Description) -> dict[str, Any]:
+def _described(problem: Description) -> Any:
     """What is compared, by the words for it."""
-    of_events = [
-        [
-            event.__name__,
-            getattr(event, "terminal", False),
-            getattr(event, "direction", 0),
-            getattr(event, "samples", None),
-        ]
-        for event in problem.events
-    ]
-    return {
+    properties = {"__name__": None, "terminal": False, "direction": 0, "samples": None}
+    about = {
         "components": len(problem.y0),
         "complex": problem.y0.dtype.kind == "c",
         "t0": problem.t_span[0],
-        "events (name, terminal, direction, samples)": [[_told(one) for one in event] for event in of_events],
-        "invariants": [{name: _told(one) for name, one in vars(law).items()} for law in problem.invariants],
-        "args": [_told(one) for one in problem.args],
-        "bounds": None if problem.limits is None else [_told(one) for one in problem.limits],
-        "inputs": [{name: _told(one) for name, one in vars(one).items()} for one in problem.inputs],
-        **{name: _told(one) for name, one in vars(problem.matrices).items()},
+        "events (name, terminal, direction, samples)": [
+            [getattr(event, name, default) for name, default in properties.items()] for event in problem.events
+        ],
+        "invariants": [vars(law) for law in problem.invariants],
+        "args": problem.args,
+        "bounds": problem.limits,
+        "inputs": [vars(one) for one in problem.inputs],
+        **vars(problem.matrices),
     }
-
-
-def _told(value: Any) -> Any:
-    """A value in JSON's types, the same for equal ones. Of a function only that it is one."""
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if callable(value):
-        return "function"
-    if hasattr(value, "tocsc"):
-        value = value.tocsc()
-        return [_told(part) for part in (value.indptr, value.indices, value.data)]
-    try:
-        array = np.asarray(value)
-    except ValueError:  # ragged
-        return type(value).__name__
-    if array.dtype.kind in "fc" and array.dtype not in (np.dtype(float), np.dtype(complex)):
-        # Some have digits that JSON's numbers lack, and bytes that mean nothing.
-        return [repr(one) for one in array.ravel()] if array.ndim else repr(array[()])
-    if array.dtype.kind not in "biufc":
-        return [_told(one) for one in value] if isinstance(value, (list, tuple)) else type(value).__name__
-    if array.size <= _FEW and array.dtype.kind != "c":
-        return array.tolist()
-    return _array(array)
+    return in_words(about, code=False)
 
 
 def _slope(problem: Description) -> Array:

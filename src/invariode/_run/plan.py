@@ -230,8 +230,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     parameters, fun = _native_functions(problem, breakpoints)
     linear, y0 = _linear_algebra(problem, chosen, options, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
+    bound.forward = settings.forward
     if bound.specs:
-        bound.forward = settings.forward
         _require_free_directions(bound, problem)
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, NamedTuple, Protocol, cast
@@ -47,7 +47,7 @@ from .._results.solution import Solution
 from .calls import explain, require_values
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
-from .identity import identity_of_run
+from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
 
@@ -96,6 +96,7 @@ class RunOrigin:
     memory: bytes
     imposed: bool = False
     checkpoint: Checkpoint | None = None
+    memory_version: int = _core.MEMORY_VERSION
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         return type(None), ()  # functions do not travel with a pickled solution
@@ -106,14 +107,8 @@ class RunOrigin:
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         return _extended(self, sol, t_end, options)
 
-    def stored(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        about, arrays = identity_of_run(self.source.problem, self.source.method, self.source.options)
-        memory = np.frombuffer(self.memory, dtype=np.uint8)
-        of_identity = {f"identity.{name}": one for name, one in arrays.items()}
-        return (
-            {"identity": about, "next_h": self.next_h, "imposed": self.imposed, "memory_version": _core.MEMORY_VERSION},
-            {"memory": memory, "y": self.y, **of_identity},
-        )
+    def identity(self) -> Identity:
+        return identity_of_run(self.source.problem, self.source.method, self.source.options)
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
         problem, options = self.source.problem, self.source.options
@@ -193,7 +188,7 @@ def _solved(problem: Description, method: MethodName, options: Options) -> Solut
             status, message = MESSAGES["terminal_event"]
             sol = sol.changed(status=status, message=message)
     else:
-        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source))
+        sol = _carried_out(plan, source, checkpoint=_new_checkpoint(plan, source, []))
     return concluded(sol, plan.on_failure)
 
 
@@ -216,14 +211,13 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
     raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
 
 
-def _new_checkpoint(plan: Plan, source: Source, at_start: Sequence[int] = ()) -> Checkpoint | None:
+def _new_checkpoint(plan: Plan, source: Source, at_start: list[int]) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
         if "checkpoint_every" in source.options:
             warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
-    who = partial(identity_of_run, source.problem, source.method, source.options)
-    return Checkpoint.of_new_run(plan.checkpoint, who, plan.y0, list(at_start))
+    return Checkpoint.of_new_run(plan.checkpoint, partial(with_start, plan=plan, found=at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -295,12 +289,9 @@ def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source
     """Writes what has come since the last time."""
     if plan.exception(part) is not None:
         return
-    memory, running = np.frombuffer(part.memory, dtype=np.uint8), part.state == "running"
     sol = _solution(part, plan, source, core.members, checkpoint)
     sol.stats.mechanics = _summed(checkpoint.mechanics, _work(core, source.problem.fun))
-    origin = cast("RunOrigin", sol._origin)
-    about = {"next_h": origin.next_h, "memory_version": _core.MEMORY_VERSION}
-    checkpoint.keep(sol, running, {"memory": memory, "y_end": origin.y, "value": sol._invariants.value}, about)
+    checkpoint.keep(sol, part.state == "running")
 
 
 def _warn_of_projection(run: _core.Run, plan: Plan, sol: Solution) -> None:
@@ -335,7 +326,7 @@ def _solution(
     status, message = plan.verdict(run)
     bound = plan.bound
     if jumps := run.take_jumps():
-        bound = bound.jumped(jumps, forward=plan.settings.forward)
+        bound = bound.jumped(jumps)
     dense = run.take_dense()
     t, y, t_end, y_end = run.take_points()
     happened = run.take_events() if plan.records_events else None

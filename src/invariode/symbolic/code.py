@@ -1,31 +1,28 @@
-"""From expressions to functions: one pass for common subexpressions, one text for Python and for numba."""
+"""From expressions to functions, by way of a graph: SymPy's expressions evaluated on its nodes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache, partial
-from itertools import pairwise
+from collections.abc import Callable, Sequence
+from functools import cache, partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 import sympy
-from sympy.printing.pycode import PythonCodePrinter
 
-from .._base.arguments import Array
-from .._functions.compiled import CompiledFunction, compile
+from .._functions.compiled import CompiledFunction
+from .._functions.graph.derivatives import Row, gradient, jacobian
+from .._functions.graph.function import GraphFunction
+from .._functions.graph.nodes import ELEMENTARY, Graph, Node
+from .._functions.graph.python import Formula, Pattern
 
-__all__ = ["Code", "Formula", "Function", "Pattern", "Piece", "System", "eliminated", "functions"]
+__all__ = ["Code", "Function", "System", "eliminated", "functions"]
 
-#: The result of expressions: a Python function, or one for numba.
+#: The result of expressions: a Python function, or one that is compiled.
 Function = CompiledFunction | Callable[..., Any]
 
 #: The time in the code.
 _TIME = sympy.Symbol("t", real=True)
-
-#: Accelerations, if a linear system determines them.
-_ACCELERATION = "a"
 
 #: Jacobians with at least this many rows are sparse if at most this fraction of their entries can differ from zero.
 _SPARSE_ROWS, _SPARSE_PART = 20, 0.25
@@ -49,84 +46,6 @@ class System(NamedTuple):
         return self._replace(mass=self.mass.extract(stays, stays), force=[self.force[i] for i in stays])
 
 
-class Pattern(NamedTuple):
-    """Where entries of a sparse matrix are, in compressed columns."""
-
-    indices: Array
-    indptr: Array
-    n: int
-
-    def matrix(self, values: Sequence[float]) -> Any:
-        return sp.csc_array((np.asarray(values, dtype=float), self.indices, self.indptr), (self.n, self.n))
-
-
-class Piece(NamedTuple):
-    """What is to become a function: its values, flat, and what they are laid out as."""
-
-    name: str
-    values: Sequence[Any]
-    layout: tuple[int, ...] | Pattern
-
-
-class Formula:
-    """Generated code as a Python function of (t, y, *args); it can be pickled. Where it raises, its values are NaN.
-
-    Its text is a string, or a function that makes it when it is needed first.
-    """
-
-    def __init__(
-        self, name: str, text: str | Callable[[], str], size: int, layout: tuple[int, ...] | Pattern, arguments: bool
-    ) -> None:
-        self.__name__ = self.__qualname__ = name
-        self._text, self._size, self._layout, self._arguments = text, size, layout, arguments
-        self._code: Callable[..., Any] | None = None
-
-    @property
-    def text(self) -> str:
-        """The source of the function."""
-        if not isinstance(self._text, str):
-            self._text = self._text()
-        return self._text
-
-    def __call__(self, t: float, y: Any, *args: float) -> Any:
-        if self._code is None:
-            self._code = _executed(self.__name__, self.text, vars(math))
-        out = [0.0] * self._size
-        try:
-            self._code(t, np.asarray(y).tolist(), out, *((args,) if self._arguments else ()))
-        except (ValueError, ArithmeticError):  # as math.sqrt(-1.0) and 1 / 0: it cannot be evaluated here
-            out = [math.nan] * self._size
-        if isinstance(self._layout, Pattern):
-            return self._layout.matrix(out)
-        return out if len(self._layout) == 1 else np.reshape(out, self._layout)
-
-    def __reduce__(self) -> tuple[type[Formula], tuple[Any, ...]]:
-        return Formula, (self.__name__, self.text, self._size, self._layout, self._arguments)
-
-
-def _executed(name: str, text: str, names: Mapping[str, Any]) -> Callable[..., Any]:
-    namespace: dict[str, Any] = {**names, "np": np}
-    exec(text, namespace)
-    code: Callable[..., Any] = namespace[name]
-    return code
-
-
-class _Printer(PythonCodePrinter):  # type: ignore[misc]  # sympy has no types
-    def __init__(self) -> None:
-        super().__init__({"fully_qualified_modules": False, "strict": True})
-
-    def _print_sign(self, expression: Any) -> str:
-        x = self._print(expression.args[0])
-        return f"(({x} > 0.0) - ({x} < 0.0))"
-
-    # Derivatives of functions with corners and jumps, off these.
-    def _print_Heaviside(self, expression: Any) -> str:  # noqa: N802 - sympy's name
-        return f"float({self._print(expression.args[0])} > 0.0)"
-
-    def _print_DiracDelta(self, expression: Any) -> str:  # noqa: N802
-        return "0.0"
-
-
 class Code(NamedTuple):
     """The functions of a system by name, and the pattern of the Jacobian of f if it is sparse."""
 
@@ -134,100 +53,87 @@ class Code(NamedTuple):
     pattern: Pattern | None
 
 
-class _Source(NamedTuple):
-    """A function (t, y, out, p): its body, which calls formulas by name, and the lines of these."""
+def functions(system: System, laws: Sequence[Any], compiled: bool) -> Code:
+    """The functions f and its exact jac; for law i its function g_i and gradient dg_i.
 
-    body: list[str]
-    formulas: dict[str, Callable[[], list[str]]]
-    layout: tuple[int, ...] | Pattern
-
-
-def functions(system: System, pieces: Iterable[Piece], compiled: bool, parameters: int) -> Code:
-    """The functions f, its exact jac, and `pieces`.
-
-    One pass finds the common subexpressions of all. But where accelerations are solved for, the Jacobian is derived,
-    with its own pass, when a method needs it: explicit methods do not.
+    The Jacobian of a system that is solved for its accelerations is formed when a method needs it: explicit methods do
+    not.
     """
-    pieces = list(pieces)
+    words = _Words(Graph())
     n = len(system.y)
-    solved = len(system.force) > 0
-    groups = [*(list(piece.values) for piece in pieces), [*system.explicit, *_matrices(system), *system.force]]
-    rates = [] if solved else _rates(system)
-    text = _Text([*groups, rates])
-    sources = {piece.name: _plain(piece, *text.formula(i)) for i, piece in enumerate(pieces)}
-    pattern = None
-    at = len(pieces)
-    if solved:
-        motion = {"motion": text.formula(at)[0]}
-        sources["f"] = _Source(_solved(system), motion, (n,))
-        change = {"change": cache(lambda: _derived(system).formula(0)[0]())}
-        sources["jac"] = _Source(_solved_jacobian(system), motion | change, (n, n))
+    y = [words.graph.y(i) for i in range(n)]
+    slopes = [*map(words.node, system.explicit), *_accelerations(system, words)][:n]
+    made: dict[str, Formula] = {}
+    for i, law in enumerate(laws):
+        made[f"g{i}"] = Formula(f"g{i}", partial(_of_law, law, words), (1,))
+        made[f"dg{i}"] = Formula(f"dg{i}", partial(_of_gradient, law, words, y), (1, n))
+    rows = cache(lambda: jacobian(slopes, y))
+    pattern = None if system.force else _sparse(rows(), n)
+    made["f"] = Formula("f", lambda: slopes, (n,))
+    if pattern is None:
+        made["jac"] = Formula("jac", lambda: _dense(rows(), n, words.graph), (n, n))
     else:
-        sources["f"] = _plain(Piece("f", system.explicit, (n,)), *text.formula(at))
-        pattern = _sparse(rates, n)
-        kept = None if pattern is None else [i * n + j for j in range(n) for i in _column(pattern, j)]
-        piece = Piece("jac", rates, pattern or (n, n))
-        sources["jac"] = _plain(piece, *text.formula(at + 1, kept))
-    return Code(_compiled(sources, parameters) if compiled else _interpreted(sources, parameters), pattern)
+        made["jac"] = Formula("jac", lambda: [rows()[i][j] for j in range(n) for i in _column(pattern, j)], pattern)
+    return Code({name: GraphFunction(one) for name, one in made.items()} if compiled else dict(made), pattern)
 
 
-def _plain(piece: Piece, lines: Callable[[], list[str]], full: bool) -> _Source:
-    size = _size(piece.layout)
-    zeros = [] if full else [f"for i in range({size}):", "    out[i] = 0.0"]
-    name = f"formulas_of_{piece.name}"
-    return _Source([*zeros, f"{name}(t, y, y, out, p)"], {name: lines}, piece.layout)
+def _of_law(law: Any, words: _Words) -> list[Node]:
+    return [words.node(law)]
 
 
-def _solved(system: System) -> list[str]:
-    """out = (explicit, the first of mass⁻¹ force)."""
-    n, explicit = len(system.y), len(system.explicit)
-    return [
-        *_accelerations(system),
-        f"for i in range({explicit}):",
-        "    out[i] = values[i]",
-        f"for i in range({n - explicit}):",
-        f"    out[{explicit} + i] = {_ACCELERATION}[i]",
-    ]
+def _of_gradient(law: Any, words: _Words, y: Sequence[Node]) -> list[Node]:
+    return _dense([gradient(words.node(law), y)], len(y), words.graph)
 
 
-def _solved_jacobian(system: System) -> list[str]:
-    """The Jacobian of that: its rows solve mass · rows = ∂force/∂y - (∂mass/∂y) a."""
-    n, k, explicit = len(system.y), len(system.force), len(system.explicit)
-    return [
-        *_accelerations(system),
-        f"slopes = np.zeros({(explicit + k) * n})",
-        f"change(t, y, {_ACCELERATION}, slopes, p)",
-        f"rows = {_divided(system, f'slopes[{explicit * n}:].reshape(({k}, {n}))')}",
-        f"for i in range({explicit * n}):",
-        "    out[i] = slopes[i]",
-        f"for i in range({n - explicit}):",
-        f"    for j in range({n}):",
-        f"        out[({explicit} + i) * {n} + j] = rows[i, j]",
-    ]
+def _dense(rows: Sequence[Row], n: int, graph: Graph) -> list[Node]:
+    zero = graph.node(0.0)
+    return [row.get(j, zero) for row in rows for j in range(n)]
 
 
-def _accelerations(system: System) -> list[str]:
-    """a = mass⁻¹ force."""
-    k, names = len(system.force), ["left", "mass"] if system.factors else ["mass"]
-    starts = [len(system.explicit) + i * k * k for i in range(len(names) + 1)]
-    matrices = [
-        f"{name} = values[{start}:{start + k * k}].reshape(({k}, {k}))"
-        for name, start in zip(names, starts, strict=False)
-    ]
-    return [
-        f"values = np.zeros({starts[-1] + k})",
-        "motion(t, y, y, values, p)",
-        *matrices,
-        f"{_ACCELERATION} = {_divided(system, f'values[{starts[-1]}:]')}",
-    ]
+def _sparse(rows: Sequence[Row], n: int) -> Pattern | None:
+    places = sorted((j, i) for i, row in enumerate(rows) for j in row)
+    if n < _SPARSE_ROWS or len(places) > _SPARSE_PART * n * n:
+        return None
+    counts = np.bincount([j for j, _ in places], minlength=n)
+    return Pattern(np.array([i for _, i in places], dtype=int), np.concatenate([[0], np.cumsum(counts)]), n)
 
 
-def _divided(system: System, right: str) -> str:
-    """The text of mass⁻¹ right."""
+def _column(pattern: Pattern, j: int) -> list[int]:
+    rows: list[int] = pattern.indices[pattern.indptr[j] : pattern.indptr[j + 1]].tolist()
+    return rows
+
+
+def _accelerations(system: System, words: _Words) -> list[Node]:
+    """mass⁻¹ force: by L and D, if the system has them."""
+    if not system.force:
+        return []
+    force = [words.node(one) for one in system.force]
     if system.factors is None:
-        return f"np.linalg.solve(mass, {right})"
-    inner = f"np.linalg.solve(mass, np.linalg.solve(left, {right}))"
-    return f"np.linalg.solve(np.ascontiguousarray(left.T), {inner})"
+        return _divided(system.mass, force, words)
+    left, middle = system.factors
+    k = len(force)
+    lower = [[None if left[i, j] == 0 else words.node(left[i, j]) for j in range(k)] for i in range(k)]
+    for i in range(k):  # L has ones on its diagonal, but need not be lower triangular in this order of rows
+        if any(lower[i][j] is not None for j in range(i + 1, k)):
+            return _divided(left.T, _divided(middle, _divided(left, force, words), words), words)
+    for i in range(k):
+        for j in range(i):
+            if (factor := lower[i][j]) is not None:
+                force[i] = force[i] - factor * force[j]
+    found = _divided(middle, force, words)
+    for i in range(k - 1, -1, -1):
+        for j in range(i + 1, k):
+            if (factor := lower[j][i]) is not None:
+                found[i] = found[i] - factor * found[j]
+    return found
+
+
+def _divided(matrix: Any, right: Sequence[Node], words: _Words) -> list[Node]:
+    k = len(right)
+    if k == 1:
+        return [right[0] / words.node(matrix[0, 0])]
+    rows = [[words.node(matrix[i, j]) for j in range(k)] for i in range(k)]
+    return [row[0] for row in words.graph.solve(rows, [[one] for one in right])]
 
 
 def eliminated(system: System) -> System:
@@ -258,147 +164,162 @@ def _terms(expression: Any) -> int:
     return len(sympy.Add.make_args(sympy.expand(expression)))
 
 
-def _interpreted(sources: dict[str, _Source], parameters: int) -> dict[str, Function]:
-    """Functions of Python."""
+class _Words:
+    """Expressions in the symbols of the code as nodes, each translated once."""
 
-    def text(name: str, source: _Source) -> str:
-        parts = [_function(inner, "t, y, a, out, p", lines()) for inner, lines in source.formulas.items()]
-        return "".join([*parts, _outer(name, source, parameters)])
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self._known: dict[Any, Node] = {}
 
-    return {
-        name: Formula(name, partial(text, name, source), _size(source.layout), source.layout, parameters > 0)
-        for name, source in sources.items()
-    }
+    def node(self, expression: Any) -> Node:
+        """The node of an expression.
+
+        Raises
+        ------
+        ValueError
+            It has a function that is not known.
+        """
+        expression = sympy.sympify(expression)
+        waiting = [expression]
+        while waiting:  # deep expressions exceed Python's limit of recursion
+            one = waiting[-1]
+            missing = [inner for inner in _parts(one) if inner not in self._known]
+            if missing:
+                waiting.extend(missing)
+            else:
+                waiting.pop()
+                if one not in self._known:
+                    self._known[one] = self._made(one, [self._known[inner] for inner in _parts(one)])
+        return self._known[expression]
+
+    def _made(self, one: Any, a: list[Node]) -> Node:
+        graph = self.graph
+        if one.is_Symbol:
+            return self._symbol(one.name)
+        if one.is_Atom:
+            return graph.node(1.0 if one == sympy.true else float(one))
+        if one.is_Add:
+            return self._sum(one, a)
+        if one.is_Mul:
+            return self._product(one, a)
+        name = type(one).__name__
+        if one.is_Pow:
+            return _power(a[0], a[1])
+        if name in _NAMES:
+            return graph.elementary(_NAMES[name], a[0])
+        if name in _MADE:
+            return _MADE[name](graph, *a)
+        return self._branches(one, a) if name == "Piecewise" else a[0]  # rewritten
+
+    def _symbol(self, name: str) -> Node:
+        array, _, index = name.partition("[")
+        if not index:
+            return self.graph.t
+        return self.graph.y(int(index[:-1])) if array == "y" else self.graph.p(int(index[:-1]))
+
+    def _sum(self, one: Any, a: list[Node]) -> Node:
+        """Terms with a negative factor are subtracted, from the first of the others."""
+        signed = [(node, _is_negative(term)) for node, term in zip(a, one.args, strict=True)]
+        signed.sort(key=lambda pair: pair[1])
+        first, negative = signed[0]
+        total = -first if negative else first
+        for node, negative in signed[1:]:
+            total = total - node if negative else total + node
+        return total
+
+    def _product(self, one: Any, a: list[Node]) -> Node:
+        """Factors with a negative power divide, all at once."""
+        above = [node for node, factor in zip(a, one.args, strict=True) if not _divides(factor)]
+        below = [node for node, factor in zip(a, one.args, strict=True) if _divides(factor)]
+        value = reduce(lambda x, y: x * y, above, self.graph.node(1.0))
+        return value / reduce(lambda x, y: x * y, below) if below else value
+
+    def _branches(self, one: Any, a: list[Node]) -> Node:
+        """The first expression whose condition holds; NaN if none does."""
+        value = self.graph.node(math.nan)
+        for i in reversed(range(len(one.args))):
+            expression, condition = a[2 * i : 2 * i + 2]
+            always = one.args[i].cond == sympy.true
+            value = expression if always else self.graph.select(condition, expression, value)
+        return value
 
 
-def _compiled(sources: dict[str, _Source], parameters: int) -> dict[str, Function]:
-    """Functions for numba."""
-    from .machine import translated  # needs numba
-
-    inner = {name: translated(name, lines) for source in sources.values() for name, lines in source.formulas.items()}
-    return {
-        name: compile(_executed(name, _outer(name, source, parameters), inner), inplace=True)
-        for name, source in sources.items()
-    }
-
-
-def _outer(name: str, source: _Source, parameters: int) -> str:
-    body = source.body if parameters else ["p = y  # there are none", *source.body]
-    return _function(name, "t, y, out, p" if parameters else "t, y, out", body)
-
-
-def _function(name: str, arguments: str, lines: list[str]) -> str:
-    return "\n    ".join([f"def {name}({arguments}):", *(lines or ["pass"])]) + "\n"
+def _parts(one: Any) -> tuple[Any, ...]:
+    """The expressions that the node of this one is made of."""
+    if one.is_Atom:
+        return ()
+    if one.is_Add:
+        return tuple(-term if _is_negative(term) else term for term in one.args)
+    if one.is_Mul:
+        return tuple(sympy.Pow(factor.base, -factor.exp) if _divides(factor) else factor for factor in one.args)
+    name = type(one).__name__
+    if name == "Piecewise":
+        return tuple(part for pair in one.args for part in pair.args)
+    if one.is_Pow or name in _NAMES or name in _MADE:
+        return tuple(one.args)
+    return (_rewritten(one),)
 
 
-def _size(layout: tuple[int, ...] | Pattern) -> int:
-    return len(layout.indices) if isinstance(layout, Pattern) else math.prod(layout)
+def _is_negative(term: Any) -> bool:
+    return bool(term.as_coeff_Mul()[0].is_negative)
 
 
-def _rates(system: System) -> list[Any]:
-    """Rows of the Jacobian of the explicit part."""
-    return [slope for e in system.explicit for slope in _gradient([e], system.y)]
+def _divides(factor: Any) -> bool:
+    return bool(factor.is_Pow and factor.exp.is_Number and factor.exp.is_negative)
 
 
-def _derived(system: System) -> _Text:
-    """Lines for these, then for ∂force/∂y - (∂mass/∂y) a with the accelerations a as symbols.
+def _rewritten(one: Any) -> Any:
+    """A function that has no node of its own by functions that have one.
 
-    The common subexpressions come first, then their derivatives, by the chain rule: each is small, and depends on few.
+    Raises
+    ------
+    ValueError
+        SymPy does not know it by such functions.
     """
-    k, n = len(system.force), len(system.y)
-    a = [sympy.Symbol(f"{_ACCELERATION}[{i}]", real=True) for i in range(k)]
-    left = [
-        sympy.Add(force, *(-system.mass[i, j] * a[j] for j in range(k) if system.mass[i, j] != 0))
-        for i, force in enumerate(system.force)
-    ]
-    primal = _Text([[*system.explicit, *left]])
-    slopes = {one: {j: sympy.S.One} for j, one in enumerate(system.y)}
-    found: dict[Any, Any] = {}
-    for name, expression in primal.found.items():
-        found[name] = expression
-        slopes[name] = {}
-        for j, slope in _chained(expression, slopes).items():
-            derivative = sympy.Symbol(f"{name}_{j}", real=True)
-            found[derivative] = slope
-            slopes[name][j] = slope if slope.is_Atom else derivative
-    rows = [_chained(e, slopes) for e in primal.groups[0]]
-    return _Text([[row.get(j, sympy.S.Zero) for row in rows for j in range(n)]], found)
+    for others in (sympy.Piecewise, sympy.tan, sympy.cos, sympy.sin, sympy.cosh, sympy.exp):
+        found = one.rewrite(others)
+        if found != one and not found.has(type(one), sympy.I):
+            return found
+    raise ValueError(f"there is no code for {one.func}: use elementary functions or Piecewise")
 
 
-def _chained(expression: Any, slopes: Mapping[Any, Mapping[int, Any]]) -> dict[int, Any]:
-    """The derivatives of an expression with respect to the y that it depends on, of which its symbols have `slopes`."""
-    parts: dict[int, list[Any]] = {}
-    for one in sorted(expression.free_symbols & slopes.keys(), key=str):
-        outer = expression.diff(one)
-        for j, inner in slopes[one].items():
-            parts.setdefault(j, []).append(outer * inner)
-    sums = {j: sympy.Add(*terms) for j, terms in parts.items()}
-    return {j: total for j, total in sums.items() if total != 0}
+def _power(base: Node, exponent: Node) -> Node:
+    """As quotients, if the exponent is negative."""
+    if exponent.op == "number" and exponent.value < 0:
+        return 1.0 / base.graph.power(base, -exponent)
+    return base.graph.power(base, exponent)
 
 
-def _gradient(terms: Sequence[Any], y: Sequence[Any]) -> list[Any]:
-    """The derivatives of a sum: of a long one, most terms do not depend on most of y."""
-    known = [(term, term.free_symbols) for term in terms]
-    return [sympy.Add(*(term.diff(one) for term, symbols in known if one in symbols)) for one in y]
+def _compared(name: str, swapped: bool = False) -> Callable[[Graph, Node, Node], Node]:
+    return lambda graph, a, b: graph.make(name, *((b, a) if swapped else (a, b)))
 
 
-def _matrices(system: System) -> list[Any]:
-    """The entries of what f solves with."""
-    return [e for matrix in system.factors or (system.mass,) for e in _flat(matrix)]
+def _joined(name: str) -> Callable[..., Node]:
+    return lambda graph, *a: reduce(lambda x, y: graph.make(name, x, y), a)
 
 
-def _flat(matrix: Any) -> list[Any]:
-    return list(matrix) if matrix is not None else []
-
-
-def _sparse(entries: Sequence[Any], n: int) -> Pattern | None:
-    places = [(j, i) for j in range(n) for i in range(n) if entries[i * n + j] != 0]
-    if n < _SPARSE_ROWS or len(places) > _SPARSE_PART * n * n:
-        return None
-    counts = np.bincount([j for j, _ in places], minlength=n)
-    return Pattern(np.array([i for _, i in places]), np.concatenate([[0], np.cumsum(counts)]), n)
-
-
-def _column(pattern: Pattern, j: int) -> list[int]:
-    rows: list[int] = pattern.indices[pattern.indptr[j] : pattern.indptr[j + 1]].tolist()
-    return rows
-
-
-class _Text:
-    """The text of groups of expressions with common subexpressions: those of `found`, or by a pass over all."""
-
-    def __init__(self, groups: list[list[Any]], found: dict[Any, Any] | None = None) -> None:
-        self.groups, self.found = groups, found or {}
-        if found is None:
-            names = sympy.numbered_symbols("x", real=True)
-            pairs, reduced = sympy.cse([e for group in groups for e in group], symbols=names, order="none")
-            ends = np.cumsum([0, *map(len, groups)])
-            self.groups, self.found = [reduced[a:b] for a, b in pairwise(ends)], dict(pairs)
-        self._printer = _Printer()
-
-    def formula(self, group: int, kept: list[int] | None = None) -> tuple[Callable[[], list[str]], bool]:
-        """Lines that store what is not zero, of all values or of those that are kept; and whether that is all."""
-        values = self.groups[group] if kept is None else [self.groups[group][i] for i in kept]
-        stored = [f"out[{i}] = {self._print(e)}" for i, e in enumerate(values) if e != 0]
-        lines = [*self._assigned(values), *stored]
-        return lambda: lines, len(stored) == len(values)
-
-    def _assigned(self, values: Sequence[Any]) -> list[str]:
-        """The subexpressions that the values need, in the order of the pass, in which each follows those it needs."""
-        needed: set[Any] = set()
-        waiting = [s for e in values for s in e.free_symbols if s in self.found]
-        while waiting:
-            if (one := waiting.pop()) not in needed:
-                needed.add(one)
-                waiting.extend(s for s in self.found[one].free_symbols if s in self.found)
-        return [f"{one} = {self._print(e)}" for one, e in self.found.items() if one in needed]
-
-    def _print(self, expression: Any) -> str:
-        try:
-            text: str = self._printer.doprint(expression)
-        except NotImplementedError as error:
-            found = sorted({str(one.func) for one in expression.atoms(sympy.Function)})
-            raise ValueError(
-                f"there is no code for one of {', '.join(found)}: use elementary functions or Piecewise ({error})"
-            ) from None
-        return text
+#: SymPy's names of functions of one number, and ours.
+_NAMES = {name: name for name in ELEMENTARY}
+_MADE: dict[str, Callable[..., Node]] = {
+    "Abs": lambda graph, a: graph.make("abs", a),
+    "sign": lambda graph, a: graph.make("sign", a),
+    "floor": lambda graph, a: graph.make("floor", a),
+    "ceiling": lambda graph, a: graph.make("ceil", a),
+    "atan2": lambda graph, a, b: graph.make("atan2", a, b),
+    "Mod": lambda graph, a, b: graph.make("modulo", a, b),
+    "Min": _joined("minimum"),
+    "Max": _joined("maximum"),
+    "And": _joined("and"),
+    "Or": _joined("or"),
+    "Not": lambda graph, a: graph.make("not", a),
+    "StrictLessThan": _compared("less"),
+    "LessThan": _compared("less_equal"),
+    "StrictGreaterThan": _compared("less", swapped=True),
+    "GreaterThan": _compared("less_equal", swapped=True),
+    "Equality": _compared("equal"),
+    "Unequality": _compared("not_equal"),
+    "Heaviside": lambda graph, a, *at_zero: graph.select(
+        graph.make("less", graph.node(0.0), a), graph.node(1.0), graph.node(0.0)
+    ),
+    "DiracDelta": lambda graph, a: graph.node(0.0),
+}

@@ -50,7 +50,7 @@ class Hamiltonian(Phase):
             Whether the problem has the laws that were found as invariants: those that `check_invariants` confirms at
             the start, and that do not follow from others there.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
+            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
         name : str, optional
             For tables and plots.
 
@@ -100,7 +100,7 @@ class Lagrangian(Phase):
             both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
             laws either. Without constraints the laws are imposed together.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
+            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
         name : str, optional
             For tables and plots.
 

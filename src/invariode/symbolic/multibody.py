@@ -58,7 +58,7 @@ class Multibody(SymbolicSystem):
             both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
             laws either.
         compiled : bool, optional
-            Whether numba compiles the functions, which takes a few seconds. Default: if it is installed.
+            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
         name : str, optional
             For tables and plots.
 

@@ -15,7 +15,7 @@ from .._problem.invariants import Invariants
 from .._results.films import HasPoints
 from .._solve.problem import Problem
 from .._studies.check import check_invariants
-from .code import Code, Piece, System, functions
+from .code import Code, System, functions
 from .mechanism import Consistent, Correction, Mechanism
 from .vocabulary import Vocabulary, parsed
 
@@ -119,7 +119,7 @@ class SymbolicSystem(HasPoints):
         left_out: frozenset[str] = frozenset()
         if self._mechanism is not None:
             y0, left_out = self._mechanism.start(t_span, y0, consistent, correction)
-        native = find_spec("numba") is not None if compiled is None else compiled
+        native = find_spec("llvmlite") is not None if compiled is None else compiled
         made, pattern = self._functions(native, left_out)
         sparsity = None
         if native and pattern is not None:  # native code gives the values of this pattern
@@ -144,16 +144,11 @@ class SymbolicSystem(HasPoints):
         """f, jac, and for law i its function g_i and gradient dg_i; made once."""
         key = native, left_out
         if key not in self._made:
-            n = len(self._words.y)
-            pieces = []
-            for i, law in enumerate(self._laws):
-                pieces.append(Piece(f"g{i}", [law.formula], (1,)))
-                pieces.append(Piece(f"dg{i}", [law.formula.diff(one) for one in self._words.y], (1, n)))
             system = self._system
             if left_out and self._mechanism is not None:
                 first = len(system.force) - len(self._mechanism.names)
                 system = system.without([first + self._mechanism.names.index(one) for one in left_out])
-            self._made[key] = functions(system, pieces, native, len(self._words.p))
+            self._made[key] = functions(system, [law.formula for law in self._laws], native)
         return self._made[key]
 
     def _invariants(
@@ -202,8 +197,7 @@ class Equations(SymbolicSystem):
         y0 : dict or array_like
             Initial values, by symbol or in the order of the equations.
         compiled : bool, optional
-            Whether numba compiles the functions. Default: if it is installed. It takes seconds, and minutes for chains
-            of twenty bodies: give False if the runs are short.
+            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
         name : str, optional
             For tables and plots.
 

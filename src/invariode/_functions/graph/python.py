@@ -1,0 +1,175 @@
+"""Graphs as Python's code: straight lines that assign floats, with the functions of `math`."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import Array
+from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, in_order
+
+__all__ = ["Formula", "Pattern", "as_text"]
+
+
+def as_text(name: str, outputs: Sequence[Node]) -> str:
+    """The source of a function (t, y, p) of a list of floats each that returns the list of the values."""
+    nodes = [*in_order(outputs)]
+    careful = any(node.op == "select" for node in nodes)  # the branch that is not taken may have no value
+    names: dict[Node, str] = {}
+    lines = [f"def {name}(t, y, p):"]
+    for node in nodes:
+        text = _written(node, [names[one] for one in node.arguments], careful)
+        if node.arguments and node.op != "entry":
+            names[node] = f"x{len(lines)}"
+            lines.append(f"    {names[node]} = {text}")
+        else:
+            names[node] = text
+    return "\n".join([*lines, f"    return [{', '.join(names[one] for one in outputs)}]"]) + "\n"
+
+
+class Pattern(NamedTuple):
+    """Where entries of a sparse matrix are, in compressed columns."""
+
+    indices: Array
+    indptr: Array
+    n: int
+
+    def matrix(self, values: Sequence[float]) -> Any:
+        from scipy.sparse import csc_array
+
+        return csc_array((np.asarray(values, dtype=float), self.indices, self.indptr), (self.n, self.n))
+
+
+class Formula:
+    """A graph as a Python function of (t, y, *args); it can be pickled. Where Python raises, its values are NaN.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    outputs : function
+        Makes its values, one after the other, when they are first needed.
+    layout : tuple of int or Pattern
+        The shape of what it returns, or where the values of a sparse matrix are.
+    """
+
+    def __init__(self, name: str, outputs: Callable[[], Sequence[Node]], layout: tuple[int, ...] | Pattern) -> None:
+        self.__name__ = self.__qualname__ = name
+        self._outputs, self.layout = outputs, layout
+
+    @cached_property
+    def outputs(self) -> list[Node]:
+        """Its values."""
+        return list(self._outputs())
+
+    @cached_property
+    def text(self) -> str:
+        """The source of its function (t, y, p)."""
+        return as_text(self.__name__, self.outputs)
+
+    @cached_property
+    def _code(self) -> Callable[[float, list[float], Any], list[float]]:
+        namespace: dict[str, Any] = {**vars(math), "solved": _solved, "sign": _sign}
+        namespace |= {f"nan_or_{name}": _careful(function) for name, function in (ELEMENTARY | _OF_TWO).items()}
+        exec(self.text, namespace)
+        made: Callable[[float, list[float], Any], list[float]] = namespace[self.__name__]
+        return made
+
+    def __call__(self, t: float, y: Any, *args: Any) -> Any:
+        p = np.concatenate([np.ravel(one) for one in args]).tolist() if args else ()
+        try:
+            found = self._code(float(t), np.asarray(y, dtype=float).tolist(), p)
+        except (ValueError, ArithmeticError):  # as math.sqrt(-1.0) and 1 / 0: it cannot be evaluated here
+            found = [math.nan] * len(self.outputs)
+        if isinstance(self.layout, Pattern):
+            return self.layout.matrix(found)
+        return found if len(self.layout) == 1 else np.reshape(found, self.layout)
+
+    def __reduce__(self) -> tuple[Callable[..., Formula], tuple[Any, ...]]:
+        nodes = [*in_order(self.outputs)]
+        places = {node: i for i, node in enumerate(nodes)}
+        rows = [(node.op, node.value, [places[one] for one in node.arguments]) for node in nodes]
+        return _restored, (self.__name__, rows, [places[one] for one in self.outputs], self.layout)
+
+
+def _restored(
+    name: str, rows: list[tuple[str, Any, list[int]]], outputs: list[int], layout: tuple[int, ...] | Pattern
+) -> Formula:
+    graph = Graph()
+    nodes: list[Node] = []
+    for op, value, arguments in rows:
+        nodes.append(graph.make(op, *(nodes[i] for i in arguments), value=value))
+    return Formula(name, lambda: [nodes[i] for i in outputs], layout)
+
+
+def _written(node: Node, a: list[str], careful: bool) -> str:
+    """The operation on names. Careful: NaN where Python raises."""
+    op = node.op
+    if careful and (op in ELEMENTARY or op in _OF_TWO):
+        return f"nan_or_{op}({', '.join(a)})"
+    if op == "number":
+        return f"({node.value!r})" if math.isfinite(node.value) else f'float("{node.value!r}")'
+    if op in ("t", "y", "p"):
+        return op if node.value is None else f"{op}[{node.value}]"
+    if op in ARITHMETIC or op in COMPARISONS:
+        return f"{a[0]} {(ARITHMETIC | COMPARISONS)[op]} {a[1]}"
+    if op == "solve":
+        k, m = node.value
+        return f"solved([{', '.join(a)}], {k}, {m})"
+    if op == "entry":
+        return f"{a[0]}[{node.value}]"
+    if op in ELEMENTARY:
+        return f"{op}({a[0]})"
+    return _OTHERS[op].format(*a)
+
+
+_OTHERS = {
+    "negate": "-{0}",
+    "power": "pow({0}, {1})",
+    "atan2": "atan2({0}, {1})",
+    "hypot": "hypot({0}, {1})",
+    "modulo": "{0} % {1}",
+    "minimum": "min({0}, {1})",
+    "maximum": "max({0}, {1})",
+    "abs": "abs({0})",
+    "sign": "sign({0})",
+    "floor": "float(floor({0}))",
+    "ceil": "float(ceil({0}))",
+    "and": "{0} and {1}",
+    "or": "{0} or {1}",
+    "not": "not {0}",
+    "select": "({1} if {0} else {2})",
+}
+
+
+#: What raises for some pairs of numbers.
+_OF_TWO: dict[str, Callable[..., float]] = {"divide": operator.truediv, "power": math.pow, "modulo": operator.mod}
+
+
+def _careful(function: Callable[..., float]) -> Callable[..., float]:
+    def nan_or_value(*arguments: float) -> float:
+        try:
+            return function(*arguments)
+        except (ValueError, ArithmeticError):
+            return math.nan
+
+    return nan_or_value
+
+
+def _sign(x: float) -> float:
+    return math.copysign(1.0, x) if x else x
+
+
+def _solved(numbers: list[float], k: int, m: int) -> list[float]:
+    """NaN if the matrix is singular."""
+    matrix, right = np.reshape(numbers[: k * k], (k, k)), np.reshape(numbers[k * k :], (k, m))
+    try:
+        found: list[float] = np.linalg.solve(matrix, right).ravel().tolist()
+    except np.linalg.LinAlgError:
+        return [math.nan] * (k * m)
+    return found

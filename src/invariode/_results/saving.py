@@ -1,0 +1,186 @@
+"""Solutions in files: what they hold, and where in a `Solution` it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
+from typing import Annotated, Any, TypedDict
+
+import numpy as np
+
+from .._base.arguments import Array, shown, warn
+from .._base.formats import GROUP, Field, Kind
+from .result import Names, Result, Stats
+
+__all__ = ["END", "OCCURRENCES", "OUTCOME", "OUTPUT", "RUN", "SOLUTION", "apart", "together"]
+
+#: How deep lists and dicts may be nested in fields that the user adds.
+_DEEPEST = 50
+
+#: The fields of a Solution that JSON takes as they are, and their types.
+OUTCOME = {"nfev": int, "njev": int, "nlu": int, "status": int, "message": str, "success": bool, "t_end": float}
+
+
+class _Identity(TypedDict):
+    """What tells a run from another: see `identity_of_run`. There are arrays too."""
+
+    method: str
+    options: dict[str, Any]
+    arrays: list[str]
+    functions: list[str]
+    bdf: bool
+    problem: dict[str, Any]
+    code: dict[str, str]
+
+
+class _Dense(TypedDict):
+    """Of a continuous solution, what is not an array."""
+
+    m: int
+    interpolation: str
+    extension: str
+    rtol: float
+    complex: bool
+
+
+def _of_origin(name: str) -> Any:
+    """A field of the origin, None without one."""
+    return lambda sol: None if sol._origin is None else getattr(sol._origin, name)
+
+
+def _identity(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
+    return (None, {}) if sol._origin is None else sol._origin.identity()
+
+
+def _memory(sol: Result) -> Array | None:
+    return None if sol._origin is None else np.frombuffer(sol._origin.memory, dtype=np.uint8)
+
+
+def _dense(sol: Result) -> tuple[dict[str, Any] | None, dict[str, Array]]:
+    parts = {} if sol.sol is None else sol.sol._dense.parts()
+    arrays = {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
+    return {name: parts[name] for name in _Dense.__annotations__ if parts} or None, arrays
+
+
+def together(each: Sequence[Mapping[str, Array]], none: Mapping[str, Array]) -> dict[str, Array]:
+    """The occurrences of all events in one array for each field, after `none` of them, with the numbers of the
+    events."""
+    numbered = [{"number": np.full(len(one["t"]), e), **one} for e, one in enumerate(each)]
+    empty = {"number": np.zeros(0, dtype=np.int64), **none}
+    return {name: np.concatenate([first, *(one[name] for one in numbered)]) for name, first in empty.items()}
+
+
+def apart(whole: Mapping[str, Array], size: int) -> list[dict[str, Array]]:
+    """The reverse, for this many events."""
+    own = [whole["number"] == e for e in range(size)]
+    return [{name: one[here] for name, one in whole.items() if name != "number"} for here in own]
+
+
+def _events(sol: Result) -> tuple[int | None, dict[str, Array]]:
+    pairs = zip(sol.t_events or (), sol.y_events or (), strict=True)
+    each = [{"t": t, "y": y.reshape(len(t), len(sol.y))} for t, y in pairs]
+    return None if sol.t_events is None else len(each), together(each, {"t": np.zeros(0), "y": sol.y.T[:0]})
+
+
+def _values_after(sol: Result) -> Array:
+    """The values of the invariants after each jump."""
+    g = sol._invariants
+    return np.array([jump.value[: len(g)] for jump in g.jumps]).reshape(len(g.jumps), len(g))
+
+
+def _distances(sol: Result) -> Array:
+    g = sol._invariants
+    return g.distance(sol.t, sol.y, sol._rtol, sol._atol, g.pieces_of_output(len(sol.t)))
+
+
+def _imposed(sol: Result) -> bool:
+    return (sol._origin is not None and sol._origin.imposed) or (sol.sol is not None and sol.sol._imposed is not None)
+
+
+#: The occurrences of events, together.
+OCCURRENCES = {
+    "events.number": Field(np.int64, "occurrence", within=(0, "<event")),
+    "events.t": Field(float, "occurrence"),
+    "events.y": Field(None, "occurrence component"),
+}
+#: What stays the same in a run,
+RUN = {
+    "names": Field(Names, of=lambda sol: vars(sol._names)),
+    "invariants": Field(Annotated[list[str], "invariant"], of=lambda sol: sol._invariants.names),
+    "identity": Field(_Identity | None, GROUP, _identity),  # None: there is nothing to go on with
+    "rtol": Field(float, "component?", attrgetter("_rtol"), within=(0, np.finfo(float).max)),
+    "atol": Field(float, "component?", attrgetter("_atol"), within=(0, np.finfo(float).max)),
+}
+#: where it has come to,
+END = {
+    **{name: Field(kind) for name, kind in OUTCOME.items()},
+    "stats": Field(Stats, of=lambda sol: dict(sol.stats)),
+    "methods": Field(list[str], of=lambda sol: list(sol.steps._methods) if sol.steps else []),
+    "forward": Field(float, of=lambda sol: sol._invariants.forward),
+    "invariants.value": Field(float, "invariant", lambda sol: sol._invariants.value),
+    "drift.residual": Field(float, "law", attrgetter("_drift.residual")),
+    "drift.distance": Field(float, "law", attrgetter("_drift.distance")),
+    "drift.correction": Field(float, "", attrgetter("_drift.correction")),
+    "next_h": Field(float | None, of=_of_origin("next_h"), within=(0, math.inf)),
+    "memory_version": Field(int | None, of=_of_origin("memory_version")),
+    "y_end": Field(None, "component", _of_origin("y"), optional=True),
+    "memory": Field(np.uint8, "byte", _memory, optional=True),
+}
+#: and what it has left behind.
+OUTPUT = {
+    "t": Field(float, "t"),
+    "y": Field(None, "component t"),
+    "steps": Field(float, "step 6", lambda sol: sol.steps and sol.steps._rows, optional=True),
+    "events": Field(Annotated[int, "event"] | None, GROUP, _events),
+    **OCCURRENCES,
+    "jumps.row": Field(np.int64, "jump", lambda sol: [jump.row for jump in sol._invariants.jumps], within=(0, "t")),
+    "jumps.t": Field(float, "jump", lambda sol: [jump.t for jump in sol._invariants.jumps]),
+    "jumps.value": Field(float, "jump invariant", _values_after),
+    "dense": Field(_Dense | None, GROUP, _dense),  # the core checks its arrays
+}
+
+
+def _added(sol: Result) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The fields that the user has added, by name: the value in JSON's types, or the number of an array."""
+    added: dict[str, Any] = {}
+    arrays: dict[str, Array] = {}
+    left_out: list[str] = []
+    for name in sol.keys() - {field.name for field in dataclasses.fields(Result)}:
+        value = sol[name]
+        if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biufc":
+            added[name] = {"array": str(len(arrays))}
+            arrays[str(len(arrays))] = np.asarray(value)
+        elif _is_plain(name) and _is_plain(value):
+            added[name] = {"value": value}
+        else:
+            left_out.append(shown(name))
+    if left_out:
+        warn(f"save keeps numbers, text, lists, dicts and arrays, and leaves out the fields {', '.join(left_out)}")
+    return added, arrays
+
+
+def _is_plain(value: Any, depth: int = 0) -> bool:
+    """Whether JSON gives the same value back."""
+    if value is None or type(value) in (bool, int, float, str):
+        return True
+    if depth == _DEEPEST:
+        return False
+    if type(value) is dict:
+        return all(type(name) is str and _is_plain(one, depth + 1) for name, one in value.items())
+    return type(value) is list and all(_is_plain(one, depth + 1) for one in value)
+
+
+SOLUTION = Kind(
+    "solution",
+    RUN
+    | END
+    | OUTPUT
+    | {
+        "invariants.residual": Field(float, "invariant t", attrgetter("residual")),
+        "invariants.distance": Field(float, "invariant t", _distances),
+        "imposed": Field(bool, of=_imposed),
+        "added": Field(dict[str, Any], GROUP, _added),
+    },
+)

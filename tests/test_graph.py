@@ -1,0 +1,260 @@
+"""Expression graphs: Python's code, machine code and lanes have the same values, and derivatives are exact."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import pickle
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import invariode as iv
+from invariode._functions.graph.derivatives import gradient, jacobian, tangent
+from invariode._functions.graph.function import GraphFunction
+from invariode._functions.graph.nodes import ELEMENTARY, Graph, in_order
+from invariode._functions.graph.python import Formula, as_text
+
+machine = pytest.importorskip("invariode._functions.graph.machine")
+
+EPS = np.finfo(float).eps
+#: Operations that are exact or correctly rounded: all codes must have the same bits.
+ROUNDED = ("add", "subtract", "multiply", "divide", "sqrt", "abs", "negate", "floor", "sign", "minimum", "maximum")
+SMOOTH = (*(name for name in ELEMENTARY if name not in ("acosh", "asin", "acos", "atanh")), "atan2", "hypot", "power")
+#: Arguments between -0.9 and 0.9 for some, above 1 for one.
+NARROW = {"asin", "acos", "atanh"}
+N, P = 3, 2
+Y, ARGS, TIME = [0.7, -1.3, 2.1], [1.6, 0.4], 0.3
+
+
+def applied(graph, name, a, b):
+    """An operation on one or two nodes."""
+    if name in ("add", "subtract", "multiply", "divide"):
+        return {"add": a + b, "subtract": a - b, "multiply": a * b, "divide": a / b}[name]
+    if name == "negate":
+        return -a
+    if name == "power":
+        return graph.power(a * a + 0.5, b)
+    if name in NARROW:
+        return graph.elementary(name, a / (1.5 + graph.make("abs", a)))
+    if name == "acosh":
+        return graph.elementary(name, a * a + 1.5)
+    if name in ("sqrt", "log", "log10", "log1p"):
+        return graph.elementary(name, a * a + 0.25)
+    if name in ELEMENTARY:  # what grows fast gets small arguments
+        return graph.elementary(name, a / (2.0 + graph.make("abs", a)) if name in _FAST else a)
+    return graph.make(name, a, b) if name in ("atan2", "hypot", "minimum", "maximum", "modulo") else graph.make(name, a)
+
+
+_FAST = {"exp", "expm1", "sinh", "cosh", "tan"}
+
+
+@st.composite
+def graphs(draw, names, select=True):
+    """A few values of a random graph of operations on t, y, p and numbers."""
+    graph = Graph()
+    nodes = [graph.t, *(graph.y(i) for i in range(N)), *(graph.p(i) for i in range(P)), graph.node(0.5)]
+    for _ in range(draw(st.integers(3, 25))):
+        a, b, c = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(3))
+        name = draw(st.sampled_from([*names, *(["select"] if select else [])]))
+        made = graph.select(graph.make("less", a, b), b, c) if name == "select" else applied(graph, name, a, b)
+        nodes.append(made)
+    return nodes[-3:]
+
+
+def in_python(outputs, t=TIME, y=Y, p=ARGS):
+    return np.array(Formula("f", lambda: outputs, (len(outputs),))(t, y, *p))
+
+
+def compiled(outputs, **form):
+    """(t, y, p) → values, by machine code."""
+    code = machine.machine_code(outputs, machine.Form(**form))
+    kinds = [ctypes.c_double, *[ctypes.c_void_p] * 3] if form.get("lanes", 1) == 1 else [ctypes.c_void_p] * 5
+    call = ctypes.CFUNCTYPE(None, *kinds)(code.address)
+
+    def evaluate(t, y, p):
+        y, p = np.ascontiguousarray(y), np.ascontiguousarray(p, dtype=float)
+        out = np.empty((len(outputs), *y.shape[1:]))
+        time = t if len(kinds) == 4 else np.ascontiguousarray(t).ctypes.data
+        given = (time, y.ctypes.data, out.ctypes.data, p.ctypes.data)
+        call(*given) if len(kinds) == 4 else call(None, *given)
+        assert code.owner is not None
+        return out
+
+    return evaluate
+
+
+RANDOM = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+
+
+@RANDOM
+@given(graphs(ROUNDED))
+def test_machine_code_has_the_bits_of_python(outputs):
+    """For operations that are correctly rounded. Python raises where the machine has inf: then its values are NaN."""
+    expected = in_python(outputs)
+    if np.isfinite(expected).all():
+        np.testing.assert_array_equal(compiled(outputs)(TIME, np.array(Y), ARGS), expected)
+
+
+@RANDOM
+@given(graphs((*ROUNDED, *SMOOTH, *NARROW, "acosh", "modulo")), st.sampled_from([2, 4, 8]))
+def test_lanes_have_the_bits_of_one_at_a_time(outputs, lanes):
+    rng = np.random.default_rng(27)
+    y = rng.uniform(-2, 2, (N, lanes))
+    p = rng.uniform(0.5, 2, (P, lanes))
+    t = rng.uniform(0, 1, lanes)
+    one = compiled(outputs)
+    alone = [one(t[i], y[:, i].copy(), p[:, i].copy()) for i in range(lanes)]
+    np.testing.assert_array_equal(compiled(outputs, lanes=lanes)(t, y, p), np.transpose(alone))
+
+
+def exactly(node, y):
+    """The value of a node in 40 digits."""
+    text = as_text("f", [node])
+    names = {
+        name: getattr(mpmath, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")
+    }
+    names |= {
+        name: getattr(mpmath, name) for name in ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc")
+    }
+    names |= {name: getattr(mpmath, name) for name in ("expm1", "log1p", "log10", "atan2", "hypot")}
+    names |= {"pow": mpmath.power}
+    exec(text, names)
+    return names["f"](mpmath.mpf(TIME), y, [mpmath.mpf(one) for one in ARGS])[0]
+
+
+@RANDOM
+@given(graphs(("add", "multiply", "divide", "negate", *SMOOTH, *NARROW, "acosh"), select=False))
+def test_derivatives_are_those_of_40_digits(outputs):
+    """Within the roundoff of the value's own terms: forwards, backwards and along a direction."""
+    output = outputs[-1]
+    variables = [output.graph.y(i) for i in range(N)]
+    row = jacobian([output], variables)[0]
+    back = gradient(output, variables)
+    assert {*row} >= {*back}
+    direction = np.array([0.3, -0.7, 1.1])
+    (along,) = tangent([output])
+    with mpmath.workdps(40):
+        point = [mpmath.mpf(one) for one in Y]
+
+        def partial(i):
+            return mpmath.diff(lambda x: exactly(output, [*point[:i], x, *point[i + 1 :]]), point[i])
+
+        exact = [float(partial(i)) for i in range(N)]
+    if not np.isfinite(exact).all():
+        return
+    zero = output.graph.node(0.0)
+    values = in_python([row.get(i, zero) for i in range(N)])
+    backwards = in_python([back.get(i, zero) for i in range(N)])
+    size = max(1.0, np.abs(exact).max())
+    condition = 1e4  # of sums that cancel, in graphs of this length
+    np.testing.assert_allclose(values, exact, rtol=0, atol=condition * EPS * size)
+    np.testing.assert_allclose(backwards, exact, rtol=0, atol=condition * EPS * size)
+    y = np.array(Y, dtype=complex) + 1j * direction
+    found = compiled([output, along], is_complex=True)(TIME, y.view(float), ARGS)
+    assert found[1] == pytest.approx(exact @ direction, abs=condition * EPS * size)
+
+
+def test_equal_nodes_are_one_and_identities_are_exact():
+    graph = Graph()
+    x, y = graph.y(0), graph.y(1)
+    once, again = (x * y + 1.0 for _ in range(2))
+    assert once is again
+    negative = -x
+    assert {x * 1.0, 1.0 * x, x / 1.0, x - 0.0, -negative} == {x}
+    assert (x + 0.0).op == "add"  # -0 + 0 is 0
+    assert (x * 0.0).op == "multiply"  # inf and NaN times 0
+    assert graph.node(0.0) is not graph.node(-0.0)
+    assert x**3 == x * (x * x) or x**3 == (x * x) * x
+    assert (graph.node(2.0) ** 0.5).value == math.sqrt(2)
+    assert graph.select(graph.make("less", x, y), x, x) is x
+    assert (graph.node(1.0) / 0.0).op == "divide"
+
+
+def test_the_branch_that_is_not_taken_spoils_nothing():
+    """Neither the value nor the derivative: √x has neither below 0."""
+    graph = Graph()
+    x = graph.y(0)
+    root = graph.select(graph.make("less", graph.node(0.0), x), graph.elementary("sqrt", x) * x, -x)
+    values = [root, *jacobian([root], [x])[0].values(), *gradient(root, [x]).values()]
+    for y, expected in ((-4.0, (4.0, -1.0, -1.0)), (4.0, (8.0, 3.0, 3.0))):
+        np.testing.assert_array_equal(in_python(values, y=[y]), expected)
+        np.testing.assert_array_equal(compiled(values)(0.0, np.array([y]), []), expected)
+
+
+def test_linear_systems_are_solved_and_differentiated():
+    graph = Graph()
+    y = [graph.y(i) for i in range(3)]
+    matrix = [[y[0] + 3.0, y[1], y[2]], [y[2], y[0] * 0.0, y[1] - 2.0], [graph.node(1.0), y[2] * y[2], y[0]]]
+    solved = [row[0] for row in graph.solve(matrix, [[y[1]], [y[0]], [graph.node(1.0)]])]
+    rows = jacobian(solved, y)
+    values = [*solved, *(row[j] for row in rows for j in range(3))]
+
+    def exact(point):
+        a, b, c = point
+        return np.linalg.solve([[a + 3, b, c], [c, 0, b - 2], [1, c * c, a]], [b, a, 1])
+
+    point = np.array([0.4, 1.1, -0.6])
+    slopes = np.transpose([(exact(point + e) - exact(point - e)) / 2e-6 for e in 1e-6 * np.eye(3)])
+    for found in (in_python(values, y=point), compiled(values)(0.0, point, [])):
+        np.testing.assert_allclose(found[:3], exact(point), rtol=1e-13)
+        np.testing.assert_allclose(found[3:].reshape(3, 3), slopes, rtol=1e-8, atol=1e-8)
+    singular = [row[0] for row in graph.solve([[y[0], y[0]], [y[0], y[0]]], [[y[1]], [y[2]]])]
+    assert np.isnan(in_python(singular)).all()
+    assert np.isnan(compiled(singular)(0.0, np.array(Y), [])).all()
+
+
+def test_long_graphs_are_compiled_in_blocks_and_right():
+    graph = Graph()
+    total = graph.y(0)
+    for i in range(1, 4000):
+        total = total + graph.y(1) * (i % 7)
+    outputs = [total, total * total]
+    assert len([*in_order(outputs)]) > machine._OPTIMISED
+    np.testing.assert_array_equal(compiled(outputs)(0.0, np.array([0.5, 0.1]), []), in_python(outputs, y=[0.5, 0.1]))
+
+
+def orbit():
+    """Kepler's problem as a graph, with the strength of the attraction as parameter."""
+    graph = Graph()
+    x, y, u, v = (graph.y(i) for i in range(4))
+    cube = graph.power(x * x + y * y, graph.node(1.5))
+    slopes = [u, v, -graph.p(0) * x / cube, -graph.p(0) * y / cube]
+    rows = jacobian(slopes, [x, y, u, v])
+    zero = graph.node(0.0)
+    f = Formula("f", lambda: slopes, (4,))
+    jac = Formula("jac", lambda: [row.get(j, zero) for row in rows for j in range(4)], (4, 4))
+    return f, jac
+
+
+START = [0.5, 0.0, 0.0, math.sqrt(3)]
+
+
+def test_runs_of_a_graph_are_those_of_its_python_form(method):
+    """One machine code, one formula: the same steps, with exact Jacobians and derivatives in t."""
+    f, jac = orbit()
+    alone, code = (
+        iv.Problem(kind(f), (0, 3), START, args=(1.0,), jac=kind(jac)).solve(method, rtol=1e-5, atol=1e-8)
+        for kind in (lambda formula: formula, GraphFunction)
+    )
+    assert code.success
+    np.testing.assert_allclose(code.y[:, -1], alone.y[:, -1], rtol=1e-9)
+
+
+def test_ensembles_of_graphs_run_in_lanes_with_the_same_bits():
+    f = GraphFunction(orbit()[0])
+    starts = np.array(START) + np.linspace(0, 0.1, 1200)[:, None] * [0, 0, 0, 1]
+    runs = [iv.solve_ensemble(f, (0, 2), starts, args=(1.0,), method="dop853", lanes=lanes) for lanes in ("auto", 1)]
+    assert "lanes" in runs[0].stats.lanes
+    np.testing.assert_array_equal(runs[0].y, runs[1].y)
+
+
+def test_graphs_are_pickled_as_data():
+    f = GraphFunction(orbit()[0], elementary="libm")
+    again = pickle.loads(pickle.dumps(f))
+    assert again.elementary == "libm"
+    np.testing.assert_array_equal(again(0.0, START, 2.0), f(0.0, START, 2.0))
+    assert again.fun.text == f.fun.text
