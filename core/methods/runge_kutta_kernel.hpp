@@ -44,7 +44,7 @@ struct Kernel {
 
   /// The argument of stage I: y + h Σ_{j<I} A_Ij k_j.
   template <std::size_t I>
-  static void argument(const Real* y, Real h, const Stages& k, std::size_t n, Real* out) {
+  static void argument(const Real* y, const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<I>(k, [](auto j) { return T.A[I][j]; }, i);
   }
 
@@ -92,7 +92,7 @@ struct Kernel {
   }
 
   /// y* = y + h Σ b_j k_j
-  static void candidate(const Real* y, Real h, const Stages& k, std::size_t n, Real* out) {
+  static void candidate(const Real* y, const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<last>(k, [](auto j) { return T.b()[j]; }, i);
   }
 
@@ -112,7 +112,7 @@ struct Kernel {
   }
 
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
-  static void errors(Real h, const Stages& k, std::size_t n, Real* out) {
+  static void errors(const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.stages>(k, [](auto j) { return T.E[j]; }, i);
   }
 
@@ -133,7 +133,7 @@ struct Kernel {
   }
 
   /// Coefficients of the continuous extension, (degree, n): h Σ_j B_jd k_j.
-  static void coefficients(Real h, const Stages& k, std::size_t n, Real* out) {
+  static void coefficients(const Real& h, const Stages& k, std::size_t n, Real* out) {
     [&]<std::size_t... D>(std::index_sequence<D...>) {
       (coefficient<D>(h, k, n, out + D * n), ...);
     }(std::make_index_sequence<T.degree>{});
@@ -142,14 +142,14 @@ struct Kernel {
  private:
   /// With two lower formulas: e₁² / √(e₁² + (e₂/10)²) (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10), in a form
   /// whose squares neither overflow nor underflow before the result does.
-  static Real combined_error(Real error, Real crude) {
+  static Real combined_error(const Real& error, const Real& crude) {
     constexpr double weight_of_crude = 0.1;
     const Real ratio = weight_of_crude * crude / error;
     return choose(Real(0) < error, error / square_root(Real(1) + ratio * ratio), error);
   }
 
   template <std::size_t D>
-  static void coefficient(Real h, const Stages& k, std::size_t n, Real* out) {
+  static void coefficient(const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.all_stages>(k, [](auto j) { return T.B[j][D]; }, i);
   }
 
