@@ -432,10 +432,7 @@ class PythonMatrix final : public Callable {
   PythonMatrix(nb::handle function, bool complex) : function_(nb::borrow(function)), complex_(complex) {}
 
   [[nodiscard]] MatrixFunction callback() { return {&PythonMatrix::entry, this}; }
-  int visit(visitproc visit, void* arg) const override {
-    Py_VISIT(function_.ptr());
-    return 0;
-  }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {function_}); }
 
  private:
   static Status entry(void* self, double t, const double* y, Matrix& out) noexcept {
@@ -456,10 +453,7 @@ class PythonPreconditioner final : public Callable {
   PythonPreconditioner(nb::handle function, Space space) : function_(nb::borrow(function)), space_(space) {}
 
   [[nodiscard]] Preconditioner callback() { return {&set_up, &solve, this}; }
-  int visit(visitproc visit, void* arg) const override {
-    Py_VISIT(function_.ptr());
-    return 0;
-  }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {function_}); }
 
  private:
   /// What was made may be given back by a thread that does not hold the interpreter.
@@ -627,17 +621,6 @@ Preconditioner Functions::preconditioner(nb::handle f) {
   return made;
 }
 
-namespace {
-
-int traverse_native(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<Native>(self)->owner.ptr());
-  return 0;
-}
-PyType_Slot native_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_native)}, {0, nullptr}};
-
-}  // namespace
-
 void define_callables(nb::module_& module) {
   if (_import_array() < 0) throw nb::python_error();
   nb::class_<PiecewisePolynomial>(module, "PiecewisePolynomial", "Functions of t that are polynomials between times.")
@@ -665,7 +648,7 @@ void define_callables(nb::module_& module) {
             return value;
           },
           nb::arg("t"), "The one value at t.");
-  nb::class_<Native>(module, "Native", nb::type_slots(native_slots),
+  nb::class_<Native>(module, "Native", nb::type_slots(slots<Native>),
                      "Machine code of the user, and what keeps it alive.")
       .def(
           "__init__",

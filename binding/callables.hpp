@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <memory>
 #include <span>
 #include <string>
@@ -31,12 +32,30 @@ struct Space {
   [[nodiscard]] std::size_t components() const { return complex ? size / 2 : size; }
 };
 
+// Garbage collection. None of the objects that Python sees changes what it holds: a cycle through one is broken
+// elsewhere.
+
+inline int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held) {
+  for (const nb::handle one : held) Py_VISIT(one.ptr());
+  return 0;
+}
+template <class Holder>
+int traverse(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  return nb::inst_ready(self) ? nb::inst_ptr<Holder>(self)->visit(visit, arg) : 0;
+}
+/// Of the Python type of objects that show what they hold.
+template <class Holder>
+PyType_Slot slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse<Holder>)}, {0, nullptr}};
+
 /// A user's machine code: its address, what keeps it alive, and inputs, whose values at t come first in its parameters.
 struct Native {
   std::uintptr_t address;
   bool event;
   nb::object owner;
   std::vector<PiecewisePolynomial> inputs;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner}); }
 };
 
 /// What keeps a user function for as long as the core may call it.

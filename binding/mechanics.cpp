@@ -272,30 +272,6 @@ std::tuple<Vector, Vector, int, bool> solve(const ConstMatrix& mass, const Const
   return {to_numpy(found.a), to_numpy(found.lambda), static_cast<int>(found.rank), found.unique};
 }
 
-int traverse_spec(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<MechanicsSpec>(self)->functions.ptr());
-  return 0;
-}
-int traverse_part(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<MotionPart>(self)->mechanics.ptr());
-  return 0;
-}
-int traverse_motion(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  return nb::inst_ready(self) ? nb::inst_ptr<BoundMotion>(self)->visit(visit, arg) : 0;
-}
-int traverse_differentiable(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  return nb::inst_ready(self) ? nb::inst_ptr<BoundDifferentiable>(self)->visit(visit, arg) : 0;
-}
-PyType_Slot differentiable_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_differentiable)},
-                                      {0, nullptr}};
-PyType_Slot spec_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_spec)}, {0, nullptr}};
-PyType_Slot part_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_part)}, {0, nullptr}};
-PyType_Slot motion_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_motion)}, {0, nullptr}};
-
 MassTerm::Writes writes_named(const std::string& name) {
   if (name == "nothing") return MassTerm::Writes::nothing;
   if (name == "diagonal") return MassTerm::Writes::diagonal;
@@ -305,7 +281,8 @@ MassTerm::Writes writes_named(const std::string& name) {
 }
 
 void define_description(nb::module_& module) {
-  nb::class_<MechanicsSpec>(module, "Mechanics", nb::type_slots(spec_slots), "A mechanical system, for the core.")
+  nb::class_<MechanicsSpec>(module, "Mechanics", nb::type_slots(slots<MechanicsSpec>),
+                            "A mechanical system, for the core.")
       .def(
           "__init__",
           [](MechanicsSpec* self, std::size_t n_q, std::size_t n_v, std::size_t m_phi, std::size_t m_psi,
@@ -331,7 +308,7 @@ void define_description(nb::module_& module) {
           nb::kw_only(), nb::arg("n_q"), nb::arg("n_v"), nb::arg("m_phi"), nb::arg("m_psi"), nb::arg("functions"),
           nb::arg("mass_writes"), nb::arg("mass"), nb::arg("jacobian_entries"), nb::arg("phi"), nb::arg("psi"),
           nb::arg("kinematics"), nb::arg("kept"), nb::arg("sparse"), nb::arg("dependent"));
-  nb::class_<MotionPart>(module, "MotionPart", nb::type_slots(part_slots),
+  nb::class_<MotionPart>(module, "MotionPart", nb::type_slots(slots<MotionPart>),
                          "A function of (t, y) that a mechanical system has: its slope, one of its laws.")
       .def(
           "__init__",
@@ -364,7 +341,7 @@ nb::dict to_dict(const MotionWork& work) {
 
 void define_mechanics(nb::module_& module) {
   define_description(module);
-  nb::class_<BoundDifferentiable>(module, "Differentiable", nb::type_slots(differentiable_slots),
+  nb::class_<BoundDifferentiable>(module, "Differentiable", nb::type_slots(slots<BoundDifferentiable>),
                                   "A function of t and x with its arguments, and its derivatives.")
       .def(nb::init<const nb::object&, const std::string&, std::size_t, std::size_t, std::size_t, nb::tuple,
                     std::vector<double>>(),
@@ -379,7 +356,7 @@ void define_mechanics(nb::module_& module) {
            "d²/ds² of the same.")
       .def("jacobian", &BoundDifferentiable::jacobian, nb::arg("t"), nb::arg("x"), nb::arg("pattern"),
            "∂/∂x, as (starts, rows, values) in the pattern of such a matrix.");
-  nb::class_<BoundMotion>(module, "Motion", nb::type_slots(motion_slots),
+  nb::class_<BoundMotion>(module, "Motion", nb::type_slots(slots<BoundMotion>),
                           "The equations of motion of a mechanical system with its arguments.")
       .def(nb::init<const nb::object&, nb::tuple, std::vector<double>>(), nb::arg("mechanics"), nb::arg("args"),
            nb::arg("parameters"))

@@ -27,12 +27,16 @@ struct MechanicsSpec {
   std::vector<char> kept;
   bool sparse;
   double dependent;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {functions}); }
 };
 
 /// One of the functions of (t, y) that a mechanical system has.
 struct MotionPart {
   nb::object mechanics;  // a MechanicsSpec
   Motion::Part part;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {mechanics}); }
 };
 
 /// A motion in the keeping of the functions that it calls.
@@ -42,10 +46,7 @@ class OwnedMotion final : public Callable {
 
   [[nodiscard]] bool is_of(nb::handle mechanics) const { return mechanics_.is(mechanics); }
   [[nodiscard]] Motion& motion() { return *motion_; }
-  int visit(visitproc visit, void* arg) const override {
-    Py_VISIT(mechanics_.ptr());
-    return 0;
-  }
+  int visit(visitproc visit, void* arg) const override { return visit_all(visit, arg, {mechanics_}); }
 
  private:
   nb::object mechanics_;

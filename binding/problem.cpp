@@ -187,42 +187,22 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
-// What Python sees. None of these objects changes the objects that it holds: a cycle through one is broken elsewhere.
+// What Python sees
 
-namespace {
-
-int visit_all(visitproc visit, void* arg, std::initializer_list<nb::handle> held) {
-  for (const nb::handle one : held) Py_VISIT(one.ptr());
-  return 0;
-}
-int visit(const InvariantSpec& s, visitproc visit, void* arg) {
-  return visit_all(visit, arg, {s.fun, s.jac, s.metric});
-}
-int visit(const EventSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.fun, s.action}); }
-int visit(const BreakpointSpec& s, visitproc visit, void* arg) { return visit_all(visit, arg, {s.action}); }
-int visit(const LinearSpec& s, visitproc visit, void* arg) {
-  return visit_all(visit, arg, {s.jacobian, s.mass, s.null_basis, s.lapack, s.product, s.preconditioner});
-}
-int visit(const ProblemSpec& s, visitproc visitor, void* arg) {
-  int stop = visit_all(visitor, arg, {s.fun, s.args, s.callback});
-  if (stop == 0 && s.linear) stop = visit(*s.linear, visitor, arg);
-  for (const EventSpec& one : s.events)
-    if (stop == 0) stop = visit(one, visitor, arg);
-  for (const BreakpointSpec& one : s.breakpoints)
-    if (stop == 0) stop = visit(one, visitor, arg);
-  for (const InvariantSpec& one : s.invariants)
-    if (stop == 0) stop = visit(one, visitor, arg);
+int ProblemSpec::visit(visitproc visit, void* arg) const {
+  int stop = visit_all(visit, arg, {fun, args, callback});
+  if (stop == 0 && linear) stop = linear->visit(visit, arg);
+  const auto visit_each = [&](const auto& specs) {
+    for (const auto& one : specs)
+      if (stop == 0) stop = one.visit(visit, arg);
+  };
+  visit_each(events);
+  visit_each(breakpoints);
+  visit_each(invariants);
   return stop;
 }
 
-template <class Spec>
-int traverse(PyObject* self, visitproc visitor, void* arg) {
-  if (const int stop = visit_all(visitor, arg, {nb::handle(reinterpret_cast<PyObject*>(Py_TYPE(self)))}); stop != 0)
-    return stop;
-  return nb::inst_ready(self) ? visit(*nb::inst_ptr<Spec>(self), visitor, arg) : 0;
-}
-template <class Spec>
-PyType_Slot slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse<Spec>)}, {0, nullptr}};
+namespace {
 
 void define_functions(nb::module_& module) {
   nb::class_<InvariantSpec>(module, "Invariant", nb::type_slots(slots<InvariantSpec>), "An invariant, for the core.")

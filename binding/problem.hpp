@@ -32,6 +32,8 @@ struct InvariantSpec {
   std::size_t metric_size = 0;  // how many values it has
   bool along_steps = false;     // its correction is made of what the step is made of
   int sense = 0;                // −1: it never rises as t grows; 1: it never falls; 0: it is kept
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, jac, metric}); }
 };
 
 struct EventSpec {
@@ -42,12 +44,16 @@ struct EventSpec {
   nb::object action;
   bool rehold;
   int samples;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {fun, action}); }
 };
 
 /// A breakpoint: its time, and its action or None.
 struct BreakpointSpec {
   double t;
   nb::object action;
+
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {action}); }
 };
 
 /// What is known of ∂f/∂y and M.
@@ -62,6 +68,10 @@ struct LinearSpec {
   std::int64_t found_pattern;          // evaluations of f that found the pattern; 0: it was given
   nb::object product, preconditioner;  // of the kind `products`: functions, or None
   std::size_t dimension;               // of its Krylov space
+
+  int visit(visitproc visit, void* arg) const {
+    return visit_all(visit, arg, {jacobian, mass, null_basis, lapack, product, preconditioner});
+  }
 };
 
 struct ProblemSpec {
@@ -77,6 +87,8 @@ struct ProblemSpec {
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;
   std::vector<double> lower, upper;  // bounds of y; empty: none
+
+  int visit(visitproc visit, void* arg) const;
 };
 
 /// rtol, thr of all components or of each, and the scales of a vector rtol, if it was one.

@@ -65,6 +65,7 @@ struct BoundSolver {
         solver(method_of(method), bound.problem(), tolerances.for_size(problem.n), settings, settings),
         parameters(problem.parameters),
         cover(settings.t0, settings.tf, settings.hmax) {}
+  int visit(visitproc visit, void* arg) const { return bound.visit(visit, arg); }
 
   BoundProblem bound;
   Solver solver;
@@ -309,6 +310,7 @@ class Stepper {
     integration().keep_last_step();
     guarded([&] { integration().start(y0.data()); });
   }
+  int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, {owner_}); }
 
   /// Goes on by one accepted step; what the state is then, tells why not.
   void step() {
@@ -441,19 +443,6 @@ std::vector<std::pair<std::size_t, FinishedRun>> failures(const EnsembleResult& 
 
 // ---------------------------------------------------------------------------------------------------------------------
 // What Python sees
-
-int traverse_solver(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  return nb::inst_ready(self) ? nb::inst_ptr<BoundSolver>(self)->bound.visit(visit, arg) : 0;
-}
-PyType_Slot solver_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_solver)}, {0, nullptr}};
-
-int traverse_stepper(PyObject* self, visitproc visit, void* arg) {
-  Py_VISIT(Py_TYPE(self));
-  if (nb::inst_ready(self)) Py_VISIT(nb::inst_ptr<Stepper>(self)->owner().ptr());
-  return 0;
-}
-PyType_Slot stepper_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_stepper)}, {0, nullptr}};
 
 using RunClass = nb::class_<FinishedRun>;
 
@@ -647,7 +636,7 @@ void define_solver(nb::module_& module) {
   nb::class_<StopRequest>(module, "StopRequest", "A wish to end a run.")
       .def(nb::init<>())
       .def("make", [](StopRequest& self) { self.made = true; }, "From any thread, or in a handler of signals.");
-  nb::class_<BoundSolver>(module, "Solver", nb::type_slots(solver_slots),
+  nb::class_<BoundSolver>(module, "Solver", nb::type_slots(slots<BoundSolver>),
                           "A problem with a method: all that is known before the initial value.")
       .def(nb::init<const std::string&, const ProblemSpec&, const Tolerances&, const RunSettings&>(), nb::arg("method"),
            nb::arg("problem"), nb::arg("tolerances"), nb::arg("settings"))
@@ -692,7 +681,7 @@ void define_solver(nb::module_& module) {
 }
 
 void define_stepper(nb::module_& module) {
-  nb::class_<Stepper>(module, "Stepper", nb::type_slots(stepper_slots), "A run that is advanced step by step.")
+  nb::class_<Stepper>(module, "Stepper", nb::type_slots(slots<Stepper>), "A run that is advanced step by step.")
       .def(
           "__init__",
           [](Stepper* self, nb::object solver, const ConstVector& y0) {

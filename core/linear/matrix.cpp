@@ -9,6 +9,7 @@
 #include <new>
 #include <string>
 
+#include "linear/index.hpp"
 #include "linear/narrow_band.hpp"
 #include "weights.hpp"
 
@@ -19,11 +20,19 @@ constexpr std::size_t dense_by_lapack = 64;  // from this n on LAPACK's blocked 
 constexpr std::size_t narrow_band = 24;      // lower + upper, up to which LAPACK's banded LU is slower than ours
 constexpr double least_diagonal = 0.1;       // of the largest entry in its column, to be taken as a sparse pivot
 
-Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
-
 bool finite(const std::vector<double>& v) { return all_finite(v.data(), v.size()); }
 bool finite(const std::vector<std::complex<double>>& v) {
   return all_finite(reinterpret_cast<const double*>(v.data()), 2 * v.size());  // pairs, as the standard says
+}
+
+/// A = M − c J, in a matrix of zeros; at(i, j) is its entry.
+template <class Scalar, class At>
+void assemble(const Matrix* mass, Scalar c, const Matrix& jacobian, At at) {
+  if (mass)
+    mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
+  else
+    for (std::size_t i = 0; i < jacobian.n(); ++i) at(i, i) = 1;
+  jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
 }
 
 /// LU by Eigen, whose small matrices cost no call.
@@ -33,11 +42,8 @@ class DenseByEigen final : public Factors<Scalar> {
   explicit DenseByEigen(std::size_t n) : A_(index(n), index(n)), lu_(index(n)), x_(index(n)) {}
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
-    if (mass)
-      mass->for_each([this](std::size_t i, std::size_t j, double m) { A_(index(i), index(j)) = m; });
-    else
-      A_.setIdentity();
-    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { A_(index(i), index(j)) -= c * value; });
+    A_.setZero();
+    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j) -> Scalar& { return A_(index(i), index(j)); });
     lu_.compute(A_);
     return lu_.matrixLU().allFinite() && (lu_.matrixLU().diagonal().array() != 0).all();
   }
@@ -68,11 +74,7 @@ class DenseByLapack final : public Factors<Scalar> {
     const auto n = static_cast<std::size_t>(n_);
     const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * n + i]; };
     lu_.assign(n * n, 0);
-    if (mass)
-      mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
-    else
-      for (std::size_t i = 0; i < n; ++i) at(i, i) = 1;
-    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
+    assemble(mass, c, jacobian, at);
     if (!finite(lu_)) return false;
     int info = 0;
     lapack_.factor(&n_, &n_, lu_.data(), &n_, pivots_.data(), &info);
@@ -99,11 +101,7 @@ class BandedByRows final : public Factors<Scalar> {
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     A_.clear();
-    if (mass)
-      mass->for_each([this](std::size_t i, std::size_t j, double m) { A_.at(i, j) = m; });
-    else
-      for (std::size_t j = 0; j < jacobian.n(); ++j) A_.at(j, j) = 1;
-    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { A_.at(i, j) -= c * value; });
+    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j) -> Scalar& { return A_.at(i, j); });
     return finite(A_.entries()) && A_.factor();
   }
 
@@ -129,11 +127,7 @@ class BandedByLapack final : public Factors<Scalar> {
     const auto rows = static_cast<std::size_t>(rows_), top = rows - static_cast<std::size_t>(lower_) - 1;
     const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * rows + top + i - j]; };
     std::fill(lu_.begin(), lu_.end(), 0);
-    if (mass)
-      mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
-    else
-      for (std::size_t j = 0; j < pivots_.size(); ++j) at(j, j) = 1;
-    jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
+    assemble(mass, c, jacobian, at);
     if (!finite(lu_)) return false;
     int info = 0;
     lapack_.factor_band(&n_, &n_, &lower_, &upper_, lu_.data(), &rows_, pivots_.data(), &info);

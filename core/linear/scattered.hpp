@@ -1,9 +1,14 @@
 #pragma once
 // Numbers without structure, the same on every platform, for directions in which nothing cancels.
 
+#include <cmath>
+#include <cstddef>
 #include <cstdint>
 
 namespace invariode {
+
+/// In [0, 1), spread evenly over it: the multiples of the golden ratio modulo 1.
+inline double spread(std::size_t j) { return std::fmod(0.6180339887498949 * static_cast<double>(j + 1), 1.0); }
 
 /// In [0, 1), scattered over it: no small linear combination of successive ones vanishes, as it does with multiples of
 /// an irrational number. SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) at k.

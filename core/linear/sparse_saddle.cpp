@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "linear/scattered.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -13,9 +14,7 @@ using Sparse = Eigen::SparseMatrix<double>;
 using Vector = Eigen::VectorXd;
 using Eigen::Index;
 
-constexpr double golden = 0.6180339887498949;
-constexpr double dependent = 1000 * eps;  // pivots of a matrix of ones on the diagonal: what roundoff leaves of 0
-constexpr double accurate = 1e-13;        // residuals, as a part of their terms
+constexpr double accurate = 1e-13;     // residuals, as a part of their terms
 constexpr double roundoff = 10 * eps;  // of the largest unknown, which the factors leave in all that are coupled to it
 
 /// The residual is at most `accurate` of its terms, row by row, or what roundoff leaves of them.
@@ -37,16 +36,10 @@ bool is_diagonal(const Sparse& M) {
 bool SparseSaddle::solve(const Sparse& M, const Sparse& A, const VectorView& Q, const VectorView& gamma,
                          ConstrainedSolution& found) {
   const Index n = M.rows();
-  if (!analyzed_) diagonal_ = is_diagonal(M);
-  if (diagonal_) {
-    inverse_mass_ = M.diagonal();
-    diagonal_ = (inverse_mass_.array() > 0).all();
-    if (!diagonal_) analyzed_ = false;
-    inverse_mass_ = inverse_mass_.cwiseInverse();
-  }
+  inverse_mass_ = M.diagonal().cwiseInverse();
+  diagonal_ = is_diagonal(M) && (inverse_mass_.array() > 0).all();
   const bool needs_factors = A.rows() > 0 || !diagonal_;
   if (needs_factors && !(diagonal_ ? factor_complement(A) : factor_whole(M, A))) return false;
-  analyzed_ = true;
   const Sparse size = A.cwiseAbs();
   const Sparse mass_size = M.cwiseAbs();
   const Vector row_sum = size * Vector::Ones(n), column_sum = size.transpose() * Vector::Ones(A.rows());
@@ -79,11 +72,7 @@ bool SparseSaddle::factor_complement(const Sparse& A) {
   row_scale_ = (B.cwiseAbs2().transpose() * Vector::Ones(B.rows())).cwiseSqrt();
   if (!(row_scale_.array() > 0).all()) return false;
   row_scale_ = row_scale_.cwiseInverse();
-  const Sparse scaled = B * row_scale_.asDiagonal();
-  const Sparse complement = scaled.transpose() * scaled;
-  if (!analyzed_) complement_.analyzePattern(complement);
-  complement_.factorize(complement);
-  return complement_.info() == Eigen::Success && (complement_.vectorD().array() > dependent).all();
+  return complement_.factor(B * row_scale_.asDiagonal(), 0);
 }
 
 bool SparseSaddle::factor_whole(const Sparse& M, const Sparse& A) {
@@ -100,7 +89,7 @@ bool SparseSaddle::factor_whole(const Sparse& M, const Sparse& A) {
   }
   Sparse all(n + k, n + k);
   all.setFromTriplets(entries.begin(), entries.end());
-  if (!analyzed_) whole_.analyzePattern(all);
+  if (pattern_.renew(all)) whole_.analyzePattern(all);
   whole_.factorize(all);
   return whole_.info() == Eigen::Success;
 }
@@ -109,11 +98,10 @@ bool SparseSaddle::factor_whole(const Sparse& M, const Sparse& A) {
 /// the rows and of either sign.
 double SparseSaddle::pivot(const Sparse& A) {
   if (A.rows() == 0) return 1;
-  if (diagonal_) return std::sqrt(complement_.vectorD().minCoeff());
+  if (diagonal_) return complement_.least_pivot();
   const Vector row_norm = (A.cwiseAbs2() * Vector::Ones(A.cols())).cwiseSqrt();
   Vector signs(A.rows());
-  for (Index i = 0; i < signs.size(); ++i)
-    signs[i] = std::fmod(golden * static_cast<double>(i + 1), 1.0) < 0.5 ? -1 : 1;
+  for (Index i = 0; i < signs.size(); ++i) signs[i] = spread(static_cast<std::size_t>(i)) < 0.5 ? -1 : 1;
   substitute(A, Vector::Zero(A.cols()), signs.cwiseProduct(row_norm));
   return 1 / largest(a_);
 }
@@ -132,7 +120,7 @@ void SparseSaddle::substitute(const Sparse& A, const Vector& p, const Vector& q)
   lambda_ = Vector::Zero(k);
   if (k == 0) return;
   const Vector rest = row_scale_.cwiseProduct(q - A * a_);
-  lambda_ = row_scale_.cwiseProduct(Vector(complement_.solve(rest)));
+  lambda_ = row_scale_.cwiseProduct(complement_.solve(rest));
   a_ += inverse_mass_.cwiseProduct(A.transpose() * lambda_);
 }
 

@@ -1,10 +1,10 @@
 #pragma once
 // The linear system of constrained mechanics with few connections: chains, nets, trees.
 
-#include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
 #include <Eigen/SparseLU>
 
+#include "linear/least_norm.hpp"
 #include "linear/saddle.hpp"
 
 namespace invariode {
@@ -12,8 +12,8 @@ namespace invariode {
 /// Whether M has entries on its diagonal only.
 bool is_diagonal(const Eigen::SparseMatrix<double>& M);
 
-/// Solves the system of `ConstrainedSolution` with sparse M and A, of patterns that stay: with a diagonal positive M by
-/// the Schur complement A M⁻¹ Aᵀ, else by LU factors of the whole. One step of refinement recovers what the squared
+/// Solves the system of `ConstrainedSolution` with sparse M and A: with a diagonal positive M by the Schur complement
+/// A M⁻¹ Aᵀ, else by LU factors of the whole. One step of refinement recovers what the squared
 /// condition number costs, and the result is tested.
 class SparseSaddle {
  public:
@@ -29,9 +29,10 @@ class SparseSaddle {
   /// M a − Aᵀ λ = p, A a = q.
   void substitute(const Eigen::SparseMatrix<double>& A, const Eigen::VectorXd& p, const Eigen::VectorXd& q);
 
-  bool diagonal_ = false, analyzed_ = false;
+  bool diagonal_ = false;  // M, and positive
   Eigen::VectorXd inverse_mass_, row_scale_, a_, lambda_;
-  Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> complement_;
+  GramFactors complement_;
+  KnownPattern pattern_;  // of the whole
   Eigen::SparseLU<Eigen::SparseMatrix<double>> whole_;
 };
 

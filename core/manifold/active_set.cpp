@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "linear/index.hpp"
+
 namespace invariode {
 namespace {
 
@@ -14,8 +16,6 @@ constexpr int most_rounds = 100;                  // then none is released any m
 constexpr int output_rounds = 4;                  // between steps: as in the steps at their ends, mostly
 
 using Vector = Eigen::Map<const Eigen::VectorXd>;
-
-Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
 /// Where y_i is not inside its bounds: at or beyond one.
 bool at_bound(const Bounds::Interval& one, const double* y) {

@@ -6,6 +6,8 @@
 #include <span>
 #include <vector>
 
+#include "linear/least_norm.hpp"
+
 namespace invariode {
 
 /// The span of some vectors, as an orthonormal basis in the weights of the error test. A row of J W that is cut to it
@@ -25,8 +27,8 @@ class Directions {
  private:
   std::size_t n_;
   std::vector<const double*> vectors_;
-  Eigen::MatrixXd basis_;  // (n, vectors), of which `rank_` columns count
-  Eigen::Index rank_ = 0;
+  std::vector<std::size_t> waiting_;  // those that are to join the basis
+  PivotedBasis basis_;
   Eigen::VectorXd rest_;
 };
 

@@ -4,7 +4,7 @@
 
 #include <cstddef>
 
-#include "manifold/rows.hpp"
+#include "linear/rows.hpp"
 #include "manifold/thresholds.hpp"
 #include "number.hpp"
 #include "weights.hpp"

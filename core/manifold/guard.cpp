@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "linear/scattered.hpp"
 #include "manifold/gradient.hpp"
 
 namespace invariode {
@@ -36,11 +37,7 @@ Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
 }  // namespace
 
-double Guard::direction(std::size_t j) {
-  constexpr double golden = 0.6180339887498949;
-  const double fraction = std::fmod(golden * static_cast<double>(j + 1), 1.0);
-  return (j % 2 == 0 ? 1 : -1) * (0.5 + fraction);
-}
+double Guard::direction(std::size_t j) { return (j % 2 == 0 ? 1 : -1) * (0.5 + spread(j)); }
 
 Guard::Guard(Invariants& invariants, const Weights& weights, Slope& slope, double interval)
     : interval_(interval),

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/rows.hpp"
 #include "manifold/metric.hpp"
-#include "manifold/rows.hpp"
 #include "weights.hpp"
 
 namespace invariode {

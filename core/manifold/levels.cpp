@@ -14,8 +14,6 @@ constexpr double least_share = 1e-13;
 // in q, and of ε / σ² in v.
 constexpr double nearly_dependent = 0.01;
 
-Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
-
 std::vector<char> mask_of(const InvariantBlock& block, std::size_t n) {
   std::vector<char> mask(n, block.moves.empty() ? 1 : 0);
   for (const std::size_t j : block.moves) {
@@ -38,7 +36,6 @@ Levels::Levels(const Invariants& invariants)
       n_(invariants.n()),
       m_(invariants.m()),
       norm_(m_),
-      z_(m_),
       delta_l_(n_),
       gradient_(n_),
       scale_(n_),
@@ -52,18 +49,6 @@ Levels::Levels(const Invariants& invariants)
     for (std::size_t end = row + block.m; row < end; ++row) level.rows.push_back(row);
   }
   std::sort(levels_.begin(), levels_.end(), [](const Level& a, const Level& b) { return a.number < b.number; });
-  const bool by_sparse_factors =
-      layout_.sparse() && std::ranges::all_of(levels_, [](const Level& level) { return level.diagonal(); });
-  if (!by_sparse_factors) reserve_dense();
-}
-
-/// For the dense process, which sparse factors need only where rows depend on each other.
-void Levels::reserve_dense() {
-  if (R_.size() > 0) return;
-  scaled_.resize(index(n_), index(m_));
-  R_.resize(index(m_), index(m_));
-  basis_.reserve(m_);
-  waiting_.reserve(m_);
 }
 
 Levels::Level& Levels::level_of(const InvariantBlock& block) {
@@ -137,7 +122,7 @@ bool Levels::scales(Level& level, const double* w) {
 
 std::size_t Levels::solve_dense(const double* J, const double* r, const double* noise, const double* w,
                                 double threshold, double* delta) {
-  reserve_dense();
+  basis_.provide(n_, m_);
   std::fill(open_.begin(), open_.end(), 0);
   std::fill(delta, delta + n_, 0);
   std::size_t rank = 0;
@@ -148,28 +133,31 @@ std::size_t Levels::solve_dense(const double* J, const double* r, const double* 
     for (std::size_t k = 0; k < l; ++k)
       for (const std::size_t row : levels_[k].rows)
         if (!idle(row) && left_out_[row] == 0 && norm_[row] > 0) waiting_.push_back(row);
-    orthonormalize(waiting_, threshold);
-    const std::size_t before = basis_.size();
+    const std::size_t before = add_to_basis(threshold);
     waiting_.clear();
     for (const std::size_t row : levels_[l].rows) {
       if (idle(row)) continue;
       if (norm_[row] > 0) waiting_.push_back(row);
       left_out_[row] = 1;  // unless it becomes a pivot
     }
-    orthonormalize(waiting_, threshold);
-    for (std::size_t k = before; k < basis_.size(); ++k) left_out_[basis_[k]] = 0;
-    rank += basis_.size() - before;
+    const std::size_t added = add_to_basis(threshold);
+    for (std::size_t k = 0; k < added; ++k) left_out_[waiting_[k]] = 0;
+    rank += added;
     correct(levels_[l], before, J, r, noise, w, delta);
   }
   return rank;
 }
 
+/// The waiting rows, as long as one is left with more than `threshold` of its length.
+std::size_t Levels::add_to_basis(double threshold) {
+  return basis_.add(waiting_, [threshold](std::size_t, double length) { return length <= threshold; });
+}
+
 /// The rows of J W, or those in the level's metric, cut to the components that it may move, scaled to norm 1; norm 0:
 /// nothing is left of the row.
 void Levels::take_rows(const double* J, const double* w, Level& level) {
-  R_.setZero();
   for (std::size_t i = 0; i < m_; ++i) {
-    double* row = &scaled_(0, index(i));
+    double* row = basis_.vector(i).data();
     double all = 0;
     std::fill(row, row + n_, 0);
     layout_.row(i, J).for_each([&](std::size_t j, double value) {
@@ -177,56 +165,28 @@ void Levels::take_rows(const double* J, const double* w, Level& level) {
       all = std::max(all, std::abs(row[j]));
       if (level.moves[j] == 0) row[j] = 0;
     });
-    norm_[i] = scaled_.col(index(i)).stableNorm();
+    norm_[i] = basis_.vector(i).stableNorm();
     if (norm_[i] <= least_share * all) norm_[i] = 0;
     if (norm_[i] > 0 && level.by_metric()) apply_metric(J, i, level);
-    if (norm_[i] > 0) scaled_.col(index(i)) /= norm_[i];
+    if (norm_[i] > 0) basis_.vector(i) /= norm_[i];
   }
 }
 
 void Levels::apply_metric(const double* J, std::size_t row, Level& level) {
   std::fill(gradient_.begin(), gradient_.end(), 0);
   layout_.row(row, J).for_each([&](std::size_t j, double value) { gradient_[j] = value; });
-  level.metric->divide(gradient_.data(), &scaled_(0, index(row)));
-  norm_[row] = scaled_.col(index(row)).stableNorm();
+  level.metric->divide(gradient_.data(), basis_.vector(row).data());
+  norm_[row] = basis_.vector(row).stableNorm();
 }
 
-/// Adds to the basis what the rows do not have in common with it, by the modified Gram-Schmidt process with pivoting,
-/// each pivot orthogonalised twice. The basis ends where a row is left with `threshold` of its length.
-void Levels::orthonormalize(std::vector<std::size_t>& rows, double threshold) {
-  for (const std::size_t i : rows)
-    for (const std::size_t q : basis_) remove_component(i, q);
-  while (!rows.empty()) {
-    std::size_t pivot = 0;
-    for (std::size_t k = 1; k < rows.size(); ++k)
-      if (scaled_.col(index(rows[k])).norm() > scaled_.col(index(rows[pivot])).norm() * (1 + least_share)) pivot = k;
-    const std::size_t i = rows[pivot];
-    rows.erase(rows.begin() + static_cast<std::ptrdiff_t>(pivot));
-    for (const std::size_t q : basis_) remove_component(i, q);
-    const double size = scaled_.col(index(i)).norm();
-    if (size <= threshold) return;
-    scaled_.col(index(i)) /= size;
-    R_(index(i), index(i)) = size;
-    basis_.push_back(i);
-    for (const std::size_t k : rows) remove_component(k, i);
-  }
-}
-
-/// Takes out of a row what it has of a basis vector, and notes it in R.
-void Levels::remove_component(std::size_t row, std::size_t basis_row) {
-  const double component = scaled_.col(index(basis_row)).dot(scaled_.col(index(row)));
-  scaled_.col(index(row)) -= component * scaled_.col(index(basis_row));
-  R_(index(basis_row), index(row)) += component;
-}
-
-/// What roundoff makes of the combination of rows that is basis vector k: of its own residual, of what it leaves open
-/// in the levels before, and in the combinations before.
-double Levels::noise_of(std::size_t k, std::size_t first, const double* J, const double* noise) const {
-  const std::size_t i = basis_[k];
+/// What roundoff makes of the combination of rows that is basis vector i: of its own residual, of what it leaves open
+/// in the levels before, and in the combinations before, from member `first` on.
+double Levels::noise_of(std::size_t i, std::size_t first, const double* J, const double* noise) const {
   double sum = noise[i];
   layout_.row(i, J).for_each([&](std::size_t j, double value) { sum += std::abs(value) * open_[j]; });
   sum /= norm_[i];
-  for (std::size_t l = first; l < k; ++l) sum += std::abs(R_(index(basis_[l]), index(i))) * doubt_[l];
+  const std::vector<std::size_t>& members = basis_.members();
+  for (std::size_t l = first; members[l] != i; ++l) sum += std::abs(basis_.R(members[l], i)) * doubt_[members[l]];
   return sum;
 }
 
@@ -236,22 +196,23 @@ void Levels::correct(Level& level, std::size_t first, const double* J, const dou
   const bool by_metric = level.by_metric();
   std::fill(delta_l_.begin(), delta_l_.end(), 0);
   std::fill(open_l_.begin(), open_l_.end(), 0);
-  for (std::size_t k = first; k < basis_.size(); ++k) {
-    const std::size_t i = basis_[k];
-    double rest = r[i];  // r_i − J_i δ of the levels before
-    layout_.row(i, J).for_each([&](std::size_t j, double value) { rest -= value * delta[j]; });
-    double sum = rest / norm_[i];
-    for (std::size_t l = first; l < k; ++l) sum -= R_(index(basis_[l]), index(i)) * z_[l];
-    const double pivot = R_(index(i), index(i)), roundoff = noise_of(k, first, J, noise);
+  const auto rest = [&](std::size_t i) {  // of row i, after the levels before
+    double left = r[i];
+    layout_.row(i, J).for_each([&](std::size_t j, double value) { left -= value * delta[j]; });
+    return left / norm_[i];
+  };
+  basis_.solve(first, rest, [&](std::size_t i, double& z) {
+    const double pivot = basis_.R(i, i), roundoff = noise_of(i, first, J, noise);
     const bool doubtful = pivot < nearly_dependent;
-    doubt_[k] = roundoff / pivot;
-    z_[k] = doubtful && std::abs(sum) <= roundoff ? 0 : sum / pivot;
+    doubt_[i] = roundoff / pivot;
+    if (doubtful && std::abs(z) <= doubt_[i]) z = 0;
+    const auto q = basis_.vector(i);
     for (std::size_t j = 0; j < n_; ++j) {
-      const double direction = (by_metric ? 1 : w[j]) * scaled_(index(j), index(i));
-      delta_l_[j] += direction * z_[k];
-      if (doubtful) open_l_[j] += direction * doubt_[k];
+      const double direction = (by_metric ? 1 : w[j]) * q[index(j)];
+      delta_l_[j] += direction * z;
+      if (doubtful) open_l_[j] += direction * doubt_[i];
     }
-  }
+  });
   if (by_metric) {
     level.metric->divide_transposed(delta_l_.data());
     level.metric->divide_transposed(open_l_.data());

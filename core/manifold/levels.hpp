@@ -2,14 +2,13 @@
 // Corrections in levels: what must hold first is imposed first, and what comes later leaves it alone
 // (docs/algorithms.md, 'Corrections in levels').
 
-#include <Eigen/Core>
 #include <cstddef>
 #include <optional>
 #include <vector>
 
+#include "linear/least_norm.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/metric.hpp"
-#include "manifold/sparse_rows.hpp"
 
 namespace invariode {
 
@@ -58,25 +57,20 @@ class Levels {
   [[nodiscard]] bool idle(std::size_t row) const { return idle_ != nullptr && idle_[row] != 0; }
   [[nodiscard]] std::size_t idle_rows(const Level& level) const;
   bool scales(Level& level, const double* w);
-  void reserve_dense();
   void take_rows(const double* J, const double* w, Level& level);
   void apply_metric(const double* J, std::size_t row, Level& level);
-  void orthonormalize(std::vector<std::size_t>& rows, double threshold);
-  void remove_component(std::size_t row, std::size_t basis_row);
+  std::size_t add_to_basis(double threshold);
   void correct(Level& level, std::size_t first, const double* J, const double* r, const double* noise, const double* w,
                double* delta);
-  double noise_of(std::size_t k, std::size_t first, const double* J, const double* noise) const;
+  double noise_of(std::size_t i, std::size_t first, const double* J, const double* noise) const;
 
   const RowLayout& layout_;
   std::size_t n_, m_;
   std::vector<Level> levels_;
-  // Empty where sparse factors suffice:
-  Eigen::MatrixXd scaled_;  // (n, m): rows of J W, or J L⁻ᵀ, as columns, cut to what moves, of norm 1; becomes a basis
-  Eigen::MatrixXd R_;       // (m, m): column i has the components of row i in the basis
+  PivotedBasis basis_;  // of the rows of J W, or J L⁻ᵀ, cut to what moves, of norm 1; empty if sparse factors suffice
   std::vector<double> norm_;          // of the rows before they were scaled
-  std::vector<std::size_t> basis_;    // rows in whose place there is a basis vector, in their order
-  std::vector<std::size_t> waiting_;  // rows to be orthonormalized
-  std::vector<double> z_, delta_l_, gradient_, scale_;
+  std::vector<std::size_t> waiting_;  // rows that are to join the basis
+  std::vector<double> delta_l_, gradient_, scale_;
   std::vector<double> doubt_;          // of z, by roundoff of the residuals
   std::vector<double> open_l_, open_;  // (n): what roundoff leaves open in δ_l, and in the levels so far
   std::vector<char> left_out_;

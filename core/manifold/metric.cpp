@@ -4,13 +4,9 @@
 #include <stdexcept>
 #include <utility>
 
+#include "linear/index.hpp"
+
 namespace invariode {
-namespace {
-
-Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
-
-}  // namespace
-
 MetricFactor::MetricFactor(Metric metric, std::vector<std::size_t> components)
     : metric_(std::move(metric)), components_(std::move(components)), part_(index(components_.size())) {
   const std::size_t k = components_.size();

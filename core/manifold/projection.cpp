@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 #include <utility>
 
 #include "manifold/gradient.hpp"
@@ -34,10 +33,8 @@ constexpr double recovery = 0.5;    // of the residual before: Newton's iteratio
 double norm2(const double* v, std::size_t n) {
   const double sum = sum_of_squares(v, n);
   if (sum > small_square && sum < large_square) return std::sqrt(sum);
-  return Eigen::Map<const Eigen::VectorXd>(v, static_cast<Eigen::Index>(n)).stableNorm();
+  return Eigen::Map<const Eigen::VectorXd>(v, index(n)).stableNorm();
 }
-
-Eigen::Index index(std::size_t i) { return static_cast<Eigen::Index>(i); }
 
 /// The tolerances as units of the components; of those without an absolute tolerance the largest of the others, or 1.
 std::vector<double> units_of(const Weights& weights) {
@@ -70,16 +67,13 @@ Projector::Projector(Invariants& invariants, const Weights& weights, int iterati
       original_(invariants.n()),
       best_(invariants.n()),
       unit_of_component_(units_of(weights)),
-      z_(index(invariants.m())),
-      order_(invariants.m()),
       left_out_(invariants.m()),
       dropped_(invariants.m()) {
-  if (Levels::needed(invariants)) {
+  if (Levels::needed(invariants))
     levels_.emplace(invariants);
-  } else {
-    scaled_.resize(index(invariants.n()), index(invariants.m()));
-    R_.resize(index(invariants.m()), index(invariants.m()));
-  }
+  else
+    basis_.provide(invariants.n(), invariants.m());
+  order_.reserve(invariants.m());
   if (invariants.any_one_sided()) idle_.resize(invariants.m());
   rest_one_sided();
   one_sided_ = idle_count_;
@@ -140,7 +134,7 @@ void Projector::keep_to_directions() {
     if (!idle(i)) largest = std::max(largest, linearization().distance(i));
   directions_->orthonormalize(w_.data(), std::min(largest, largest_pivot));
   for (std::size_t i = 0; i < r_.size(); ++i)
-    if (norm_[i] > 0) directions_->cut(&scaled_(0, index(i)));
+    if (norm_[i] > 0) directions_->cut(basis_.vector(i).data());
 }
 
 /// Whether only `share` of the length of gradient i is left among the directions, too little to correct its residual.
@@ -358,7 +352,7 @@ void Projector::scale_row(std::size_t i) {
   const std::size_t n = w_.size();
   const Row gradient = invariants_.row(i, J_.data());
   const bool sparse = gradient.columns != nullptr;
-  double* row = levels_ ? delta_.data() : &scaled_(0, index(i));
+  double* row = levels_ ? delta_.data() : basis_.vector(i).data();
   if (sparse && !levels_) std::fill(row, row + n, 0.0);
   if (!movable_.empty()) movable_[i] = any_fixed() ? movable_part(i) : 1;
   if (sparse || any_fixed()) {
@@ -403,9 +397,9 @@ std::size_t Projector::solve_one(double t) {
     return 0;
   }
   double distance = r_[0] / norm_[0];
-  const double* row = scaled_.data();
+  const double* row = basis_.vector(0).data();
   if (directions_) {
-    const double share = scaled_.col(0).norm();
+    const double share = basis_.vector(0).norm();
     if (share < least_share) {
       if (out_of_reach(0, share)) leave_out(0, t);
       std::fill(delta_.begin(), delta_.end(), 0);
@@ -417,10 +411,28 @@ std::size_t Projector::solve_one(double t) {
   return 1;
 }
 
-/// With (J W)ᵀ Π = Q R and rank k the minimum-norm solution is W Q₁ R₁₁⁻ᵀ (Πᵀ r)₁.
+/// W Q z with Rᵀ z = r, where Q R is the basis of (J W)ᵀ; rows that are not in it are left out. What is one-sided
+/// depends on the others where it is at its minimum on their manifold, and its residual then falls with its pivot: it
+/// stays as long as it can.
 std::size_t Projector::solve_several(double t) {
-  const std::size_t rank = factor(t);
-  substitute(rank);
+  order_.clear();
+  for (std::size_t i = 0; i < r_.size(); ++i)
+    if (!idle(i)) order_.push_back(i);
+  basis_.clear();
+  double first = 0;
+  const double threshold = pivot_threshold();
+  const std::size_t rank = basis_.add(order_, [&](std::size_t i, double size) {
+    if (basis_.members().empty()) first = size;
+    return (directions_ && size < least_share) || size <= (invariants_.sense(i) == 0 ? threshold : least_pivot) * first;
+  });
+  for (std::size_t k = rank; k < order_.size(); ++k)
+    if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
+  std::fill(delta_.begin(), delta_.end(), 0);
+  const auto right = [this](std::size_t i) { return preference(i) * r_[i] / norm_[i]; };
+  basis_.solve(0, right, [this](std::size_t i, double z) {
+    const auto q = basis_.vector(i);
+    for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] += w_[j] * (q[index(j)] * z);
+  });
   return rank;
 }
 
@@ -488,57 +500,6 @@ bool Projector::settled() const {
   MaxNorm moved;
   for (std::size_t i = 0; i < w_.size(); ++i) moved.add(delta_[i] / w_[i]);
   return moved.value() <= last_correction;
-}
-
-/// Q, in place of the scaled rows, and R by the modified Gram-Schmidt process with pivoting, in which each pivot is
-/// orthogonalised twice: Q is then orthogonal to roundoff. (Eigen's pivoted QR allocates in each call.) Returns the
-/// rank; rows beyond it are left out. What is one-sided depends on the others where it is at its minimum on their
-/// manifold, and its residual then falls with its pivot: it stays as long as it can.
-std::size_t Projector::factor(double t) {
-  const std::size_t m = r_.size() - idle_count_;
-  const auto column = [this](std::size_t k) { return scaled_.col(index(order_[k])); };
-  std::iota(order_.begin(), order_.end(), std::size_t{0});
-  if (idle_count_ > 0) std::partition(order_.begin(), order_.end(), [this](std::size_t i) { return !idle(i); });
-  R_.setZero();
-  double first = 0;
-  const double threshold = pivot_threshold();
-  std::size_t rank = 0;
-  for (; rank < std::min(m, w_.size()); ++rank) {
-    std::size_t pivot = rank;
-    for (std::size_t k = rank + 1; k < m; ++k)
-      if (column(k).squaredNorm() > column(pivot).squaredNorm()) pivot = k;
-    std::swap(order_[rank], order_[pivot]);
-    for (std::size_t l = 0; l < rank; ++l) remove_component(order_[rank], order_[l]);
-    const double size = column(rank).norm();
-    if (rank == 0) first = size;
-    if (directions_ && size < least_share) break;
-    if (size <= (invariants_.sense(order_[rank]) == 0 ? threshold : least_pivot) * first) break;
-    column(rank) /= size;
-    R_(index(order_[rank]), index(order_[rank])) = size;
-    for (std::size_t k = rank + 1; k < m; ++k) remove_component(order_[k], order_[rank]);
-  }
-  for (std::size_t k = rank; k < m; ++k)
-    if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
-  return rank;
-}
-
-/// R₁₁ᵀ z = (Πᵀ r)₁, δ = W Q₁ z
-void Projector::substitute(std::size_t rank) {
-  std::fill(delta_.begin(), delta_.end(), 0);
-  for (std::size_t k = 0; k < rank; ++k) {
-    const std::size_t i = order_[k];
-    double sum = preference(i) * r_[i] / norm_[i];
-    for (std::size_t l = 0; l < k; ++l) sum -= R_(index(order_[l]), index(i)) * z_[index(l)];
-    z_[index(k)] = sum / R_(index(i), index(i));
-    for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] += w_[j] * (scaled_(index(j), index(i)) * z_[index(k)]);
-  }
-}
-
-/// Takes out of column i what it has of the unit column q, and notes it in R.
-void Projector::remove_component(std::size_t i, std::size_t q) {
-  const double component = scaled_.col(index(q)).dot(scaled_.col(index(i)));
-  scaled_.col(index(i)) -= component * scaled_.col(index(q));
-  R_(index(q), index(i)) += component;
 }
 
 double Projector::pivot_threshold() const {

@@ -2,7 +2,6 @@
 // Projection onto the manifold of the invariants in the weighted Euclidean norm (paper, sections 3 and 4;
 // docs/algorithms.md, 'Projection').
 
-#include <Eigen/Core>
 #include <cmath>
 #include <cstddef>
 #include <optional>
@@ -138,9 +137,6 @@ class Projector {
   std::size_t solve_in_levels(double t);
   const char* without_part();
   [[nodiscard]] bool settled() const;
-  std::size_t factor(double t);
-  void substitute(std::size_t rank);
-  void remove_component(std::size_t i, std::size_t q);
   void leave_out(std::size_t i, double t);
   [[nodiscard]] double pivot_threshold() const;
   double roundoff_units(const double* y);  ///< largest residual, in units of its roundoff there,
@@ -156,11 +152,8 @@ class Projector {
   std::vector<double> residual_before_, distance_before_, residual_after_, unit_;
   std::vector<double> r_, J_, norm_, w_, linearized_w_, point_, delta_, original_, best_;
   std::vector<double> unit_of_component_;
-  // Without levels, which have their own:
-  Eigen::MatrixXd scaled_;             // (n, m): the rows of J W, each divided by its norm, as columns; becomes Q
-  Eigen::MatrixXd R_;                  // (m, m): column i has the components of row i in Q
-  Eigen::VectorXd z_;                  // (m)
-  std::vector<std::size_t> order_;     // of the pivots
+  PivotedBasis basis_;                 // of the rows of J W, each divided by its norm; levels have their own
+  std::vector<std::size_t> order_;     // of the pivots, then what is left out
   std::vector<char> left_out_;         // in the latest correction
   std::vector<double> movable_;        // `movable_part` of each invariant; empty: no component was ever fixed
   std::vector<char> without_part_;     // see there

@@ -7,12 +7,14 @@
 #include <stdexcept>
 #include <utility>
 
+#include "linear/index.hpp"
 #include "weights.hpp"
 
 namespace invariode {
 namespace {
 
 using Eigen::Index;
+using Rows = Eigen::SparseMatrix<double, Eigen::RowMajor>;
 
 constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
 constexpr double along_increment = cbrt_eps;  // relative, of the central difference of Φ along the motion
@@ -29,8 +31,6 @@ constexpr double too_near = 0.01, far_enough = 0.005, spacing = 0.03;
 constexpr std::array<double, 4> interpolation = {2, -3, 2, -0.5};  // Lagrange's polynomial in the square, at 0
 constexpr int most_corrections = 6;       // Newton's iteration, which starts near, squares its errors
 constexpr double last_correction = 1e-8;  // of q: its square is roundoff
-
-Index index(std::size_t i) { return static_cast<Index>(i); }
 
 SparseMatrix columns_from(const SparseMatrix& A, std::size_t first) { return A.rightCols(A.cols() - index(first)); }
 
@@ -58,21 +58,6 @@ SparseMatrix placed(const SparseMatrix& A, Index first, Index width) {
   }
   wide.finalize();
   return wide;
-}
-
-/// The rows of a matrix that are kept, dense, row-major.
-void write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, double* out) {
-  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  Eigen::Map<Rows> rows(out, index(kept.size()), from.cols());
-  const Eigen::MatrixXd all(from);
-  for (std::size_t i = 0; i < kept.size(); ++i) rows.row(index(i)) = all.row(index(kept[i]));
-}
-
-/// Their entries row by row.
-void write_entries(const SparseMatrix& from, const std::vector<std::size_t>& kept, double* out) {
-  const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(from);
-  for (const std::size_t i : kept)
-    for (int p = rows.outerIndexPtr()[i]; p < rows.outerIndexPtr()[i + 1]; ++p) *out++ = rows.valuePtr()[p];
 }
 
 }  // namespace
@@ -154,11 +139,11 @@ Callback Motion::callback(Part part) {
     case Part::slope: return {&entry<&Motion::slope>, this};
     case Part::mass: return {&entry<&Motion::mass_values>, this};
     case Part::positions: return {&entry<&Motion::positions>, this};
-    case Part::positions_jacobian: return {&entry<&Motion::positions_jacobian>, this};
+    case Part::positions_jacobian: return {&entry<&Motion::jacobian_rows<Part::positions_jacobian, true>>, this};
     case Part::rates: return {&entry<&Motion::rates>, this};
-    case Part::rates_jacobian: return {&entry<&Motion::rates_jacobian>, this};
+    case Part::rates_jacobian: return {&entry<&Motion::jacobian_rows<Part::rates_jacobian, true>>, this};
     case Part::velocities: return {&entry<&Motion::velocities>, this};
-    case Part::velocities_jacobian: return {&entry<&Motion::velocities_jacobian>, this};
+    case Part::velocities_jacobian: return {&entry<&Motion::jacobian_rows<Part::velocities_jacobian, true>>, this};
   }
   return {};
 }
@@ -420,11 +405,11 @@ Status Motion::curvatures(double t, const double* y) {
       Eigen::Map<Eigen::VectorXd> curvature(values_.data(), phi_.matrix.rows());
       curvature += phi_.matrix * Eigen::Map<const Eigen::VectorXd>(bend_.data(), index(n_q));
     }
-    for (std::size_t i = 0; i < kept_phi_.size(); ++i) gamma_[index(i)] = -values_[kept_phi_[i]];
+    keep_values(kept_phi_, gamma_.data(), -1);
   }
   if (kept_psi_.empty()) return Status::ok;
   if (terms_.velocity_constraints.slope(t, y, 1, along_.data(), values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_psi_.size(); ++i) gamma_[index(m_phi() + i)] = -values_[kept_psi_[i]];
+  keep_values(kept_psi_, gamma_.data() + m_phi(), -1);
   return Status::ok;
 }
 
@@ -446,27 +431,19 @@ Status Motion::mass_values(double t, const double* y, double* out) {
 
 Status Motion::positions(double t, const double* y, double* out) {
   if (terms_.constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
+  keep_values(kept_phi_, out);
   return Status::ok;
 }
 
-Status Motion::positions_jacobian(double t, const double* y, double* J) {
-  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
-  write_rows(placed(phi_.matrix, 0, index(size())), kept_phi_, J);
-  return Status::ok;
-}
-
-Status Motion::positions_entries(double t, const double* y, double* values) {
-  if (phi_jacobian(t, y) == Status::stop) return Status::stop;
-  write_entries(phi_.matrix, kept_phi_, values);
-  return Status::ok;
+void Motion::keep_values(const std::vector<std::size_t>& kept, double* out, double sign) const {
+  for (const std::size_t i : kept) *out++ = sign * values_[i];
 }
 
 /// φ' along the motion.
 Status Motion::rates(double t, const double* y, double* out) {
   if (q_dot(t, y, q_dot_.data()) == Status::stop) return Status::stop;
   if (terms_.constraints.slope(t, y, 1, q_dot_.data(), values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_phi_.size(); ++i) out[i] = values_[kept_phi_[i]];
+  keep_values(kept_phi_, out);
   return Status::ok;
 }
 
@@ -500,47 +477,42 @@ void Motion::combine_rates() {
     rates_ = by_time + SparseMatrix(phi_.matrix * kinematics_.matrix);
 }
 
-Status Motion::rates_jacobian(double t, const double* y, double* J) {
-  if (differentiate_rates(t, y) == Status::stop) return Status::stop;
-  write_rows(rates_, kept_phi_, J);
-  return Status::ok;
-}
-
-Status Motion::rates_entries(double t, const double* y, double* values) {
-  if (differentiate_rates(t, y) == Status::stop) return Status::stop;
-  write_entries(rates_, kept_phi_, values);
-  return Status::ok;
-}
-
 Status Motion::velocities(double t, const double* y, double* out) {
   if (terms_.velocity_constraints.value(t, y, values_.data()) == Status::stop) return Status::stop;
-  for (std::size_t i = 0; i < kept_psi_.size(); ++i) out[i] = values_[kept_psi_[i]];
+  keep_values(kept_psi_, out);
   return Status::ok;
 }
 
-Status Motion::differentiate_velocities(double t, const double* y) {
+Status Motion::differentiate(Part jacobian, double t, const double* y) {
+  if (jacobian == Part::positions_jacobian) return phi_jacobian(t, y);
+  if (jacobian == Part::rates_jacobian) return differentiate_rates(t, y);
   fill_sizes(y, size(), size_.data());
   return terms_.velocity_constraints.jacobian(t, y, size_.data(), psi_);
 }
 
-Status Motion::velocities_jacobian(double t, const double* y, double* J) {
-  if (differentiate_velocities(t, y) == Status::stop) return Status::stop;
-  write_rows(psi_.matrix, kept_psi_, J);
-  return Status::ok;
+const SparseMatrix& Motion::derivative(Part jacobian) const {
+  if (jacobian == Part::velocities_jacobian) return psi_.matrix;
+  return jacobian == Part::positions_jacobian ? phi_.matrix : rates_;
 }
 
-Status Motion::velocities_entries(double t, const double* y, double* values) {
-  if (differentiate_velocities(t, y) == Status::stop) return Status::stop;
-  write_entries(psi_.matrix, kept_psi_, values);
-  return Status::ok;
+void Motion::write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, bool all, double* out) const {
+  const Rows rows(from);
+  if (all) std::fill(out, out + kept.size() * size(), 0.0);
+  for (const std::size_t i : kept) {
+    for (Rows::InnerIterator it(rows, index(i)); it; ++it) {
+      if (all)
+        out[it.col()] = it.value();
+      else
+        *out++ = it.value();
+    }
+    if (all) out += size();
+  }
 }
 
 RowPattern Motion::pattern(Part jacobian) const {
-  const bool velocities = jacobian == Part::velocities_jacobian;
-  const SparseMatrix& of_positions = jacobian == Part::positions_jacobian ? phi_.matrix : rates_;
-  const Eigen::SparseMatrix<double, Eigen::RowMajor> all(velocities ? psi_.matrix : of_positions);
+  const Rows all(derivative(jacobian));
   RowPattern pattern{.starts = {0}, .columns = {}};
-  for (const std::size_t i : velocities ? kept_psi_ : kept_phi_) {
+  for (const std::size_t i : kept(jacobian)) {
     const int* columns = all.innerIndexPtr();
     pattern.columns.insert(pattern.columns.end(), columns + all.outerIndexPtr()[i],
                            columns + all.outerIndexPtr()[i + 1]);
@@ -551,9 +523,9 @@ RowPattern Motion::pattern(Part jacobian) const {
 
 Callback Motion::entries(Part jacobian) {
   switch (jacobian) {
-    case Part::positions_jacobian: return {&entry<&Motion::positions_entries>, this};
-    case Part::rates_jacobian: return {&entry<&Motion::rates_entries>, this};
-    case Part::velocities_jacobian: return {&entry<&Motion::velocities_entries>, this};
+    case Part::positions_jacobian: return {&entry<&Motion::jacobian_rows<Part::positions_jacobian, false>>, this};
+    case Part::rates_jacobian: return {&entry<&Motion::jacobian_rows<Part::rates_jacobian, false>>, this};
+    case Part::velocities_jacobian: return {&entry<&Motion::jacobian_rows<Part::velocities_jacobian, false>>, this};
     default: return {};
   }
 }

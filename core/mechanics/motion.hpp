@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "linear/rows.hpp"
 #include "linear/saddle.hpp"
 #include "linear/sparse_saddle.hpp"
-#include "manifold/rows.hpp"
 #include "mechanics/differentiable.hpp"
 
 namespace invariode {
@@ -116,16 +116,24 @@ class Motion {
 
   Status mass_values(double t, const double* y, double* out);
   Status positions(double t, const double* y, double* out);
-  Status positions_jacobian(double t, const double* y, double* J);
-  Status positions_entries(double t, const double* y, double* values);
   Status rates(double t, const double* y, double* out);
-  Status rates_jacobian(double t, const double* y, double* J);
-  Status rates_entries(double t, const double* y, double* values);
-  Status differentiate_rates(double t, const double* y);
   Status velocities(double t, const double* y, double* out);
-  Status velocities_jacobian(double t, const double* y, double* J);
-  Status velocities_entries(double t, const double* y, double* values);
-  Status differentiate_velocities(double t, const double* y);
+  /// The Jacobian of a law with respect to (q, v), of all its values, of which `kept` are; that of φ to q alone.
+  Status differentiate(Part jacobian, double t, const double* y);
+  [[nodiscard]] const SparseMatrix& derivative(Part jacobian) const;
+  [[nodiscard]] const std::vector<std::size_t>& kept(Part jacobian) const {
+    return jacobian == Part::velocities_jacobian ? kept_psi_ : kept_phi_;
+  }
+  /// The rows that are kept: all entries, or those of the pattern.
+  template <Part jacobian, bool all>
+  Status jacobian_rows(double t, const double* y, double* out) {
+    if (differentiate(jacobian, t, y) == Status::stop) return Status::stop;
+    write_rows(derivative(jacobian), kept(jacobian), all, out);
+    return Status::ok;
+  }
+  void write_rows(const SparseMatrix& from, const std::vector<std::size_t>& kept, bool all, double* out) const;
+  Status differentiate_rates(double t, const double* y);
+  void keep_values(const std::vector<std::size_t>& kept, double* out, double sign = 1) const;
 
   Status accelerations_at(double t, const double* y, ConstrainedSolution& found);
   void solve(const Eigen::VectorXd& Q, const Eigen::VectorXd& gamma, ConstrainedSolution& found);

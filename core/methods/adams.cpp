@@ -41,10 +41,9 @@ void integrate_polynomial(const double* data, std::size_t size, std::size_t n, d
   }
 }
 
-Adams::Adams(Callback& f, const Weights& weights, int max_order, int min_order)
+Adams::Adams(Callback& f, const Weights& weights, int max_order)
     : Step(f, weights),
       max_order_(max_order),
-      min_order_(min_order),
       phi_(static_cast<std::size_t>(max_order + 2) * weights.size()),
       values_(5 * weights.size()) {
   double* next = values_.data();
@@ -52,7 +51,18 @@ Adams::Adams(Callback& f, const Weights& weights, int max_order, int min_order)
 }
 
 Outcome Adams::start(double t, const double* y, const Span& span) {
-  restart(t, y, 1);
+  t_ = t;
+  std::copy(y, y + n(), y_.begin());
+  std::fill(phi_.begin(), phi_.end(), 0);
+  order_ = previous_order_ = 1;
+  previous_h_ = 0;
+  steps_at_h_ = 0;
+  phase1_ = true;
+  predicted_ = false;
+  failures_ = 0;
+  g_[1] = 1;
+  g_[2] = 0.5;
+  sigma_[1] = 1;
   if (const Outcome outcome = evaluate(t, y, slope_); outcome != Outcome::ok) return outcome;
   std::copy(slope_, slope_ + n(), phi(1));
   weights_.fill(y, weight_);
@@ -60,34 +70,11 @@ Outcome Adams::start(double t, const double* y, const Span& span) {
   return Outcome::ok;
 }
 
-void Adams::start_from(double t, const double* y, double h, const double* differences) {
-  restart(t, y, max_order_);
-  std::copy(differences, differences + static_cast<std::size_t>(max_order_) * n(), phi(1));
-  std::copy(phi(1), phi(1) + n(), slope_);
-  for (int i = 1; i <= max_order_; ++i) psi_[static_cast<std::size_t>(i)] = i * h;
-}
-
 /// Calls work(begin, end) for the components in blocks of which several vectors fit into the cache.
 template <class Work>
 void Adams::for_each_block(Work work) {
   constexpr std::size_t block = 512;
   for (std::size_t begin = 0; begin < n(); begin += block) work(begin, std::min(begin + block, n()));
-}
-
-/// Memory as it is before any step.
-void Adams::restart(double t, const double* y, int order) {
-  t_ = t;
-  std::copy(y, y + n(), y_.begin());
-  std::fill(phi_.begin(), phi_.end(), 0);
-  order_ = previous_order_ = order;
-  previous_h_ = 0;
-  steps_at_h_ = 0;
-  phase1_ = order == 1;
-  predicted_ = false;
-  failures_ = 0;
-  g_[1] = 1;
-  g_[2] = 0.5;
-  sigma_[1] = 1;
 }
 
 Outcome Adams::evaluate(double t, const double* y, double* out) {
@@ -222,7 +209,6 @@ double Adams::compare_orders() {
   lower_ = order_;
   if (k == 1) return size;
   erkm1_ = error(k - 1, with_d(order_));
-  if (order_ == min_order_) return size;
   if (k == 2 ? erkm1_ <= 0.5 * erk_ : std::max(erkm1_, error(k - 2, with_d(order_ - 1))) <= erk_) lower_ = order_ - 1;
   return size;
 }
@@ -233,7 +219,7 @@ bool Adams::reject(Cause, double hmin) {
   phase1_ = false;
   if (h_ <= hmin) return false;
   ++failures_;
-  order_ = failures_ >= 3 ? min_order_ : lower_;
+  order_ = failures_ >= 3 ? 1 : lower_;
   const double goal = 0.5 * weights_.rtol();
   const double factor = failures_ > 3 && goal < 0.25 * erk_ ? std::sqrt(goal / erk_) : 0.5;
   h_ = std::max(hmin, h_ * factor);
@@ -282,7 +268,7 @@ void Adams::choose_order_and_step() {
     choose(k - 1, erkm1_);
   } else if (k + 1 <= steps_at_h_) {
     const double erkp1 = h_ * gamma_star[k + 1] * norm(phi(k + 2));
-    if (k > min_order_ && erkm1_ <= std::min(erk_, erkp1))
+    if (k > 1 && erkm1_ <= std::min(erk_, erkp1))
       choose(k - 1, erkm1_);
     else if (k < max_order_ && erkp1 < (k > 1 ? 1 : 0.5) * erk_)
       choose(k + 1, erkp1);

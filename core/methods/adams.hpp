@@ -20,10 +20,7 @@ class Adams final : public Step {
  public:
   static constexpr int highest_order = 12;
 
-  Adams(Callback& f, const Weights& weights, int max_order = highest_order, int min_order = 1);
-
-  /// Memory of equal steps h and the highest order k: differences = [∇^0 f … ∇^{k−1} f] at t, each (n,).
-  void start_from(double t, const double* y, double h, const double* differences);
+  Adams(Callback& f, const Weights& weights, int max_order = highest_order);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
@@ -52,7 +49,8 @@ class Adams final : public Step {
   static constexpr std::size_t most = highest_order + 3;
   using Coefficients = std::array<double, most>;
 
-  void restart(double t, const double* y, int order);
+  friend struct FixedOrder;  // a test of each order
+
   double* phi(int i) { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
   [[nodiscard]] const double* phi(int i) const { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
 
@@ -66,7 +64,7 @@ class Adams final : public Step {
   template <class Work>
   void for_each_block(Work work);
 
-  int max_order_, min_order_;
+  int max_order_;
   int order_ = 1;           // k of the next attempt
   int previous_order_ = 1;  // of the accepted step
   double previous_h_ = 0;   // signed; 0: forgotten

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 
 namespace invariode {
 namespace {
@@ -25,9 +24,8 @@ constexpr int old_jacobian = 20;    // steps
 constexpr int look_period = 10;     // steps with one J
 
 constexpr double safety_same = 1.2, safety_lower = 1.3, safety_higher = 1.4;  // 1/c after a success
-constexpr double retry_same = 0.833, retry_lower = 0.769, smallest_retry = 0.1;
+constexpr double retry_same = 0.833, retry_lower = 0.769;
 constexpr double largest_growth = 10;
-constexpr double starting_safety = 1.25;
 
 /// R(ρ), leading k × k part: R_ij = Π_{l≤i} (l − 1 − jρ)/l
 using Small = std::array<std::array<double, most>, most>;
@@ -57,13 +55,10 @@ void newton_backward(const double* data, std::size_t size, std::size_t n, double
 }
 
 Ndf::Ndf(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Options& options)
-    : Step(f, weights),
+    : ImplicitMethod(f, weights, linear),
       options_(options),
-      newton_(f, weights, linear),
-      initial_(f, linear),
       differences_(static_cast<std::size_t>(options.max_order + 2) * weights.size()) {
-  for (std::vector<double>* v : {&weight_, &predictor_, &psi_, &d_, &candidate_, &slope_, &scratch_})
-    v->resize(weights.size());
+  provide({&slope_, &predictor_, &psi_, &d_, &scratch_});
 }
 
 double Ndf::error_constant(int k) const {
@@ -76,49 +71,21 @@ double Ndf::gamma_inverse(int k) const {
   return 1 / (gamma[q] * (1 - (options_.bdf ? 0 : kappa[q])));
 }
 
-double Ndf::norm(const double* v) const {
-  MaxNorm norm;
-  for (std::size_t i = 0; i < n(); ++i) norm.add(v[i] / weight_[i]);
-  return norm.value();
-}
-
-/// Memory as it is before any step, at a first |h|.
-void Ndf::restart(double t, const double* y, double h, int order) {
-  t_ = t;
-  std::copy(y, y + n(), y_.begin());
-  h_ = memory_h_ = h;
-  order_ = memory_order_ = order;
+/// 1/h is 1.25 √(‖y''‖ / (2 rtol)).
+Outcome Ndf::start(double t, const double* y, const Span& span) {
+  order_ = memory_order_ = 1;
   std::fill(differences_.begin(), differences_.end(), 0);
   steps_at_h_ = 0;
-  failed_ = false;
-  newton_.restart();
-}
-
-Outcome Ndf::start(double t, const double* y, const Span& span) {
-  restart(t, y, 0, 1);
-  if (const Outcome outcome = first_slope(t, y); outcome != Outcome::ok) return outcome;
-  const double forward = span.tf >= t ? 1 : -1;
-  const double root = std::sqrt(weights_.rtol());
-  const double first = first_h(starting_safety * norm(slope_.data()) / root, t, span);
-  if (initial_.second(newton_, t, y, forward * first, candidate_.data(), slope_.data(), predictor_.data(),
-                      scratch_.data()) == Status::stop)
+  solver_.restart();
+  const Outcome outcome = begin(t, y, candidate_.data(), slope_.data());
+  if (outcome != Outcome::ok) return outcome;
+  const double first = starting_safety * norm(slope_.data()) / std::sqrt(weights_.rtol());
+  if (bend(span, first, candidate_.data(), slope_.data(), predictor_.data(), scratch_.data()) == Status::stop)
     return Outcome::stop;
-  const double second = norm(scratch_.data());
-  h_ = memory_h_ = first_h(starting_safety * std::sqrt(0.5 * second / weights_.rtol()), t, span);
+  h_ = memory_h_ = first_h(starting_safety * std::sqrt(0.5 * norm(scratch_.data()) / weights_.rtol()), t, span);
+  const double forward = span.tf >= t ? 1 : -1;
   for (std::size_t i = 0; i < n(); ++i) D(1)[i] = forward * memory_h_ * slope_[i];
   return Outcome::ok;
-}
-
-Outcome Ndf::start_from(double t, const double* y, double h, const double* differences) {
-  restart(t, y, h, options_.max_order);
-  std::copy(differences, differences + static_cast<std::size_t>(order_) * n(), D(1));
-  return first_slope(t, y);
-}
-
-/// f into `candidate_`, y' with M y' = f into `slope_`; J, and the weights of the start.
-Outcome Ndf::first_slope(double t, const double* y) {
-  weights_.fill(y, weight_.data());
-  return initial_.first(newton_, t, y, weight_.data(), candidate_.data(), slope_.data());
 }
 
 /// D_1 … D_k of the present k, from one |h| to another: D ← D R(ρ) U, U = R(1).
@@ -147,36 +114,24 @@ void Ndf::rescale_memory(double h) {
 }
 
 Step::Attempt Ndf::attempt(double h, double t1) {
-  signed_h_ = h;
-  h_ = std::abs(h);
-  t1_ = t1;
-  newton_.forget_undefined();
-  error_ = std::numeric_limits<double>::quiet_NaN();
-  const Attempt stopped{Outcome::stop, error_, candidate_.data()};
-  const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
+  begin_attempt(h, t1);
   if (h_ != memory_h_ || order_ != memory_order_) rescale_memory(h_);
   const double c = h * gamma_inverse(order_);
-  newton_.renew_if_noise(c);
-  if (newton_.repair(t_, y()) == Status::stop) return stopped;
-  switch (newton_.prepare(c, t1)) {
-    case Outcome::stop: return stopped;
-    case Outcome::not_finite: return diverged;
-    case Outcome::ok: break;
+  solver_.renew_if_noise(c);
+  if (solver_.repair(t_, y()) == Status::stop) return proposal(Newton::Result::stop);
+  Newton::Result result = newton_result(solver_.prepare(c, t1));
+  if (result == Newton::Result::converged) {
+    predict();
+    result = solver_.solve(c, t1, predictor_.data(), psi_.data(), weight_.data(), d_.data(), candidate_.data());
   }
-  predict();
-  switch (newton_.solve(c, t1, predictor_.data(), psi_.data(), weight_.data(), d_.data(), candidate_.data())) {
-    case Newton::Result::stop: return stopped;
-    case Newton::Result::failed: return diverged;
-    case Newton::Result::converged: break;
-  }
-  if (look_due(c)) {
+  if (result == Newton::Result::converged && look_due(c)) {
     bool doubtful = false;
-    const Outcome outcome = newton_.doubt(c, psi_.data(), d_.data(), doubtful);
-    if (outcome == Outcome::stop) return stopped;
-    if (doubtful) return diverged;
+    const Outcome outcome = solver_.doubt(c, psi_.data(), d_.data(), doubtful);
+    if (doubtful) result = Newton::Result::failed;
+    if (outcome == Outcome::stop) result = Newton::Result::stop;
   }
-  error_ = norm(d_.data()) * error_constant(order_);
-  return {Outcome::ok, error_, candidate_.data()};
+  if (result == Newton::Result::converged) error_ = norm(d_.data()) * error_constant(order_);
+  return proposal(result);
 }
 
 bool Ndf::errors(double* out) const {
@@ -209,54 +164,42 @@ double Ndf::optimal_h(int k, double error, double safety) const {
   return shrink > 1 / largest_growth ? h_ / shrink : h_ * largest_growth;
 }
 
-/// |h| of a retry with formula k, whose error at the present |h| is `error`.
-double Ndf::retry_h(int k, double error, double safety) const {
-  return h_ * std::max(smallest_retry, safety * std::pow(weights_.rtol() / error, 1.0 / (k + 1)));
-}
-
 /// Whether J is looked at: one that is not stiff cannot be much too large.
 bool Ndf::look_due(double c) {
-  const int age = newton_.jacobian_age();
-  return !newton_.matrix_free() && age > 0 && age % look_period == 0 && newton_.stiff(c, weight_.data());
+  const int age = solver_.jacobian_age();
+  return !solver_.matrix_free() && age > 0 && age % look_period == 0 && solver_.stiff(c, weight_.data());
 }
 
 /// Whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong, and in
 /// algebraic equations it may be so large that the updates are too small to show it. There one that is not old is
 /// renewed too, at the second failure of a step.
 bool Ndf::misleading_jacobian() {
-  const int age = newton_.jacobian_age();
-  const bool algebraic = newton_.mass() && newton_.mass()->singular();
+  const int age = solver_.jacobian_age();
+  const bool algebraic = solver_.mass() && solver_.mass()->singular();
   if (algebraic && failed_ && age > 0) return true;
   return (algebraic || options_.renew_on_error) && age >= old_jacobian &&
-         newton_.stiff(h_ * gamma_inverse(order_), weight_.data());
+         solver_.stiff(h_ * gamma_inverse(order_), weight_.data());
 }
 
 bool Ndf::reject(Cause cause, double hmin) {
-  if (cause == Cause::newton) {
-    if (newton_.hopeless()) return false;
-    if (newton_.renew_if_old()) return true;
-    if (h_ <= hmin) return false;
-    h_ = std::max(hmin, newton_cut * h_);
-    newton_.renew_if_undefined();
-    return true;
-  }
+  if (cause == Cause::newton) return retry_newton(hmin, newton_cut);
   if (h_ <= hmin) return false;
-  double h = 0.5 * h_;
-  if (!failed_ && cause == Cause::error) {
-    h = retry_h(order_, error_, retry_same);
-    if (order_ > options_.min_order) {
-      for (std::size_t i = 0; i < n(); ++i) scratch_[i] = D(order_)[i] + d_[i];
-      const double lower = retry_h(order_ - 1, norm(scratch_.data()) * error_constant(order_ - 1), retry_lower);
-      if (lower > h) {
-        h = std::min(lower, h_);
-        --order_;
-      }
-    }
-  }
-  if (cause == Cause::error && misleading_jacobian()) newton_.renew();
+  const double h = !failed_ && cause == Cause::error ? retry_order_and_h() : 0.5 * h_;
+  if (cause == Cause::error && misleading_jacobian()) solver_.renew();
   failed_ = true;
   h_ = std::max(hmin, h);
   return true;
+}
+
+/// |h| after an error failure, with the order below if that allows a longer one.
+double Ndf::retry_order_and_h() {
+  const double same = retry_h(error_, order_ + 1, retry_same);
+  if (order_ == 1) return same;
+  for (std::size_t i = 0; i < n(); ++i) scratch_[i] = D(order_)[i] + d_[i];
+  const double lower = retry_h(norm(scratch_.data()) * error_constant(order_ - 1), order_, retry_lower);
+  if (!(lower > same)) return same;
+  --order_;
+  return std::min(lower, h_);
 }
 
 Outcome Ndf::accept(const double* y1) {
@@ -270,9 +213,7 @@ Outcome Ndf::accept(const double* y1) {
   }
   for (int j = k; j >= 1; --j)
     for (std::size_t i = 0; i < n(); ++i) D(j)[i] += D(j + 1)[i];
-  t_ = t1_;
-  std::copy(y1, y1 + n(), y_.begin());
-  newton_.step_accepted();
+  commit(y1);
   failed_ = false;
   steps_at_h_ = std::min(steps_at_h_ + 1, options_.max_order + 2);
   choose_order_and_step();
@@ -293,7 +234,7 @@ void Ndf::choose_order_and_step() {
       order = candidate;
     }
   };
-  if (k > options_.min_order) offer(k - 1, safety_lower);
+  if (k > 1) offer(k - 1, safety_lower);
   if (k < options_.max_order) offer(k + 1, safety_higher);
   if (best > h_) {
     h_ = best;
@@ -303,7 +244,7 @@ void Ndf::choose_order_and_step() {
 
 void Ndf::state(Archive& archive) {
   Step::state(archive);
-  newton_.state(archive);
+  solver_.state(archive);
   archive(order_, memory_order_, memory_h_, steps_at_h_, failed_, differences_, weight_, slope_);
   for (const int k : {order_, memory_order_}) archive.require(k >= 1 && k <= options_.max_order);
 }

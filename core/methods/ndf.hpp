@@ -4,8 +4,7 @@
 
 #include <vector>
 
-#include "methods/newton.hpp"
-#include "step.hpp"
+#include "methods/implicit_method.hpp"
 
 namespace invariode {
 
@@ -13,22 +12,17 @@ namespace invariode {
 void newton_backward(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// The code ode15s, for M y' = f(t, y).
-class Ndf final : public Step {
+class Ndf final : public ImplicitMethod<Newton> {
  public:
   static constexpr int highest_order = 5;
 
   struct Options {
     int max_order = highest_order;
-    int min_order = 1;
     bool bdf = false;             ///< κ = 0
     bool renew_on_error = false;  ///< an error failure renews an old Jacobian: projection may hide it from Newton
   };
 
-  /// The mass matrix, if there is one, belongs to the caller and outlives this.
   Ndf(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Options& options);
-
-  /// Memory of equal steps h and the highest order k: differences = [∇^1 y … ∇^k y] at t, each (n,).
-  Outcome start_from(double t, const double* y, double h, const double* differences);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
@@ -37,7 +31,6 @@ class Ndf final : public Step {
   [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(options_.max_order) + 1; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
-  void end_attempts() override { newton_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
@@ -48,44 +41,30 @@ class Ndf final : public Step {
   Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return memory_order_; }
-  [[nodiscard]] const double* slope() const override { return slope_.data(); }
-  [[nodiscard]] int undefined_component() const override { return newton_.undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return newton_.work(); }
-  [[nodiscard]] const Matrix* jacobian() const override { return &newton_.jacobian(); }
-  Status multiply_jacobian(const double* slope, const double* v, double* out) override {
-    return newton_.multiply(t_, y(), slope, v, out);
-  }
 
  private:
-  void restart(double t, const double* y, double h, int order);
+  friend struct FixedOrder;  // a test of each order
+
   double* D(int j) { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
   [[nodiscard]] const double* D(int j) const { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
-  Outcome first_slope(double t, const double* y);
   void rescale_memory(double h);
   void predict();
+  double retry_order_and_h();
   void choose_order_and_step();
-  [[nodiscard]] double norm(const double* v) const;
   [[nodiscard]] double error_constant(int k) const;
   [[nodiscard]] double gamma_inverse(int k) const;
   /// |h| that formula k would choose, if its error at the present |h| is `error`.
   [[nodiscard]] double optimal_h(int k, double error, double safety) const;
-  [[nodiscard]] double retry_h(int k, double error, double safety) const;
   [[nodiscard]] bool misleading_jacobian();
   [[nodiscard]] bool look_due(double c);
 
   Options options_;
-  int order_ = 1;         // k of the next attempt
-  int memory_order_ = 1;  // k to which D_1 … D_k belong
-  double memory_h_ = 0;   // |h| at which they are taken
-  int steps_at_h_ = 0;    // in a row with this h and k
-  Newton newton_;
-  InitialSlopes initial_;
+  int order_ = 1;                    // k of the next attempt
+  int memory_order_ = 1;             // k to which D_1 … D_k belong
+  double memory_h_ = 0;              // |h| at which they are taken
+  int steps_at_h_ = 0;               // in a row with this h and k
   std::vector<double> differences_;  // D_j = ∇^j y, one after the other
-  std::vector<double> weight_, predictor_, psi_, d_, candidate_, slope_, scratch_;
-  double signed_h_ = 0;
-  double t1_ = 0;
-  bool failed_ = false;  // an error test in this step
-  double error_ = 0;
+  std::vector<double> predictor_, psi_, d_, scratch_;
 };
 
 }  // namespace invariode

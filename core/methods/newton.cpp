@@ -399,18 +399,11 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   place_ = {c, t1, y, w};
   for (;;) {
-    switch (evaluate(t1, y, f_value_.data())) {
-      case Outcome::stop: return Result::stop;
-      case Outcome::not_finite: return Result::failed;
-      case Outcome::ok: break;
-    }
+    if (const Result evaluated = newton_result(evaluate(t1, y, f_value_.data())); evaluated != Result::converged)
+      return evaluated;
     residual(c, psi, d);
     if (!matrix_free()) before_ = norm(residual_.data());
-    switch (precondition(residual_.data())) {
-      case Outcome::stop: return Result::stop;
-      case Outcome::not_finite: return Result::failed;
-      case Outcome::ok: break;
-    }
+    if (const Result ready = newton_result(precondition(residual_.data())); ready != Result::converged) return ready;
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
       return Result::converged;
@@ -465,13 +458,10 @@ Newton::Result Newton::damp(double* v) {
     std::copy(v, v + sum_.size(), sum_.begin());
     M->multiply(sum_.data(), v);
   }
-  if (matrix_free()) {
-    const Outcome outcome = evaluate(place_.t, place_.y, f_value_.data());
-    if (outcome != Outcome::ok) return outcome == Outcome::stop ? Result::stop : Result::failed;
-  }
-  if (const Outcome outcome = precondition(v); outcome != Outcome::ok)
-    return outcome == Outcome::stop ? Result::stop : Result::failed;
-  return solve_linear(linear_part * weights_.rtol(), v);
+  Result result = Result::converged;
+  if (matrix_free()) result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));
+  if (result == Result::converged) result = newton_result(precondition(v));
+  return result == Result::converged ? solve_linear(linear_part * weights_.rtol(), v) : result;
 }
 
 /// c f − M (ψ + d), with f at hand.

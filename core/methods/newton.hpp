@@ -117,6 +117,10 @@ class AgingJacobian {
   void note_singular() { work_.singular = true; }
   /// Null: J is a matrix.
   [[nodiscard]] MatrixFree* matrix_free() { return free_ ? &*free_ : nullptr; }
+  /// See `Step::end_attempts`.
+  void end_attempts() {
+    if (free_) free_->end_attempts();
+  }
   /// Shorter steps will not help: see MatrixFree.
   [[nodiscard]] bool hopeless() const { return free_ && free_->hopeless(); }
 
@@ -217,10 +221,6 @@ class Newton : public AgingJacobian {
   Outcome doubt(double c, const double* psi, const double* d, bool& doubtful);
   /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
   Result damp(double* v);
-  /// See `Step::end_attempts`.
-  void end_attempts() {
-    if (matrix_free()) matrix_free()->end_attempts();
-  }
   void state(Archive& archive);
 
  private:
@@ -243,7 +243,11 @@ class Newton : public AgingJacobian {
   std::vector<double> f_value_, residual_, sum_;
 };
 
-/// What a solve by GMRES means to the iteration.
+/// What an evaluation, or a solve by GMRES, means to the iteration.
+inline Newton::Result newton_result(Outcome outcome) {
+  if (outcome == Outcome::ok) return Newton::Result::converged;
+  return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;
+}
 inline Newton::Result newton_result(GmresResult result) {
   if (result == GmresResult::converged) return Newton::Result::converged;
   return result == GmresResult::stop ? Newton::Result::stop : Newton::Result::failed;

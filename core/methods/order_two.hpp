@@ -5,55 +5,39 @@
 #include <cstddef>
 #include <vector>
 
-#include "methods/newton.hpp"
-#include "step.hpp"
+#include "methods/implicit_method.hpp"
 
 namespace invariode {
 
 /// A step of M y' = f(t, y) whose stages are y = base + d z with M z = h f, for one d, so that one matrix, M − d h J,
 /// serves all of them and the error estimate. The formula derives from it: what it takes as base, predicts as ψ = d z,
 /// and estimates.
-class OrderTwo : public Step {
+class OrderTwo : public ImplicitMethod<Newton> {
  public:
   static constexpr int formula_order = 2;
 
   Outcome start(double t, const double* y, const Span& span) final;
   Attempt attempt(double h, double t1) final;
-  bool errors(double* out) const final;
   bool reject(Cause cause, double hmin) final;
   Outcome accept(const double* y1) final;
-  void end_attempts() final { newton_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] std::size_t max_extension_size() const final { return extension_size(); }
   [[nodiscard]] int order() const final { return formula_order; }
-  [[nodiscard]] const double* slope() const final { return slope_.data(); }
-  [[nodiscard]] int undefined_component() const final { return newton_.undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const final { return newton_.work(); }
-  [[nodiscard]] const Matrix* jacobian() const final { return &newton_.jacobian(); }
-  Status multiply_jacobian(const double* slope, const double* v, double* out) final {
-    return newton_.multiply(t_, y(), slope, v, out);
-  }
 
  protected:
-  /// The mass matrix, if there is one, belongs to the caller and outlives this.
   OrderTwo(Callback& f, const Weights& weights, const LinearAlgebra& linear, double d);
 
   /// y = base + d z with M z = h f(t, y), from the prediction ψ of d z.
   Newton::Result solve_stage(double t, double* y, double* z);
   /// v becomes (M − d h J)⁻¹ M v: what is stiff in it is gone. It may fail matrix-free only.
-  Newton::Result damp(double* v) { return newton_.damp(v); }
+  Newton::Result damp(double* v) { return solver_.damp(v); }
   /// The norm of the error of the attempt, damped.
   [[nodiscard]] double error() const { return error_; }
-  /// That of v in the weights of the error test.
-  [[nodiscard]] double error_norm(const std::vector<double>& v) const;
 
-  std::vector<double> slope_;                // y' at the point reached
-  std::vector<double> second_;               // y'' at the start of a first step
-  std::vector<double> last_y_, last_slope_;  // at the start of the last accepted step
-  std::vector<double> candidate_;
+  std::vector<double> second_;      // y'' at the start of a first step
+  std::vector<double> last_slope_;  // at the start of the last accepted step
   std::vector<double> base_, psi_;  // of the stage that is solved next; `solve_stage` makes its prediction of the base
-  double signed_h_ = 0, t1_ = 0;    // of the attempt
   double last_h_ = 0;               // signed, of the last accepted step; 0: there was none
 
  private:
@@ -65,12 +49,8 @@ class OrderTwo : public Step {
   /// unless it stops.
   virtual Status end_slope(double* slope) = 0;
 
-  Newton newton_;
-  InitialSlopes initial_;
   const double d_;
-  std::vector<double> weight_, increment_, error_vector_;
-  double error_ = 0;
-  bool failed_ = false;  // an attempt of this step
+  std::vector<double> increment_;
 };
 
 }  // namespace invariode

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "methods/runge_kutta.hpp"
@@ -20,9 +19,8 @@ constexpr double kept_from = 0.9, kept_up_to = 1.2;  // such a change of h is no
 constexpr double fast = 1e-2;  // rate of convergence with which J is kept (measured in benchmarks/multistep.py)
 constexpr double smallest_error = 1e-2;  // of the last step, that the prediction takes
 constexpr double newton_cut = 0.5;       // of h, where a current Jacobian does not help
-constexpr double starting_safety = 1.25;
-constexpr double roundoff_units = 100;  // of ε: an update of this size relative to y is roundoff
-constexpr double first_goal = 0.1;      // of the goal of later iterations
+constexpr double roundoff_units = 100;   // of ε: an update of this size relative to y is roundoff
+constexpr double first_goal = 0.1;       // of the goal of later iterations
 // An update of so many sizes of a component, in the norm of the error test, leads out of where J is known to hold, and
 // f may not be defined there: a part of it is tried first. Converging iterations on the stiff set have 0.5 at most.
 constexpr double large_update = 1, tried_part = 0.1;
@@ -60,96 +58,61 @@ const RadauFormula* formula_up_to(int order) {
 
 }  // namespace
 
-Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, int max_order, int min_order)
-    : Step(f, weights),
-      lowest_(formula_up_to(min_order)),
+Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, int max_order)
+    : ImplicitMethod(f, weights, linear),
+      lowest_(radau_formulas.data()),
       highest_(formula_up_to(max_order)),
       formula_(lowest_),
       accepted_(lowest_),
-      systems_(f, weights, linear),
-      initial_(f, linear),
       convergence_(newton_rules(*lowest_)) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
-  for (std::vector<double>* v : {&f_, &last_y_, &candidate_, &weight_, &error_vector_, &gap_, &scratch_})
-    v->resize(weights.size());
-  if (linear.mass) slope_.resize(weights.size());
+  provide({&f_, &last_y_, &error_vector_, &gap_, &scratch_});
+  if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
-  systems_.take_scratch(candidate_.data(), gap_.data());
+  solver_.take_scratch(candidate_.data(), gap_.data());
 }
 
 /// The formula of the next attempt.
 void Radau::use(const RadauFormula* formula) {
   formula_ = formula;
   convergence_ = Convergence(newton_rules(*formula));
-  systems_.use(*formula);
+  solver_.use(*formula);
 }
 
-double Radau::norm(const double* v) const {
-  return max_norm(n(), [this, v](std::size_t i) { return v[i] / weight_[i]; });
-}
-
-/// 1/h is 1.25 rtol^{-1/(s+1)} times the larger one of ‖y'‖ and √(‖y''‖ / 2).
 Outcome Radau::start(double t, const double* y, const Span& span) {
-  t_ = t;
-  std::copy(y, y + n(), y_.begin());
   memory_h_ = last_h_ = 0;
-  failed_ = false;
   steps_until_raise_ = 0;
   use(lowest_);
-  systems_.forget();
-  weights_.fill(y, weight_.data());
+  solver_.forget();
   double* slope = slope_.empty() ? candidate_.data() : slope_.data();
-  if (const Outcome outcome = initial_.first(systems_, t, y, weight_.data(), f_.data(), slope); outcome != Outcome::ok)
-    return outcome;
-  const double scale = starting_safety * std::pow(weights_.rtol(), -1 / estimate_order(*formula_));
-  const double first = scale * norm(slope);
-  const double h = std::copysign(first_h(first, t, span), span.tf - t);
-  if (initial_.second(systems_, t, y, h, f_.data(), slope, gap_.data(), scratch_.data()) == Status::stop)
-    return Outcome::stop;
-  const double second = scale * std::sqrt(0.5 * norm(scratch_.data()));
-  h_ = first_h(std::max(first, second), t, span);
-  return Outcome::ok;
+  if (const Outcome outcome = begin(t, y, f_.data(), slope); outcome != Outcome::ok) return outcome;
+  return choose_first_h(span, estimate_order(*formula_), f_.data(), slope, gap_.data(), scratch_.data());
 }
 
 Step::Attempt Radau::attempt(double h, double t1) {
-  signed_h_ = h;
-  h_ = std::abs(h);
-  t1_ = t1;
-  error_ = std::numeric_limits<double>::quiet_NaN();
-  systems_.forget_undefined();
-  const Attempt stopped{Outcome::stop, error_, candidate_.data()};
-  const Attempt diverged{Outcome::ok, error_, candidate_.data(), false};
-  if (systems_.begin(h, t_, y(), f_.data()) == Status::stop) return stopped;
-  switch (systems_.prepare(t1, convergence_)) {
-    case Outcome::stop: return stopped;
-    case Outcome::not_finite: return diverged;
-    case Outcome::ok: break;
-  }
-  if (take_masses() == Status::stop) return stopped;
+  begin_attempt(h, t1);
+  if (solver_.begin(h, t_, y(), f_.data()) == Status::stop) return proposal(Newton::Result::stop);
+  Newton::Result result = newton_result(solver_.prepare(t1, convergence_));
+  if (result != Newton::Result::converged) return proposal(result);
+  if (take_masses() == Status::stop) return proposal(Newton::Result::stop);
   if (!stage_masses_.empty()) convergence_.forget();  // the matrices hold an older M(t) at every step
   predict();
-  switch (solve_stages()) {
-    case Newton::Result::stop: return stopped;
-    case Newton::Result::failed: return diverged;
-    case Newton::Result::converged: break;
+  result = solve_stages();
+  if (result == Newton::Result::converged) {
+    for (std::size_t i = 0; i < n(); ++i) candidate_[i] = y_[i] + last_increment()[i];
+    result = estimate();
   }
-  for (std::size_t i = 0; i < n(); ++i) candidate_[i] = y_[i] + last_increment()[i];
-  switch (estimate()) {
-    case Newton::Result::stop: return stopped;
-    case Newton::Result::failed: return diverged;
-    case Newton::Result::converged: break;
-  }
-  return {Outcome::ok, error_, candidate_.data()};
+  return proposal(result);
 }
 
 /// M(t) at the stages; the last of them is at hand.
 Status Radau::take_masses() {
   if (stage_masses_.empty()) return Status::ok;
   const std::size_t last = stages() - 1;
-  stage_masses_[last] = *systems_.mass_matrix();
+  stage_masses_[last] = *solver_.mass_matrix();
   for (std::size_t k = 0; k < last; ++k) {
-    if (systems_.mass()->evaluate(t_ + formula_->nodes[k] * signed_h_) == Status::stop) return Status::stop;
-    stage_masses_[k] = *systems_.mass_matrix();
+    if (solver_.mass()->evaluate(t_ + formula_->nodes[k] * signed_h_) == Status::stop) return Status::stop;
+    stage_masses_[k] = *solver_.mass_matrix();
   }
   return Status::ok;
 }
@@ -180,20 +143,17 @@ Newton::Result Radau::solve_stages() {
   convergence_.begin(weights_.rtol(), roundoff);
   const double tolerance = std::max(linear_half * convergence_.goal(), roundoff);
   for (;;) {
-    switch (stage_residuals()) {
-      case Outcome::stop: return Newton::Result::stop;
-      case Outcome::not_finite: return Newton::Result::failed;
-      case Outcome::ok: break;
-    }
+    const Newton::Result evaluated = newton_result(stage_residuals());
+    if (evaluated != Newton::Result::converged) return evaluated;
     bool negligible = convergence_.iterations() > 0;
     const auto solved =
-        systems_.solve(mass(), weight_.data(), tolerance, residuals_.data(), scratch_.data(), negligible);
+        solver_.solve(mass(), weight_.data(), tolerance, residuals_.data(), scratch_.data(), negligible);
     if (solved != Newton::Result::converged) return solved;
     if (negligible) {
       convergence_.settle(tolerance);
       return Newton::Result::converged;
     }
-    if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && systems_.has_matrices())
+    if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && solver_.has_matrices())
       if (const auto tried = try_part(size); tried != Newton::Result::converged) return tried;
     switch (convergence_.judge(update_stages())) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
@@ -216,10 +176,10 @@ Outcome Radau::stage_residuals() {
     double* residual = residuals_.data() + stage * n();
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + Z(stage)[i];
     const double t = stage + 1 == stages() ? t1_ : t_ + formula_->nodes[stage] * signed_h_;
-    if (const Outcome outcome = systems_.evaluate(t, scratch_.data(), error_vector_.data()); outcome != Outcome::ok)
+    if (const Outcome outcome = solver_.evaluate(t, scratch_.data(), error_vector_.data()); outcome != Outcome::ok)
       return outcome;
     const double* rate = residual;
-    if (const Matrix* M = stage_masses_.empty() ? systems_.mass_matrix() : &stage_masses_[stage]) {
+    if (const Matrix* M = stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stage]) {
       M->multiply(rate, gap_.data());
       rate = gap_.data();
     }
@@ -247,7 +207,7 @@ Newton::Result Radau::try_part(double size) {
   std::copy(untried_.begin(), untried_.end(), increments_.begin());
   if (outcome != Outcome::ok) return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;
   bool negligible = false;
-  const auto solved = systems_.solve(mass(), weight_.data(), 0, residuals_.data(), scratch_.data(), negligible);
+  const auto solved = solver_.solve(mass(), weight_.data(), 0, residuals_.data(), scratch_.data(), negligible);
   if (solved != Newton::Result::converged) return solved;
   for (std::size_t i = 0; i < all; ++i) residuals_[i] -= (1 - part) * update_[i];
   const bool holds = size_of_residuals() <= slowest_rate * tried_part;
@@ -272,16 +232,16 @@ Newton::Result Radau::estimate() {
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] += weight * Z(stage)[i];
   }
   gap_ = scratch_;
-  if (Mass* mass = systems_.mass()) {
+  if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
     mass->matrix().multiply(scratch_.data(), gap_.data());
   }
   const Newton::Result first = solve_for_error(f_.data());
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;
   for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + error_vector_[i];
-  switch (systems_.evaluate(t_, scratch_.data(), residuals_.data())) {
+  switch (solver_.evaluate(t_, scratch_.data(), residuals_.data())) {
     case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: systems_.forget_undefined(); return first;  // the first look has to do
+    case Outcome::not_finite: solver_.forget_undefined(); return first;  // the first look has to do
     case Outcome::ok: break;
   }
   return solve_for_error(residuals_.data());
@@ -291,14 +251,9 @@ Newton::Result Radau::solve_for_error(const double* f) {
   const double c = signed_h_ / formula_->mu;
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c * f[i] + gap_[i];
   const double tolerance = linear_part * weights_.rtol();
-  const Newton::Result result = systems_.solve_real(mass(), weight_.data(), tolerance, error_vector_.data());
+  const Newton::Result result = solver_.solve_real(mass(), weight_.data(), tolerance, error_vector_.data());
   error_ = norm(error_vector_.data());
   return result;
-}
-
-bool Radau::errors(double* out) const {
-  std::copy(error_vector_.begin(), error_vector_.end(), out);
-  return true;
 }
 
 std::size_t Radau::directions(const double** vectors) const {
@@ -316,15 +271,16 @@ double Radau::factor_of_error() const {
 
 bool Radau::reject(Cause cause, double hmin) {
   failed_ = true;
-  if (cause == Cause::newton && systems_.hopeless()) return false;
-  const bool old = cause == Cause::newton || (cause == Cause::error && systems_.has_matrices());
-  const bool renewed = old && systems_.renew_if_old();
-  if (cause == Cause::newton && renewed) return true;
+  const double before = h_;
+  if (cause == Cause::newton) {
+    if (!retry_newton(hmin, newton_cut)) return false;
+    const bool grown = h_ > most_growth * std::abs(memory_h_);  // even after the cut: the step was too long
+    if (h_ < before && formula_ != lowest_ && !grown) lower_order();
+    return true;
+  }
+  if (cause == Cause::error && solver_.has_matrices()) solver_.renew_if_old();
   if (h_ <= hmin) return false;
-  if (cause == Cause::newton) systems_.renew_if_undefined();
   h_ = std::max(hmin, h_ * (cause == Cause::error ? factor_of_error() : newton_cut));
-  const bool grown = h_ > most_growth * std::abs(memory_h_);  // even after the cut: the step was too long
-  if (cause == Cause::newton && formula_ != lowest_ && !grown) lower_order();
   return true;
 }
 
@@ -338,12 +294,12 @@ double Radau::next_h() const {
     factor = std::min(factor, std::max(smallest_factor, factor * trend));
   }
   if (failed_) factor = std::min(factor, 1.0);
-  if (factor >= kept_from && factor <= kept_up_to && !systems_.renewal_due()) factor = 1;
+  if (factor >= kept_from && factor <= kept_up_to && !solver_.renewal_due()) factor = 1;
   return factor * h_;
 }
 
 Outcome Radau::accept(const double* y1) {
-  if (const Outcome outcome = systems_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
+  if (const Outcome outcome = solver_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
   std::swap(f_, scratch_);
   formula_->transform(formula_->coefficients, n(), increments_.data(), polynomial_.data());
   if (!slope_.empty()) {
@@ -352,10 +308,8 @@ Outcome Radau::accept(const double* y1) {
     for (std::size_t i = 0; i < n(); ++i) slope_[i] = rate[i] / signed_h_;
   }
   last_y_.swap(y_);
-  std::copy(y1, y1 + n(), y_.begin());
-  t_ = t1_;
-  systems_.step_accepted();
-  if (systems_.has_matrices() && convergence_.rate() > fast) systems_.renew();
+  commit(y1);
+  if (solver_.has_matrices() && convergence_.rate() > fast) solver_.renew();
   const double h = next_h();
   last_h_ = h_;
   last_error_ = std::max(error_, smallest_error * weights_.rtol());
@@ -400,7 +354,7 @@ void Radau::state(Archive& archive) {
   if (archive.reading()) use(formula_);
   archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_);
   convergence_.state(archive);
-  systems_.state(archive);
+  solver_.state(archive);
 }
 
 Interpolate Radau::interpolate() const { return runge_kutta::nested_polynomial; }

@@ -3,13 +3,12 @@
 // Equations II, 2nd ed., 1996, section IV.8, and Stiff differential equations solved by Radau methods, J. Comput. Appl.
 // Math. 111 (1999) 93-111).
 
-#include <complex>
 #include <memory>
 #include <vector>
 
+#include "methods/implicit_method.hpp"
 #include "methods/radau_formula.hpp"
 #include "methods/radau_systems.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
@@ -19,25 +18,21 @@ namespace invariode {
 /// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, a real one and complex
 /// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n: that takes one J
 /// for all stages, and matrix-free it is that at (t, y), all through the step.
-class Radau final : public Step {
+class Radau final : public ImplicitMethod<RadauSystems> {
  public:
   static constexpr int lowest_order = 5;
   static constexpr int highest_order = 13;
   static constexpr int highest_extension_order = 7;
 
-  /// Orders of the formulas; those between that belong to none count as the next lower one. The mass matrix, if there
-  /// is one, belongs to the caller and outlives this.
-  Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, int max_order = highest_order,
-        int min_order = lowest_order);
+  /// An order between those of two formulas counts as the lower one.
+  Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, int max_order = highest_order);
 
   Outcome start(double t, const double* y, const Span& span) override;
   Attempt attempt(double h, double t1) override;
-  bool errors(double* out) const override;
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return highest_->stages; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
-  void end_attempts() override { systems_.end_attempts(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;
@@ -49,21 +44,16 @@ class Radau final : public Step {
 
   [[nodiscard]] int order() const override { return accepted_->order(); }
   [[nodiscard]] const double* slope() const override { return slope_.empty() ? f_.data() : slope_.data(); }
-  [[nodiscard]] int undefined_component() const override { return systems_.undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return systems_.work(); }
-  [[nodiscard]] const Matrix* jacobian() const override { return &systems_.jacobian(); }
-  Status multiply_jacobian(const double* slope, const double* v, double* out) override {
-    return systems_.multiply(t_, y(), slope, v, out);
-  }
 
  private:
   [[nodiscard]] std::size_t stages() const { return formula_->stages; }
   double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
   [[nodiscard]] const double* last_increment() const { return increments_.data() + (stages() - 1) * n(); }
-  [[nodiscard]] double norm(const double* v) const;
+  friend struct FixedOrder;  // a test of each order
+
   /// M at t₁; null: the identity.
   [[nodiscard]] const Matrix* mass() const {
-    return stage_masses_.empty() ? systems_.mass_matrix() : &stage_masses_[stages() - 1];
+    return stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stages() - 1];
   }
   void use(const RadauFormula* formula);
   Status take_masses();
@@ -85,21 +75,16 @@ class Radau final : public Step {
   const RadauFormula *lowest_, *highest_;
   const RadauFormula* formula_;   // of the next attempt
   const RadauFormula* accepted_;  // of the last accepted step
-  RadauSystems systems_;
-  InitialSlopes initial_;
   Convergence convergence_;
   std::vector<double> increments_;        // Z_1 … Z_s
   std::vector<double> polynomial_;        // of the last accepted step, in nested form, 0 at θ = 0
   std::vector<double> residuals_;         // of the stages; before them h Y', afterwards the updates
   std::vector<double> update_, untried_;  // the update that is tried in part, and the increments before it
   std::vector<Matrix> stage_masses_;      // M(t) at the stages
-  std::vector<double> f_, slope_;         // f and y' at (t, y), where they are not the same
-  std::vector<double> last_y_, candidate_, weight_, error_vector_, gap_, scratch_;
-  double signed_h_ = 0, t1_ = 0;
+  std::vector<double> f_;                 // f at (t, y): y' too, unless there is a mass matrix
+  std::vector<double> gap_, scratch_;
   double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step
-  double error_ = 0;                    // of the last attempt
   double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
-  bool failed_ = false;                 // an attempt of this step
   int steps_until_raise_ = 0;           // of the order, at least
 };
 

@@ -123,21 +123,14 @@ template <class Scalar>
 Newton::Result RadauSystems::solve_by_gmres(Scalar c, const Matrix* M, const double* w, double tolerance, Scalar* b,
                                             bool may_skip, bool& negligible) {
   MatrixFree& free = *matrix_free();
-  switch (free.precondition(b)) {
-    case Outcome::stop: return Newton::Result::stop;
-    case Outcome::not_finite: return Newton::Result::failed;
-    case Outcome::ok: break;
-  }
+  const Newton::Result ready = newton_result(free.precondition(b));
+  if (ready != Newton::Result::converged) return ready;
   if (may_skip && free.negligible(w, tolerance, b)) {
     std::fill_n(b, n_, 0);
     return Newton::Result::converged;
   }
   negligible = false;
   return newton_result(free.solve(c, M, w, tolerance, b));
-}
-
-void RadauSystems::end_attempts() {
-  if (!has_matrices()) matrix_free()->end_attempts();
 }
 
 void RadauSystems::state(Archive& archive) {

@@ -39,8 +39,6 @@ class RadauSystems : public AgingJacobian {
 
   /// Matrix-free, J is never an old one.
   [[nodiscard]] bool has_matrices() const { return static_cast<bool>(real_lu_); }
-  /// See `Step::end_attempts`.
-  void end_attempts();
   void state(Archive& archive);
 
  private:

@@ -5,18 +5,16 @@
 #include <memory>
 #include <vector>
 
-#include "methods/newton.hpp"
-#include "step.hpp"
+#include "methods/implicit_method.hpp"
 
 namespace invariode {
 
 /// The code ode23s, for M y' = f(t, y) with a constant regular M: linearly implicit, one factorisation and three
 /// solutions a step, no iteration. J and ∂f/∂t are taken anew in every step.
-class Rosenbrock final : public Step {
+class Rosenbrock final : public ImplicitMethod<AgingJacobian> {
  public:
   static constexpr int formula_order = 2;
 
-  /// The mass matrix, if there is one, belongs to the caller and outlives this.
   Rosenbrock(Callback& f, const Weights& weights, const LinearAlgebra& linear);
 
   Outcome start(double t, const double* y, const Span& span) override;
@@ -24,7 +22,7 @@ class Rosenbrock final : public Step {
   bool errors(double* out) const override;
   std::size_t directions(const double** vectors) const override;
   [[nodiscard]] std::size_t max_directions() const override { return 3; }
-  bool reject(Cause cause, double hmin) override;
+  bool reject(Cause cause, double hmin) override { return retry_of_order_two(cause, hmin); }
   Outcome accept(const double* y1) override;
   void state(Archive& archive) override;
 
@@ -35,10 +33,6 @@ class Rosenbrock final : public Step {
   Status extension(double* data) override;
 
   [[nodiscard]] int order() const override { return formula_order; }
-  [[nodiscard]] const double* slope() const override { return slope_.data(); }
-  [[nodiscard]] int undefined_component() const override { return jacobian_.undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return jacobian_.work(); }
-  [[nodiscard]] const Matrix* jacobian() const override { return &jacobian_.jacobian(); }
 
  private:
   Outcome linearize();
@@ -46,16 +40,11 @@ class Rosenbrock final : public Step {
   void solve(std::vector<double>& b);
   [[nodiscard]] const double* times_mass(const std::vector<double>& k);
 
-  AgingJacobian jacobian_;
-  InitialSlopes initial_;
   std::unique_ptr<Factorization> lu_;
   std::vector<double> f0_, f1_, f2_, ft_;  // f at the start, in the middle and at the end of the step; ∂f/∂t
   std::vector<double> k1_, k2_, k3_;
-  std::vector<double> last_y_, candidate_, slope_, scratch_;
-  double signed_h_ = 0, t1_ = 0;
+  std::vector<double> scratch_;
   bool ft_known_ = false;
-  double error_ = 0;
-  bool failed_ = false;  // an attempt of this step
 };
 
 }  // namespace invariode

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "linear/matrix.hpp"
+#include "linear/scattered.hpp"
 #include "stiffness.hpp"
 
 namespace invariode {
@@ -234,14 +235,13 @@ double Switching::stable_h() const { return stable_part * reach_ / radius_; }
 
 /// ρ(J), by powers of J, from a vector with a part in every direction.
 Status Switching::find_radius() {
-  constexpr double golden = 0.6180339887498949;  // whose multiples modulo 1 are spread evenly
   if (!f_value_.empty() && f_(t_, y(), f_value_.data()) == Status::stop) return Status::stop;
   const auto size = [this](const std::vector<double>& v) {
     return max_norm(n(), [&](std::size_t i) { return v[i] / weights_.at(i, y_[i]); });
   };
   for (std::size_t i = 0; i < n(); ++i) {
-    const double spread = 1 + std::fmod(golden * static_cast<double>(i + 1), 1.0);
-    vector_[i] = weights_.at(i, y_[i]) * (i % 2 == 0 ? spread : -spread);
+    const double part = 1 + spread(i);
+    vector_[i] = weights_.at(i, y_[i]) * (i % 2 == 0 ? part : -part);
   }
   double sum = 0;  // of the logarithms
   for (int k = 0; k < powers; ++k) {

@@ -8,8 +8,8 @@
 
 #include "check.hpp"
 #include "decompositions.hpp"
+#include "linear/least_norm.hpp"
 #include "manifold/projection.hpp"
-#include "manifold/sparse_rows.hpp"
 #include "problems.hpp"
 
 using namespace invariode;

@@ -2,6 +2,7 @@
 // Radau. What they store and reproduce.
 
 #include <array>
+#include <type_traits>
 #include <vector>
 
 #include "check.hpp"
@@ -25,70 +26,90 @@ std::vector<double> backward_difference(int j, double t, double h, std::size_t n
   return sum;
 }
 
-/// ode113 with the exact history of order k, which it keeps.
-struct FixedAdams {
-  FixedAdams(Callback& f, const Weights& weights, int order) : k(order), step(f, weights, order, order) {}
+}  // namespace
 
+namespace invariode {
+
+/// Access to methods that choose their order themselves.
+struct FixedOrder {
+  static void hold(Adams& step, int k) { step.order_ = k; }
+  static void hold(Ndf& step, int k) { step.order_ = k; }
+  static void hold(Radau& step, int) { step.lowest_ = step.highest_; }
+
+  /// Memory of equal steps h and the order k: differences = [∇^0 f … ∇^{k−1} f] at t, each (n,).
+  static void remember(Adams& step, int k, double h, const std::vector<double>& differences) {
+    std::copy(differences.begin(), differences.end(), step.phi(1));
+    step.order_ = step.previous_order_ = k;
+    step.phase1_ = false;
+    for (int i = 1; i <= k; ++i) step.psi_[static_cast<std::size_t>(i)] = i * h;
+  }
+  /// The same, where differences = [∇^1 y … ∇^k y].
+  static void remember(Ndf& step, int k, double h, const std::vector<double>& differences) {
+    std::copy(differences.begin(), differences.end(), step.D(1));
+    step.order_ = step.memory_order_ = k;
+    step.memory_h_ = h;
+  }
+};
+
+}  // namespace invariode
+
+namespace {
+
+/// A method with formulas of one order.
+template <class Method>
+struct Fixed {
+  template <class... More>
+  Fixed(Callback& f, const Weights& weights, int order, const More&... more)
+      : k(order), jacobian(differences(weights)), step(make(f, weights, jacobian, order, more...)) {}
+
+  static Method make(Callback& f, const Weights& weights, const Jacobian& jacobian, int order, bool bdf = false) {
+    const LinearAlgebra linear{.jacobian = &jacobian};
+    if constexpr (std::is_same_v<Method, Adams>)
+      return Adams(f, weights, order);
+    else if constexpr (std::is_same_v<Method, Ndf>)
+      return Ndf(f, weights, linear, {.max_order = order, .bdf = bdf});
+    else
+      return Radau(f, weights, linear, order);
+  }
+
+  /// At t, with the exact history of steps h.
   template <class Solution, class F>
   void begin(double t, double h, Solution solution, F f) {
     const std::size_t n = step.n();
-    std::vector<double> y(n), differences;
+    std::vector<double> y(n);
     solution(t, y.data());
-    const auto slope = [&](double at, double* out) {
-      std::vector<double> exact(n);
-      solution(at, exact.data());
-      f(at, exact.data(), out);
-    };
-    for (int i = 0; i < k; ++i) {
-      const std::vector<double> difference = backward_difference(i, t, h, n, slope);
-      differences.insert(differences.end(), difference.begin(), difference.end());
-    }
-    step.start_from(t, y.data(), h, differences.data());
-  }
-
-  int k;
-  Adams step;
-};
-
-/// The same of ode15s.
-struct FixedNdf {
-  FixedNdf(Callback& f, const Weights& weights, int order, bool bdf)
-      : k(order),
-        jacobian(differences(weights)),
-        step(f, weights, {.jacobian = &jacobian}, {.max_order = order, .min_order = order, .bdf = bdf}) {}
-
-  template <class Solution, class F>
-  void begin(double t, double h, Solution solution, F) {
-    const std::size_t n = step.n();
-    std::vector<double> y(n), differences;
-    solution(t, y.data());
-    for (int j = 1; j <= k; ++j) {
-      const std::vector<double> difference = backward_difference(j, t, h, n, solution);
-      differences.insert(differences.end(), difference.begin(), difference.end());
-    }
-    CHECK(step.start_from(t, y.data(), h, differences.data()) == Outcome::ok);
-  }
-
-  int k;
-  Jacobian jacobian;
-  Ndf step;
-};
-
-/// radau with one formula.
-struct FixedRadau {
-  FixedRadau(Callback& f, const Weights& weights, int order)
-      : jacobian(differences(weights)), step(f, weights, {.jacobian = &jacobian}, order, order) {}
-
-  template <class Solution, class F>
-  void begin(double t, double h, Solution solution, F) {
-    std::vector<double> y(step.n());
-    solution(t, y.data());
+    FixedOrder::hold(step, k);
     CHECK(step.start(t, y.data(), {.tf = t + h, .hmax = h, .hmin = 0}) == Outcome::ok);
+    if constexpr (!std::is_same_v<Method, Radau>) {
+      const auto sample = [&](double at, double* out) {
+        std::vector<double> exact(n);
+        solution(at, exact.data());
+        if constexpr (std::is_same_v<Method, Adams>)
+          f(at, exact.data(), out);
+        else
+          std::copy(exact.begin(), exact.end(), out);
+      };
+      constexpr int first = std::is_same_v<Method, Adams> ? 0 : 1;
+      std::vector<double> history;
+      for (int i = first; i < first + k; ++i) {
+        const std::vector<double> difference = backward_difference(i, t, h, n, sample);
+        history.insert(history.end(), difference.begin(), difference.end());
+      }
+      FixedOrder::remember(step, k, h, history);
+    }
+  }
+  Step::Attempt attempt(double h, double t1) {
+    FixedOrder::hold(step, k);
+    return step.attempt(h, t1);
   }
 
+  int k;
   Jacobian jacobian;
-  Radau step;
+  Method step;
 };
+using FixedAdams = Fixed<Adams>;
+using FixedNdf = Fixed<Ndf>;
+using FixedRadau = Fixed<Radau>;
 
 /// Largest error over [start, start + span] with `count` equal steps, projected or not.
 template <class Fixed, class... Formula>
@@ -109,7 +130,7 @@ double march(Problem problem, double start, double span, int count, bool project
   double error = 0;
   for (int k = 0; k < count; ++k) {
     const double t1 = start + (k + 1) * h;
-    const Step::Attempt proposal = step.attempt(h, t1);
+    const Step::Attempt proposal = fixed.attempt(h, t1);
     CHECK(proposal.outcome == Outcome::ok && proposal.converged);
     std::copy(proposal.y, proposal.y + n, y1.begin());
     if (project) CHECK(projector->project(t1, step.y(), y1.data()).outcome == Outcome::ok);
@@ -222,7 +243,7 @@ TEST(the_extension_of_radau_is_the_collocation_polynomial_exact_for_degree_s) {
       Callback f = as_callback(problem.f);
       FixedRadau fixed(f, weights, formula.order());
       fixed.begin(1, 1, [&](double t, double* y) { problem.solution(t, nullptr, y); }, problem.f);
-      const Step::Attempt proposal = fixed.step.attempt(1, 2);
+      const Step::Attempt proposal = fixed.attempt(1, 2);
       CHECK(fixed.step.accept(proposal.y) == Outcome::ok);
       CHECK(fixed.step.degree() == degree && fixed.step.order() == formula.order());
       std::vector<double> data(fixed.step.extension_size());
@@ -250,7 +271,7 @@ TEST(formulas_integrate_polynomials_of_their_degree_to_roundoff_also_when_h_chan
     double t = 1, exact = 0;
     for (const double factor : pattern) {
       const double h = 0.1 * factor;
-      const Step::Attempt proposal = step.attempt(h, t + h);
+      const Step::Attempt proposal = fixed.attempt(h, t + h);
       CHECK(step.accept(proposal.y) == Outcome::ok);
       t = step.t();
       problem.solution(t, nullptr, &exact);
