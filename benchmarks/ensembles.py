@@ -399,7 +399,7 @@ def unequal(repetitions: int) -> str:
     solve = partial(iv.solve_ensemble, fun, SPAN, y0, args=args, rtol=GOAL, atol=GOAL)
     one, two = solve(workers=1), solve(workers=2)
     for i in (0, SKEWED // 2, SKEWED - 1):
-        alone = iv.solve_ivp(fun, SPAN, y0[i], args=tuple(args[i]), rtol=GOAL, atol=GOAL, save="end")
+        alone = iv.solve_ivp(fun, SPAN, y0[i], args=tuple(args[i]), rtol=GOAL, atol=GOAL, keep="end")
         if not np.array_equal(one.y_end[i], alone.y[:, -1]):
             raise SystemExit(f"not timed: trajectory {i} is not that of a single solve")
     if not (one.success.all() and np.array_equal(one.y_end, two.y_end)):

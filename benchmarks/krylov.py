@@ -1,7 +1,7 @@
 """A million stiff components, matrix-free: ``python benchmarks/krylov.py [--write]``, or ``make bench``.
 
 The Brusselator in three dimensions by finite differences, no flux through the boundary: time, memory and error of
-methods with ``linear_solver="gmres"`` and of CVODE with its GMRES (scikit-sundae), plain and with one preconditioner,
+methods with `GMRES` and of CVODE with its GMRES (scikit-sundae), plain and with one preconditioner,
 the 2 × 2 blocks of the diagonal. f and the preconditioner are C++ of `krylov.cpp`, which CVODE calls by way of Python
 functions, since scikit-sundae takes no others. Each run has a process of its own, and its time is that of the process.
 ``--write`` puts the table into docs/benchmarks.
@@ -75,8 +75,7 @@ def ours(
         atol=rtol,
         max_step=np.inf,
         keep="end",
-        linear_solver="gmres",
-        preconditioner=preconditioner if preconditioned else None,
+        linear_solver=iv.GMRES(preconditioner=preconditioner if preconditioned else None),
         **options,
     )
     if not sol.success:

@@ -84,7 +84,7 @@ def solver(
     if held:
         g, jac = user_function(library, "heat_g"), user_function(library, "heat_gjac")
         options["invariants"] = iv.Invariants(g, jac, names="total heat")
-    options = {"save": "end", **options}
+    options = {"keep": "end", **options}
     problem = partial(
         iv.solve_ivp,
         user_function(library, p.f),
@@ -184,13 +184,13 @@ def flatness(found: Costs) -> str:
 
 
 def passes(library: ctypes.CDLL, method: str) -> float:
-    """Vectors that the loops of a step of core/ read or write, one after the other, with save="end" and no invariant.
+    """Vectors that the loops of a step of core/ read or write, one after the other, with keep="end" and no invariant.
 
     Of f: y once, the output once.
     """
     loop = 2 + 2  # the driver keeps y, and puts out y
     if method == "ode113":
-        sol = solver(library, "heat", LARGEST, method, t_eval=[STEP * steps_for(LARGEST)], save="all")()
+        sol = solver(library, "heat", LARGEST, method, t_eval=[STEP * steps_for(LARGEST)], keep="all")()
         k = sol.steps.order.astype(float)
         predict = 2 + 3 + 5 * (k - 1) + 3  # copy, the differences with the sum, the predictor
         test = 1 + 2 + 1 + 3 + 2 + 3 * (k > 1) + 3 * (k > 2)  # f, its difference, norms

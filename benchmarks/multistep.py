@@ -41,7 +41,7 @@ def orbit_contestants(p: TestProblem, tf: float, exact: np.ndarray) -> dict[str,
 
     def ours(rtol: float, method: str, project: bool) -> Outcome:
         invariants = p.invariants() if project else None
-        options = {"method": method, "rtol": rtol, "atol": 1e-3 * rtol, "save": "end"}
+        options = {"method": method, "rtol": rtol, "atol": 1e-3 * rtol, "keep": "end"}
         sol = iv.solve_ivp(p.fun, (0, tf), p.y0, invariants=invariants, **options)
         return Outcome(error(sol.y[:, -1]), sol.nfev)
 

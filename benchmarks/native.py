@@ -66,8 +66,8 @@ def against_the_floor(library: ctypes.CDLL, repetitions: int) -> str:
         steps, y = floor(library, name, y0, tf)
         hand = partial(floor, library, name, y0, tf)
         for method in iv.METHODS:
-            for save in ("all", "end"):
-                solve = partial(iv.solve_ivp, f, (0.0, tf), y0, method, rtol=RTOL, atol=RTOL, save=save)
+            for keep in ("all", "end"):
+                solve = partial(iv.solve_ivp, f, (0.0, tf), y0, method, rtol=RTOL, atol=RTOL, keep=keep)
                 sol = solve()
                 if method == "ode45" and (sol.stats.steps != steps or np.abs(sol.y[:, -1] - y).max() > 1e-9):
                     raise SystemExit(f"not timed: the floor of {title} is another solver than ode45")
@@ -75,7 +75,7 @@ def against_the_floor(library: ctypes.CDLL, repetitions: int) -> str:
                 count = sol.stats.steps
                 rows.append(
                     [
-                        f"{title}, {method}, save={save}",
+                        f"{title}, {method}, keep={keep}",
                         str(count),
                         str(sol.nfev),
                         f"{median(times[method]) / count / NS:.0f}",
@@ -93,7 +93,7 @@ def projector(library: ctypes.CDLL, repetitions: int) -> str:
     rows = []
     for iterations in (1, 2):
         held = iv.Invariants(g, jac, names="Jacobi integral", iterations=iterations)
-        plain = partial(iv.solve_ivp, f, (0.0, tf), y0, rtol=RTOL, atol=RTOL, save="end")
+        plain = partial(iv.solve_ivp, f, (0.0, tf), y0, rtol=RTOL, atol=RTOL, keep="end")
         projected = partial(plain, invariants=held)
         unguarded = partial(projected, check=False)
         s, u = plain().stats, unguarded().stats

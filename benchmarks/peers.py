@@ -6,7 +6,7 @@ beforehand and used again (a compiled function, a problem, an integrator) is set
 that of the final state, the largest over the components; the tables give the time needed for an error. ``--write`` puts
 the tables and the plots into docs/benchmarks.
 
-- invariode: `iv.Problem` with functions of `iv.compile`, ``save="end"``; projected with compiled invariants and their
+- invariode: `iv.Problem` with functions of `iv.compile`, ``keep="end"``; projected with compiled invariants and their
   compiled Jacobian.
 - SciPy, extensisq, homproj: an array from a function of numba's; they keep all steps, which costs them less than to
   interpolate the final state (``t_eval``). homproj projects: its invariants and gradients are compiled too, and called
@@ -40,7 +40,7 @@ from nonstiff import PROBLEMS, Function, Problem
 from numpy.typing import NDArray
 
 import invariode as iv
-from invariode._base.style import COLOURS, MUTED
+from invariode._base.style import COLOURS
 
 Array = NDArray[np.float64]
 Run = Callable[[], Any]  # solves, and returns the final state
@@ -54,6 +54,7 @@ SHORTEST = 1e-3  # seconds of what is timed: shorter runs are repeated
 USELESS = 1.0  # an error that tells nothing about the solution
 WRONG = 1e-3  # a solver is wrong that has no smaller error at any tolerance
 ULP = 1e-16  # an error of 0 has no logarithm
+MUTED = ("#8c8c8c", "#5f8f8f", "#b08f5f", "#9aa35a", "#9b8fc0", "#404040", "#c09090")  # one for each package
 AGREEMENT = 1e-11  # of the two references, relative to the largest component
 DOUBLE_AGREEMENT = 1e-10  # where both have the roundoff of double precision
 
@@ -130,7 +131,7 @@ def with_invariode(p: Problem) -> Iterator[Solver]:
 
         def at(tolerance: float, problem: iv.Problem, method: str) -> Run:
             def run() -> Array:
-                sol = problem.solve(method, rtol=tolerance, atol=tolerance, save="end")
+                sol = problem.solve(method, rtol=tolerance, atol=tolerance, keep="end")
                 return finished(sol.success, sol.message, sol.y[:, -1])
 
             return run

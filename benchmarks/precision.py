@@ -27,7 +27,7 @@ WAYS = {"plain": None, "projected": "always", "where needed": "needed"}
 
 def solve(p: TestProblem, y0: list[float], tf: float, method: str, rtol: float, when: str | None) -> iv.Solution:
     invariants = None if when is None else iv.Invariants(p.g, p.jac, p.value, when=when)
-    options = {"rtol": rtol, "atol": 1e-3 * rtol, "save": "end"}
+    options = {"rtol": rtol, "atol": 1e-3 * rtol, "keep": "end"}
     return iv.solve_ivp(p.fun, (0, tf), y0, method, invariants=invariants, **options)
 
 

@@ -18,7 +18,7 @@ namespace invariode::binding {
 
 using Vector = nb::ndarray<double, nb::numpy, nb::ndim<1>, nb::c_contig>;
 using Table = nb::ndarray<double, nb::numpy, nb::ndim<2>, nb::c_contig>;
-using Block = nb::ndarray<double, nb::numpy, nb::ndim<3>, nb::c_contig>;
+using Cube = nb::ndarray<double, nb::numpy, nb::ndim<3>, nb::c_contig>;
 using Integers = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<1>, nb::c_contig>;
 using IntegerTable = nb::ndarray<std::int64_t, nb::numpy, nb::ndim<2>, nb::c_contig>;
 using Indices = nb::ndarray<int, nb::numpy, nb::ndim<1>, nb::c_contig>;

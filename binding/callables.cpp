@@ -7,6 +7,7 @@
 #include <numpy/arrayobject.h>
 
 #include <algorithm>
+#include <cassert>
 #include <cstdio>
 #include <new>
 #include <stdexcept>
@@ -83,6 +84,7 @@ bool PythonFunction::reusable(PyArrayObject* a, npy_intp size) const {
 }
 
 PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
+  assert(part < 2);
   npy_intp size = part == 0 ? takes_.n : takes_.second;
   PyArrayObject* a = std::exchange(spare_[part], nullptr);
   if (!reusable(a, size)) {
@@ -103,6 +105,7 @@ PyObject* PythonFunction::time_for(double t, const double*& y) const {
 }
 
 bool PythonFunction::call(double t, const double* y, double* out) {
+  assert(PyGILState_Check() == 1 && PyErr_Occurred() == nullptr);
   if (!looks_for_signals_ && PyErr_CheckSignals() != 0) return false;
   PyObject* time = time_for(t, y);
   PyArrayObject* parts[2] = {array_for(0, y), nullptr};
@@ -123,10 +126,10 @@ bool PythonFunction::call(double t, const double* y, double* out) {
 }
 
 PyObject* PythonFunction::call_with(PyObject* time, PyArrayObject* const* parts) {
-  constexpr std::size_t few = 8;
+  constexpr std::size_t on_stack = 8;
   const auto extra = static_cast<std::size_t>(PyTuple_GET_SIZE(args_.ptr()));
-  if (extra > few) return call_with_tuple(time, parts);
-  PyObject* arguments[few + 4];
+  if (extra > on_stack) return call_with_tuple(time, parts);
+  PyObject* arguments[on_stack + 4];
   std::size_t count = 1;  // arguments[0] is the callee's to overwrite (PY_VECTORCALL_ARGUMENTS_OFFSET)
   arguments[count++] = time;
   arguments[count++] = reinterpret_cast<PyObject*>(parts[0]);
@@ -233,6 +236,7 @@ bool PythonFunction::read_array(PyArrayObject* array, double* out) {
     return false;
   }
   const auto copy = [&](PyArrayObject* from) {
+    assert(PyArray_SIZE(from) == returns_.size());
     std::copy_n(static_cast<const double*>(PyArray_DATA(from)), returns_.size() * (returns_.complex ? 2 : 1), out);
   };
   if (PyArray_TYPE(array) == type && PyArray_ISCARRAY_RO(array)) {
@@ -370,6 +374,7 @@ class NativeFunction final : public Callable {
       input.evaluate(t, p);
       p += input.size();
     }
+    assert(p + parameters_.size() == with_inputs_.data() + with_inputs_.size());
     std::copy(parameters_.begin(), parameters_.end(), p);
   }
 

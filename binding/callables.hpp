@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "callback.hpp"
+#include "functions/piecewise_polynomial.hpp"
 #include "linear/matrix.hpp"
 #include "linear/preconditioner.hpp"
-#include "run/input.hpp"
 
 namespace nb = nanobind;
 

@@ -29,7 +29,8 @@ Vector copied(const std::vector<double>& values) {
 /// Adds the segments one by one. They may be of a file that anyone wrote: each is checked to be one that can be
 /// evaluated.
 void add_segments(Dense& dense, const ConstVector& t, const ConstMatrix& y, const ConstVector& end,
-                  const ConstOffsets& offset, const ConstVector& data, std::size_t overhead, const Extension& raw) {
+                  const ConstOffsets& offset, const ConstVector& data, std::size_t overhead,
+                  const NamedExtension& raw) {
   const std::size_t n = y.shape(1), segments = end.size();
   dense.output.start(t.data()[0], y.data());
   for (std::size_t s = 0; s < segments; ++s) {
@@ -56,7 +57,7 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
                  const std::optional<ConstVector>& upper) {
   const std::size_t n = y.shape(1), segments = end.size();
   const std::optional<Interpolation> mode = find_in(interpolation_names, interpolation);
-  const Extension* raw = find_extension(std::string_view(extension));
+  const NamedExtension* raw = find_extension(std::string_view(extension));
   require(raw != nullptr, "unknown extension");
   require(mode.has_value(), "unknown interpolation");
   require(n > 0 || segments == 0, "there is nothing to interpolate");

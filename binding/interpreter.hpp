@@ -4,6 +4,8 @@
 
 #include <nanobind/nanobind.h>
 
+#include <cassert>
+
 #if defined(__GLIBCXX__) && defined(__GLIBC__)
 #include <cxxabi.h>
 
@@ -57,6 +59,7 @@ class Unlocked {
   Unlocked(const Unlocked&) = delete;
   Unlocked& operator=(const Unlocked&) = delete;
   ~Unlocked() {
+    assert(state_ == nullptr || PyGILState_Check() == 0);
     if (state_ != nullptr) in_python([&] { PyEval_RestoreThread(state_); });
   }
 

@@ -13,7 +13,7 @@ namespace invariode::binding {
 namespace {
 
 /// Doubles that are copied in less time than it takes to hand them over.
-constexpr std::size_t few = 512;
+constexpr std::size_t copied_up_to = 512;
 
 /// An array in Fortran's order. `data` null: of its own memory.
 nb::object new_array(std::span<const npy_intp> shape, bool complex, void* data) {
@@ -32,7 +32,7 @@ nb::object copied(std::span<const npy_intp> shape, bool complex, const double* f
 
 /// The values, without copying them if they are many.
 nb::object handed_over(std::span<const npy_intp> shape, bool complex, Buffer<double>&& values) {
-  if (values.size() <= few) return copied(shape, complex, values.data(), values.size());
+  if (values.size() <= copied_up_to) return copied(shape, complex, values.data(), values.size());
   void* block = values.release();
   nb::capsule owner(block, [](void* p) noexcept { std::free(p); });
   nb::object array = new_array(shape, complex, block);

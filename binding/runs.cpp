@@ -40,7 +40,7 @@
 namespace invariode::binding {
 namespace {
 
-/// How often progress is told.
+/// How often progress is reported.
 constexpr auto telling = std::chrono::milliseconds(100);
 
 const Method& method_of(const std::string& name) {
@@ -78,7 +78,7 @@ struct BoundSolver {
 struct FinishedRun {
   RunResult result;
   std::optional<Dense> dense;
-  Memory memory;
+  RunMemory memory;
   bool complex = false;
   // Of a run that was asked for with its initial value: that, and the values at which the invariants were held.
   std::vector<double> start = {}, value = {};
@@ -88,7 +88,7 @@ struct FinishedRun {
 /// Matrices of more entries, 16 MB, are not kept with a solution: its extension starts the method anew.
 constexpr std::size_t most_kept = std::size_t{1} << 21;
 
-FinishedRun present(RunResult result, const Solver& solver, Memory memory = {}) {
+FinishedRun present(RunResult result, const Solver& solver, RunMemory memory = {}) {
   FinishedRun finished{std::move(result), {}, std::move(memory), solver.problem().complex};
   if (std::optional<DenseOutput> dense = std::exchange(finished.result.dense, {}))
     finished.dense.emplace(Dense{std::move(*dense), solver.weights(), solver.problem().complex});
@@ -101,7 +101,7 @@ bool can_go_on(State state) {
 }
 
 FinishedRun finish(Run& run, const Solver& solver) {
-  Memory memory;
+  RunMemory memory;
   run.integration().end_attempts();
   if (can_go_on(run.integration().state())) memory = run.memory(most_kept);
   return present(run.take_result(), solver, std::move(memory));
@@ -115,15 +115,15 @@ std::pair<Vector, Table> to_arrays(Trajectory&& points, std::size_t n) {
 /// Tells a Python function (t, h) how far a run is, now and then. Empty, it costs nothing.
 class Progress {
  public:
-  explicit Progress(const nb::object& told) : told_(told) {}
+  explicit Progress(const nb::object& function) : function_(function) {}
 
-  explicit operator bool() const { return !told_.is_none(); }
+  explicit operator bool() const { return !function_.is_none(); }
   [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
   /// With the interpreter held. False: it raised.
   bool tell(const Integration& integration) {
     if (!*this) return true;
     try {
-      in_python([&] { told_(integration.t(), integration.step().h()); });
+      in_python([&] { function_(integration.t(), integration.step().h()); });
     } catch (nb::python_error& error) {
       error.restore();
       return false;
@@ -135,7 +135,7 @@ class Progress {
  private:
   using Clock = std::chrono::steady_clock;
 
-  const nb::object& told_;
+  const nb::object& function_;
   Clock::time_point next_ = Clock::now() + telling;
 };
 
@@ -151,7 +151,7 @@ class Keeper {
   bool keep(Run& run, const Solver& solver) {
     if (!*this) return true;
     try {
-      Memory memory;
+      RunMemory memory;
       if (can_go_on(run.integration().state())) memory = run.memory(everything);
       FinishedRun part = present(run.result_since(marks_), solver, std::move(memory));
       in_python([&] { kept_(nb::cast(std::move(part))); });
@@ -182,14 +182,14 @@ struct Beginning {
   State operator()(Run& run) const { return y0 ? run.integration().start(y0) : run.resume(memory, anew); }
 };
 
-/// A run, with who is told of it on the way.
-class Journey {
+/// A run, with what reports on it and keeps it on the way.
+class DrivenRun {
  public:
-  Journey(Run& run, const Solver& solver, Progress progress, Keeper keeper)
+  DrivenRun(Run& run, const Solver& solver, Progress progress, Keeper keeper)
       : run_(run), solver_(solver), progress_(progress), keeper_(std::move(keeper)) {}
 
   /// A run whose functions are all native does not hold the interpreter, but now and then, to look for signals and to
-  /// tell how far it is. False: a signal's handler has raised, or who was told.
+  /// tell how far it is. False: a signal's handler has raised, or what it called.
   bool without_interpreter(const Beginning& begin) {
     const Unlocked released;
     return run_watched(
@@ -229,31 +229,31 @@ struct StopRequest {
   std::atomic<bool> made{false};
 };
 
-FinishedRun travel(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& told,
-                   const nb::object& kept, double every) {
-  Journey journey(run, self.solver, Progress(told), Keeper(kept, every));
-  const bool finished = self.bound.native() ? journey.without_interpreter(begin) : journey.with_interpreter(begin);
-  if (!finished || run.integration().state() == State::interrupted || !journey.tell_the_end()) throw nb::python_error();
+FinishedRun drive(Run& run, const BoundSolver& self, const Beginning& begin, const nb::object& progress,
+                  const nb::object& kept, double every) {
+  DrivenRun driven(run, self.solver, Progress(progress), Keeper(kept, every));
+  const bool finished = self.bound.native() ? driven.without_interpreter(begin) : driven.with_interpreter(begin);
+  if (!finished || run.integration().state() == State::interrupted || !driven.tell_the_end()) throw nb::python_error();
   return finish(run, self.solver);
 }
 
-FinishedRun travel(const BoundSolver& self, const Beginning& begin, const nb::object& told, StopRequest* request,
-                   const nb::object& kept, double every) {
+FinishedRun drive(const BoundSolver& self, const Beginning& begin, const nb::object& progress, StopRequest* request,
+                  const nb::object& kept, double every) {
   Run run(self.solver);
-  if (request != nullptr) run.integration().heed(request->made);
-  return travel(run, self, begin, told, kept, every);
+  if (request != nullptr) run.integration().stop_on(request->made);
+  return drive(run, self, begin, progress, kept, every);
 }
 
-FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& told, StopRequest* request,
+FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& progress, StopRequest* request,
                       const nb::object& kept, double every) {
   require_state(y0, self.solver.problem().n);
-  return travel(self, {.y0 = y0.data()}, told, request, kept, every);
+  return drive(self, {.y0 = y0.data()}, progress, request, kept, every);
 }
 
-FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, const nb::object& told,
+FinishedRun resume(const BoundSolver& self, const nb::bytes& memory, bool anew, const nb::object& progress,
                    StopRequest* request, const nb::object& kept, double every) {
   const auto* bytes = static_cast<const std::byte*>(memory.data());
-  return travel(self, {.memory = {bytes, memory.size()}, .anew = anew}, told, request, kept, every);
+  return drive(self, {.memory = {bytes, memory.size()}, .anew = anew}, progress, request, kept, every);
 }
 
 /// Writes floats, in a tuple or an array, to the parameters. False: some are not floats, or their number is wrong.
@@ -294,7 +294,7 @@ std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& 
     value = g->value();
   }
   const nb::object nobody = nb::none();
-  FinishedRun finished = travel(run, self, {.y0 = start.data()}, nobody, nobody, 0);
+  FinishedRun finished = drive(run, self, {.y0 = start.data()}, nobody, nobody, 0);
   finished.result.ng -= run.evaluations_of_prepare();
   finished.start = start;
   finished.value = std::move(value);
@@ -555,7 +555,7 @@ void define_summary_of_run(RunClass& run) {
     for (const Derivative one : r.derivatives) names.push_back(name_of(one));
     return names;
   });
-  property(run, "left_complex_steps", [](const RunResult& r) { return r.linear.left_complex_steps; });
+  property(run, "left_complex_steps", [](const RunResult& r) { return r.linear.abandoned_complex_steps; });
   property(run, "enlargements", [](const RunResult& r) { return r.linear.enlargements; });
   property(run, "misfit", [](const RunResult& r) { return fields_of(r.linear.misfit); });
   property(run, "pattern", [](const RunResult& r) { return std::make_pair(r.linear.entries, r.linear.groups); });
@@ -587,7 +587,7 @@ void define_ensemble(nb::module_& module) {
                      "Results of `integrate_all`. Arrays are handed over: each `take_…` works once.")
       .def("take_t", [](Result& r) { return to_array<Vector>(std::move(r.t), r.size); })
       .def("take_end", [](Result& r) { return to_array<Table>(std::move(r.y_end), r.size, r.n); })
-      .def("take_y", [](Result& r) { return to_array<Block>(std::move(r.y), r.size, r.n / r.parts, r.n_t * r.parts); })
+      .def("take_y", [](Result& r) { return to_array<Cube>(std::move(r.y), r.size, r.n / r.parts, r.n_t * r.parts); })
       .def("take_drift",
            [](Result& r) {
              return std::make_tuple(
@@ -700,8 +700,8 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro(
           "h", [](Stepper& s) { return s.integration().step().h(); }, "|h| that the next step will try.")
       .def_prop_ro("order", [](Stepper& s) { return s.integration().step().order(); })
-      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().harm().component; })
-      .def_prop_ro("harm", [](Stepper& s) { return s.integration().harm().ratio; })
+      .def_prop_ro("harmed", [](Stepper& s) { return s.integration().manifold().harm().component; })
+      .def_prop_ro("harm", [](Stepper& s) { return s.integration().manifold().harm().ratio; })
       .def_prop_ro(
           "stiff_since",
           [](Stepper& s) {
@@ -719,10 +719,10 @@ void define_stepper(nb::module_& module) {
       .def_prop_ro("nfev_check",
                    [](Stepper& s) {
                      const Integration& loop = s.integration();
-                     return loop.discontinuities().evaluations() + loop.step().linear_work().checks;
+                     return loop.discontinuities().evaluations() + linear_work(loop.step()).checks;
                    })
-      .def_prop_ro("njev", [](Stepper& s) { return s.integration().step().linear_work().jacobians; })
-      .def_prop_ro("nlu", [](Stepper& s) { return s.integration().step().linear_work().factorizations; });
+      .def_prop_ro("njev", [](Stepper& s) { return linear_work(s.integration().step()).jacobians; })
+      .def_prop_ro("nlu", [](Stepper& s) { return linear_work(s.integration().step()).factorizations; });
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 // Where an attempt leads: the only owner of h, t1, hmin, hmax and of the target.
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 
@@ -77,6 +78,7 @@ class Aim {
   static double smallest(double t) { return hmin_ulps * ulp(t); }
 
   void take(double t, double proposed, double reach) {
+    assert(forward_ * (target_ - t) > 0);
     const auto [h, t1, lands] = aimed<bool>(t, proposed, reach, hmin_, std::min(hmax_, huge), forward_, target_);
     h_ = h, t1_ = t1, lands_ = lands;
   }

@@ -1,6 +1,7 @@
 #pragma once
 // What a run remembers between two steps, as bytes: it goes on from them as if it had never been interrupted.
 
+#include <cassert>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -16,7 +17,7 @@
 
 namespace invariode {
 
-using Memory = Buffer<std::byte>;
+using RunMemory = Buffer<std::byte>;
 
 /// Bytes to which a memory is written, or from which it is read. Each class has one function `state(Archive&)` that
 /// names its fields, so that what is written and what is read cannot disagree. Sizes are those of the problem: what
@@ -57,7 +58,8 @@ class Archive {
   [[nodiscard]] bool exhausted() const { return place_ == source_.size(); }
 
   /// What was written, once.
-  [[nodiscard]] Memory take() {
+  [[nodiscard]] RunMemory take() {
+    assert(!reading_);
     const std::uint8_t whole = whole_ ? 1 : 0;
     std::memcpy(written_.data() + sizeof(version), &whole, sizeof(whole));
     return std::move(written_);
@@ -151,9 +153,19 @@ class Archive {
   bool whole_ = true;
   bool stopped_ = false;
   std::size_t most_values_ = 0;
-  Memory written_;
+  RunMemory written_;
   std::span<const std::byte> source_;
   std::size_t place_ = 0;
+};
+
+/// What takes part in the memory of a run.
+class Archived {
+ public:
+  virtual void state(Archive& archive) = 0;
+
+ protected:
+  Archived() = default;
+  ~Archived() = default;
 };
 
 }  // namespace invariode

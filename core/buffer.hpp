@@ -2,6 +2,7 @@
 // A growing array for output. Large blocks grow where they are, or by moving pages: a std::vector would copy them and
 // touch new memory each time, which costs as much as the steps that fill it.
 
+#include <cassert>
 #include <cstddef>
 #include <cstdlib>
 #include <cstring>
@@ -53,9 +54,18 @@ class Buffer {
   [[nodiscard]] const T* data() const { return data_; }
   [[nodiscard]] const T* begin() const { return data_; }
   [[nodiscard]] const T* end() const { return data_ + size_; }
-  [[nodiscard]] const T& front() const { return data_[0]; }
-  [[nodiscard]] const T& back() const { return data_[size_ - 1]; }
-  [[nodiscard]] const T& operator[](std::size_t i) const { return data_[i]; }
+  [[nodiscard]] const T& front() const {
+    assert(size_ > 0);
+    return data_[0];
+  }
+  [[nodiscard]] const T& back() const {
+    assert(size_ > 0);
+    return data_[size_ - 1];
+  }
+  [[nodiscard]] const T& operator[](std::size_t i) const {
+    assert(i < size_);
+    return data_[i];
+  }
 
   [[nodiscard]] std::vector<T> copy() const { return {begin(), end()}; }
 

@@ -12,6 +12,9 @@ namespace invariode {
 /// fails.
 enum class [[nodiscard]] Status { ok, stop };
 
+/// How an operation ended that calls user functions. `not_finite`: a needed value is NaN or infinite.
+enum class [[nodiscard]] Outcome { ok, not_finite, stop };
+
 /// A user function `out = function(t, y)`: a pointer, its context, and how often it was called. It may throw if
 /// memory runs out, as the rest of the core may.
 class Callback {

@@ -1,7 +1,6 @@
 // A run that goes on where it was interrupted: its memory as bytes, and the steps after it.
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 
 #include "integrate.hpp"
@@ -13,7 +12,7 @@ bool Integration::between_steps() const {
   const bool ended_there = state_ == State::running || state_ == State::reached_end || state_ == State::limit_reached ||
                            state_ == State::stopped_by_request ||
                            (state_ == State::stopped_by_callback && !events_.acts());
-  return ended_there && !left_ && !breaks_here() && reached_.t == step_->t();
+  return ended_there && !memory_outdated_ && !breaks_.at(reached_.t) && reached_.t == step_->t();
 }
 
 void Integration::state(Archive& archive) {
@@ -23,54 +22,45 @@ void Integration::state(Archive& archive) {
     std::copy(reached_.y, reached_.y + n_, y.begin());
     anew_ = !between_steps();
   }
-  archive(reached_.t, y, anew_, target, piece_start_, piece_from_break_, next_break_);
+  archive(reached_.t, y, anew_, target, breaks_);
   archive(counts_.steps, counts_.failed, counts_.projections, counts_.skipped, counts_.clipped);
-  archive(clipped, drift.residual, drift.distance, drift.correction);
+  manifold_.archive_drift(archive);
   archive(in_step_);  // interrupted between two attempts of a step: what comes next
   aim_.state(archive);
   archive.require(!in_step_ || aim_.defined());
   archive(attempt_.refused[0], attempt_.refused[1], attempt_.refusals, attempt_.reconciled);
   if (archive.reading()) {
-    archive.require(std::isfinite(reached_.t) && next_break_ <= breaks_.points.size());
-    pass_breakpoints(0);
-    interpolant_->start_at(reached_.t, y.data());
-    reached_.y = interpolant_->start_y();
-    enter_piece();
+    archive.require(std::isfinite(reached_.t));
+    move_start(reached_.t, y.data());
+    reached_.y = y0_.data();
+    breaks_.resume_piece(reached_.t);
+    aim_.at(breaks_.target());
     in_step_ = in_step_ && target == aim_.target();
   }
   step_->state(archive);
   archive.require(anew_ || n_ == 0 || step_->h() > 0);
-  for (std::optional<Projector>* one : {&projector_, &output_projector_})
-    if (*one) (*one)->state(archive);
-  if (guard_) guard_->state(archive);
-  if (restoration_) restoration_->state(archive);
-  if (harm_) harm_->state(archive);
+  manifold_.state(archive);
   stiffness_.state(archive);
   discontinuities_.state(archive);
   events_.state(archive);
-  interpolant_->state(archive);
+  interpolant_.state(archive);
   if (!archive.whole()) anew_ = true;
   if (archive.stopped()) end(State::interrupted);
 }
 
 State Integration::resume(bool anew) {
-  started_ = std::chrono::steady_clock::now();
+  limits_.begin(counts_.steps);
   if (state_ == State::interrupted) return state_;
   report_.t = reached_.t;
-  steps_before_ = counts_.steps;
-  if (settings_.max_steps < Settings::unlimited - steps_before_) settings_.max_steps += steps_before_;
-  anew = left_ = anew || anew_;
-  if (anew && !breaks_here()) {
+  anew = memory_outdated_ = anew || anew_;
+  if (anew && !breaks_.at(reached_.t)) {
     bool moved = false;
     if (!make_consistent(moved)) return state_;
   }
-  const auto& [t, y] = reached_;
-  if (dense) dense->start(t, y);
-  if (!settings_.save_all) points.add(t, y, n_);
-  if (settings_.save_all && settings_.output_at_times && !emit_times(breaks_here())) return state_;
+  if (!unless_stopped(emitter_.resume(reached_, breaks_.at(reached_.t)))) return state_;
   if (n_ == 0)
     nothing_to_integrate();
-  else if (t == settings_.tf)
+  else if (reached_.t == settings_.tf)
     end(State::reached_end);
   else if (!anew || start_again())
     state_ = State::running;
@@ -81,8 +71,8 @@ State Integration::resume(bool anew) {
 bool Integration::start_again() {
   in_step_ = false;
   if (!watch_events(events_.go_on(reached_.t, reached_.y))) return false;
-  if (breaks_here()) return pass_breakpoint();
-  leave_step(reached_.y);
+  if (breaks_.at(reached_.t)) return pass_breakpoint();
+  discard_step(reached_.y);
   if (!start_memory(reached_.t, reached_.y)) return false;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
   return true;

@@ -5,7 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "manifold/guard.hpp"
+#include "linear/work.hpp"
+#include "manifold/finding.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -16,7 +17,7 @@ enum class State {
   reached_end,
   terminal_event,
   stopped_by_callback,
-  stopped_by_request,    ///< from outside: see `Integration::heed`
+  stopped_by_request,    ///< from outside: see `Integration::stop_on`
   restart_inconsistent,  ///< after a breakpoint the algebraic equations have no solution that was found
   limit_reached,         ///< one of the settings; see `Report::limit`
   interrupted,           ///< a user function raised
@@ -72,13 +73,6 @@ struct Harm {
 struct Stiffness {
   bool found = false;
   double since = 0;
-};
-
-/// A jump of the solution: the first row of the output after it, and the values of the invariants from there on.
-struct Jump {
-  std::size_t row;
-  double t;
-  std::vector<double> value;
 };
 
 }  // namespace invariode

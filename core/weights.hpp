@@ -2,6 +2,7 @@
 // Tolerances, the weights they define, and the norm of the error test (docs/algorithms.md, 'Tolerances').
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -77,6 +78,7 @@ class Weights {
  public:
   Weights(double rtol, std::vector<double> threshold, std::vector<double> scale)
       : rtol_(rtol), threshold_(std::move(threshold)), scale_(std::move(scale)) {
+    assert(rtol_ > 0);
     for (double& thr : threshold_) thr = std::max(thr, std::numeric_limits<double>::min());
   }
 
@@ -88,6 +90,7 @@ class Weights {
   [[nodiscard]] bool pure_relative(std::size_t i) const { return threshold_[i] == std::numeric_limits<double>::min(); }
 
   [[nodiscard]] double at(std::size_t i, double y) const {
+    assert(i < size());
     const double a = std::abs(y);
     return std::max(scale_.empty() ? a : scale_[i] * a, threshold_[i]);
   }

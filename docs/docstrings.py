@@ -14,7 +14,6 @@ from numpydoc.validate import validate
 #: What users import from; each lists its names in `__all__`.
 MODULES = (
     "invariode",
-    "invariode._results.plots",
     "invariode.problems",
     "invariode.scipy",
     "invariode.symbolic",

@@ -12,12 +12,24 @@ from typing import Any
 
 import numpy as np
 
-from invariode._base.style import PAGE
+from invariode._base.style import INK
 
 from .experiments import Results
 from .rows import Row
 
 __all__ = ["report"]
+
+#: Pages: background, behind code, text, secondary text, lines and heavier lines of tables, what agrees, what differs.
+PAGE = {
+    "paper": "#ffffff",
+    "tint": "#f3f5f8",
+    "ink": INK,
+    "quiet": "#626a76",
+    "line": "#dfe3e9",
+    "rule": "#aab1bc",
+    "good": "#1d7a55",
+    "bad": "#c02942",
+}
 
 
 def report(results: Results, command: str = "make paper") -> str:

@@ -15,7 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from problems import …`
 os.environ.setdefault("MPLBACKEND", "Agg")  # no windows
 
 import invariode as iv
-from problems import PROBLEMS, TestProblem, implicit, switching
+from cases import ALGEBRAIC, IMPLICIT
+from problems import PROBLEMS, TestProblem
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, so would the tests
 
@@ -39,13 +40,13 @@ def pair(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(params=[name for name in iv.METHODS if implicit(name) and not switching(name)])
+@pytest.fixture(params=IMPLICIT)
 def code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
     """The functions of the methods for stiff problems."""
     return getattr(iv, request.param)
 
 
-@pytest.fixture(params=[name for name, about in iv.METHODS.items() if about.mass == "any"])
+@pytest.fixture(params=ALGEBRAIC)
 def algebraic_code(request: pytest.FixtureRequest) -> Callable[..., iv.Solution]:
     """Those of the methods that take M(t), and singular M."""
     return getattr(iv, request.param)

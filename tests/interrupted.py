@@ -246,7 +246,7 @@ def _go_on_with(folder: Path, told: list[tuple[int, str | None]]) -> None:
 
 def with_checkpoints(seed: int, path: Path) -> None:
     """The run, with a checkpoint after each step."""
-    random_case(seed).solve(checkpoint=path, checkpoint_every=1e-9)
+    random_case(seed).solve(checkpoint=iv.Checkpoint(path, every=1e-9))
 
 
 def killed(seed: int, path: Path, rng: random.Random) -> str:

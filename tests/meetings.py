@@ -53,7 +53,7 @@ def _act(told: Connection, what: str, path: Path, w: float) -> None:
     told.recv()
     try:
         if what == "solve":
-            problem(w).solve(**OPTIONS, checkpoint=path, checkpoint_every=1e-9)
+            problem(w).solve(**OPTIONS, checkpoint=iv.Checkpoint(path, every=1e-9))
         else:
             iv.load(path, problem(w)).extend(END)
     except (ValueError, FileNotFoundError) as refused:

@@ -11,6 +11,7 @@ import pytest
 import scipy
 
 import invariode as iv
+from cases import explicit_and_implicit
 from problems import cost_of_pair
 
 
@@ -42,9 +43,9 @@ CALLS = {
     "refine float": (dict(refine=2.5), TypeError, "refine must be a positive integer"),
     "interpolation": (dict(interpolation="projcted"), ValueError, "did you mean 'projected'"),
     "fsal": (dict(fsal=True, method="ode45"), ValueError, "fsal must be one of 'reuse', 'evaluate', got True"),
-    "save": (dict(save="last"), ValueError, "save must be one of 'all', 'outputs', 'end'"),
-    "save and t_eval": (dict(save="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
-    "save and dense": (dict(save="end", dense_output=True), ValueError, "t_eval and dense_output need"),
+    "keep": (dict(keep="last"), ValueError, "keep must be one of 'all', 'outputs', 'end'"),
+    "keep and t_eval": (dict(keep="end", t_eval=[1.0]), ValueError, "t_eval and dense_output need"),
+    "keep and dense": (dict(keep="end", dense_output=True), ValueError, "t_eval and dense_output need"),
     "callback": (dict(callback=3), TypeError, "callback must be a function"),
     "unknown option": (dict(rtoll=1e-3), TypeError, "unknown option 'rtoll'; did you mean 'rtol'"),
     "far unknown option": (dict(zzz=1), TypeError, "unknown option 'zzz'$"),
@@ -86,6 +87,7 @@ def test_refused(name):
         iv.solve_ivp(**{"fun": decay, "t_span": (0, 2), "y0": [1, 2]} | changed)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("invariant ")])
 def test_values_of_invariants_are_refused_in_every_method(method, name):
     """What g returns shows when it is called."""
@@ -165,6 +167,7 @@ def test_warnings_point_at_the_caller():
     assert [w.filename for w in warned] == [__file__] * 5
 
 
+@explicit_and_implicit
 def test_pure_relative_control_at_zero_is_explained(method):
     """atol = 0 at a component that starts at 0 and leaves: no step is small enough, and the message says why."""
     sol = iv.solve_ivp(lambda t, y: [np.cos(t + y[0])], (0, 1), [0.0], method, atol=0)
@@ -182,7 +185,7 @@ def test_repr_and_iteration():
     assert "_rtol" not in text
     assert set(dict(sol)) == set(sol.keys())
     assert sol.stats["steps"] == sol.stats.steps == len(sol.steps.t) == len(sol.t) - 1
-    end = iv.solve_ivp(decay, (0, 1), [1, 2], save="end")
+    end = iv.solve_ivp(decay, (0, 1), [1, 2], keep="end")
     assert end.steps is None
     assert end.t.tolist() == [1]
     with pytest.raises(ValueError, match="corrections"):
@@ -214,7 +217,7 @@ def test_no_equations_have_a_solution_at_all_times_asked_for():
     assert iv.solve_ivp(fun, (0, 1), []).t.tolist() == [0, 1]
     assert iv.solve_ivp(fun, (0, 1), [], t_eval=[0, 0.5, 1]).t.tolist() == [0, 0.5, 1]
     assert iv.solve_ivp(fun, (0, 1), [], t_eval=[]).y.shape == (0, 0)
-    assert iv.solve_ivp(fun, (0, 1), [], save="end").t.tolist() == [1]
+    assert iv.solve_ivp(fun, (0, 1), [], keep="end").t.tolist() == [1]
     dense = iv.solve_ivp(fun, (0, 1), [], dense_output=True)
     assert dense.extend(2).sol([0.5, 1.5]).shape == (0, 2)
 

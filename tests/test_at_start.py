@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 
 
 def oscillator(t, y):
@@ -29,10 +30,13 @@ def event_of(solve_ivp, **attributes):
     return event
 
 
-@pytest.mark.parametrize("direction", [0, 1, -1])
-@pytest.mark.parametrize("terminal", [False, True, 2, 3])
-@pytest.mark.parametrize("end", [10.0, -10.0])
-@pytest.mark.parametrize("start", [[0.0, 1.0], [0.0, -1.0], [0.5, 1.0]])
+@dealt(
+    24,
+    direction=[0, 1, -1],
+    terminal=[False, True, 2, 3],
+    end=[10.0, -10.0],
+    start=[[0.0, 1.0], [0.0, -1.0], [0.5, 1.0]],
+)
 def test_as_scipy_counts(direction, terminal, end, start):
     found = []
     for solve_ivp in (scipy.integrate.solve_ivp, iv.solve_ivp):
@@ -47,6 +51,7 @@ def test_as_scipy_counts(direction, terminal, end, start):
         np.testing.assert_allclose(b, a, atol=1e-6)
 
 
+@explicit_and_implicit
 def test_the_default_does_not_find_it(method):
     assert iv.solve_ivp(oscillator, (0, 1), [0.0, 1.0], method, events=crossing).t_events[0].size == 0
     sol = iv.solve_ivp(oscillator, (0, 1), [0.0, 1.0], method, events=iv.Event(crossing, at_start=True))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import dealt, families
 from invariode import METHODS, Event, _core, compile, solve_ivp
 from invariode._problem.description import Description
 from invariode._run.plan import make_plan
@@ -210,7 +211,7 @@ def stepped(method: str, y0: Any = y0, **options: Any) -> _core.Stepper:
     return _core.Stepper(planned_solver(plan), y0)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -> None:
     """It changes nothing, not even with GMRES, whose memory is given back when a run has ended."""
     options = {"linear_solver": "gmres"} if "linear_solver" in METHODS[method].options else {}
@@ -226,8 +227,7 @@ def test_the_result_of_a_stepped_run_may_be_asked_for_at_any_time(method: str) -
     assert result.take_points()[2] == asked.t == 2
 
 
-@pytest.mark.parametrize("jump", ["breakpoint", "breakpoint with an action", "event with an action"])
-@pytest.mark.parametrize("method", METHODS)
+@dealt(12, method=METHODS, jump=["breakpoint", "breakpoint with an action", "event with an action"])
 def test_the_last_step_is_the_one_before_a_jump(method: str, jump: str) -> None:
     """Its interpolant is that of the whole solution, up to the state before the action."""
     options: dict[str, Any] = {

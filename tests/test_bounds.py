@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import Bounds
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS
 
 IMPLICIT = [name for name, method in iv.METHODS.items() if "jac" in method.options]
@@ -128,6 +129,7 @@ def between(sol, points=7):
 # Signs
 
 
+@families
 def test_an_asymptote_at_the_bound_is_stable(method):
     sol = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, dense_output=True)
     assert sol.success
@@ -152,6 +154,7 @@ def test_the_knee(method):
         assert plain.y[0, -1] == pytest.approx(-1, abs=1e-3)
 
 
+@families
 def test_both_bounds_are_kept(method):
     """A logistic overshoot: y' = 5 cos t, held within [-1, 2]."""
     sol = iv.solve_ivp(lambda t, y: [5 * np.cos(t)], (0, 12), [0.0], method, bounds=(-1, 2), dense_output=True)
@@ -243,6 +246,7 @@ def test_what_rests_beside_algebraic_equations():
         assert np.abs(kept.y.sum(axis=0) - 1).max() <= 0.1 * 1e-4  # of which Newton's iteration may leave half
 
 
+@explicit_and_implicit
 def test_the_mass_that_clipping_moves_is_told(method):
     sol = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True, max_step=np.inf)
     assert sol.stats.clipped >= 0
@@ -253,6 +257,7 @@ def test_the_mass_that_clipping_moves_is_told(method):
 # Laws
 
 
+@dealt(14, problem=PROBLEMS, method=iv.METHODS)
 def test_bounds_that_are_never_reached_change_nothing(problem, method):
     options = {"rtol": 1e-4, "atol": 1e-6, "dense_output": True}
     plain = iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, **options)
@@ -264,6 +269,7 @@ def test_bounds_that_are_never_reached_change_nothing(problem, method):
     np.testing.assert_array_equal(plain.sol(t), far.sol(t))
 
 
+@families
 def test_a_mirrored_problem_has_the_mirrored_solution(method):
     down = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
     up = iv.solve_ivp(lambda t, y: [abs(y[0])], (0, 40), [-1.0], method, bounds=(None, 0))
@@ -274,6 +280,7 @@ def test_a_mirrored_problem_has_the_mirrored_solution(method):
     np.testing.assert_array_equal(down.y, -up.y)
 
 
+@families
 def test_a_reversed_problem_has_the_reversed_solution(method):
     forwards = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
     backwards = iv.solve_ivp(lambda t, y: [abs(y[0])], (0, -40), [1.0], method, nonnegative=True)
@@ -281,6 +288,7 @@ def test_a_reversed_problem_has_the_reversed_solution(method):
     np.testing.assert_array_equal(forwards.y, backwards.y)
 
 
+@families
 def test_units_by_powers_of_two_change_nothing(method):
     unit = 2.0**40
     here = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
@@ -288,6 +296,7 @@ def test_units_by_powers_of_two_change_nothing(method):
     np.testing.assert_array_equal(here.y * unit, there.y)
 
 
+@explicit_and_implicit
 def test_the_same_by_index_label_mask_and_bounds(method):
     def decay(t, y):
         return [-abs(y[0]), abs(y[0])]
@@ -307,6 +316,7 @@ def test_the_same_by_index_label_mask_and_bounds(method):
         np.testing.assert_array_equal(y, solutions[0])
 
 
+@families
 def test_the_whole_is_the_sum_of_its_parts(method):
     whole = iv.solve_ivp(sink, (0, 40), [1.0], method, nonnegative=True)
     parts = iv.solve_ivp(sink, (0, 20), [1.0], method, nonnegative=True).extend(40)
@@ -319,6 +329,7 @@ def test_the_whole_is_the_sum_of_its_parts(method):
 # With the rest of the package
 
 
+@explicit_and_implicit
 def test_events_see_values_within_the_bounds(method):
     seen = []
 
@@ -330,6 +341,7 @@ def test_events_see_values_within_the_bounds(method):
     assert min(seen) >= 0
 
 
+@explicit_and_implicit
 def test_continuous_solutions_travel_with_their_bounds(tmp_path, method):
     problem = iv.Problem(sink, (0, 40), [1.0], nonnegative=True)
     sol = problem.solve(method, dense_output=True)
@@ -339,6 +351,7 @@ def test_continuous_solutions_travel_with_their_bounds(tmp_path, method):
         np.testing.assert_array_equal(again(t), sol.sol(t))
 
 
+@explicit_and_implicit
 def test_ensembles_are_as_single_solves(method):
     starts = np.array([[1.0], [0.3], [-1.0]])
     options = {"nonnegative": True, "t_eval": [10.0, 40.0]}
@@ -352,6 +365,7 @@ def test_ensembles_are_as_single_solves(method):
         assert many.stats.clipped_amount[i] == one.stats.clipped_amount
 
 
+@explicit_and_implicit
 def test_ensembles_on_threads_too(method):
     pytest.importorskip("numba")
 
@@ -378,6 +392,7 @@ def test_the_plugin_takes_bounds():
     assert sol.y.min() >= 0
 
 
+@explicit_and_implicit
 def test_an_action_must_stay_within_the_bounds(method):
     def low(t, y):
         return y[0] - 0.5
@@ -446,6 +461,7 @@ def test_a_bound_that_contradicts_an_invariant_is_refused():
         iv.solve_ivp(square, (0, 1), [1.0, 0.0], bounds=(None, [1.0, 0.0]), invariants=held)
 
 
+@explicit_and_implicit
 def test_a_start_outside_by_less_than_the_tolerance_is_moved(method):
     sol = iv.solve_ivp(square, (0, 1), [1.0, -1e-7], method, nonnegative=True)
     assert sol.y[1, 0] == 0

@@ -11,6 +11,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS, slack
 
 KEPLER = PROBLEMS["Kepler"]
@@ -41,7 +42,7 @@ def assert_area(sol, area=AREA):
     assert abs(sol.y[0, -1] - area) < 1e-9
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+@dealt(12, method=iv.METHODS, rtol=[1e-3, 1e-6])
 def test_narrow_pulses_are_not_missed(method, rtol):
     sol = iv.solve_ivp(pulses, (0, 100), [0.0], method, breakpoints=EDGES, rtol=rtol)
     assert_area(sol)
@@ -52,6 +53,7 @@ def test_narrow_pulses_are_not_missed(method, rtol):
     assert missed.y[0, -1] == 0  # which is what they are for
 
 
+@explicit_and_implicit
 def test_inputs_bring_their_breakpoints(method):
     problem = iv.Problem(lambda t, y, u: [u], (0, 100), [0.0], inputs=pulse_input())
     assert_area(problem.solve(method, rtol=1e-6))
@@ -59,6 +61,7 @@ def test_inputs_bring_their_breakpoints(method):
     assert_area(pickle.loads(pickle.dumps(problem.inputs[0])) and problem.solve(method, t_eval=[1, 99, 100]))
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("jac", [False, True])
 def test_native_functions_have_inputs_first_in_their_parameters(method, jac):
     """The same values as the Python functions get, to the last bit."""
@@ -93,7 +96,7 @@ def slope_of_blown(t, y, p):
     return (0.0, 1.0, -p[3] * p[2], 0.0)
 
 
-@pytest.mark.parametrize("backwards", [False, True])
+@dealt(12, method=iv.METHODS, backwards=[False, True])
 def test_each_piece_sees_f_from_its_own_side(method, backwards):
     """No time outside of the piece in which the step is, and none that is a breakpoint."""
     points = [1.0, 1.5, 4.0]
@@ -142,7 +145,7 @@ def decayed(*times):
     return np.exp(-4) + sum(np.exp(t - 4) for t in times)
 
 
-@pytest.mark.parametrize("at", [(1.0, 2.0, 3.0), (0.0,), (2.0, 2.0), (0.0, 4.0)])
+@dealt(14, method=iv.METHODS, at=[(1.0, 2.0, 3.0), (0.0,), (2.0, 2.0), (0.0, 4.0)])
 def test_actions_are_taken_once_and_both_states_are_there(method, at):
     """At the start and at the end too; two at one time are two."""
     about = {"breakpoints": [(t, dose) for t in at], "dense_output": True, **TIGHT}
@@ -161,7 +164,7 @@ def test_actions_are_taken_once_and_both_states_are_there(method, at):
     assert (np.diff(two.t) == 0).sum() == len(jumps)
 
 
-@pytest.mark.parametrize("how", ["event", "callback", "limit"])
+@dealt(9, method=iv.METHODS, how=["event", "callback", "limit"])
 def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(method, how):
     """But a limit, which is looked at when the breakpoint has been passed."""
     taken = []
@@ -173,7 +176,7 @@ def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(me
     ends = {
         "event": {"events": iv.Event(lambda t, y: t - 2, terminal=True)},
         "callback": {"callback": lambda t, y: t == 2},
-        "limit": {"max_points": 1000, "max_steps": 1, "max_step": 9, "first_step": 2},
+        "limit": {"limits": iv.Limits(points=1000), "max_steps": 1, "max_step": 9, "first_step": 2},
     }[how]
     sol = iv.solve_ivp(lambda t, y: [0.0], (0, 4), [0.0], method, breakpoints=[(2.0, act)], t_eval=[1, 2, 3], **ends)
     assert (sol.t_end, len(taken)) == (2.0, how == "limit")
@@ -184,6 +187,7 @@ def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(me
     assert sol.y[0, 2] == 1
 
 
+@families
 def test_invariants_are_held_at_their_new_values(method):
     """A kick changes the energy; a demanded value has to be kept by the action."""
 
@@ -209,6 +213,7 @@ def test_invariants_are_held_at_their_new_values(method):
     assert "After the action at t = 1" in sol.message
 
 
+@families
 def test_invariants_may_have_kinks_at_breakpoints(method):
     """y' = ramp'(t): y - ramp(t) is kept, and its derivative with respect to t jumps, without a false conviction."""
 
@@ -228,6 +233,7 @@ def test_invariants_may_have_kinks_at_breakpoints(method):
     assert np.abs(sol.residual).max() < 1e-12
 
 
+@explicit_and_implicit
 def test_an_event_at_a_breakpoint_is_found_once(method):
     """Without an action the signs go on; f has a knee there."""
     sol = iv.solve_ivp(
@@ -238,6 +244,7 @@ def test_an_event_at_a_breakpoint_is_found_once(method):
     np.testing.assert_allclose(np.ravel(sol.t_events), 2.0, rtol=1e-14)
 
 
+@explicit_and_implicit
 def test_an_event_and_a_dose_at_once(method):
     """First the event acts, then the dose."""
     double = iv.Event(lambda t, y: t - 2, action=lambda t, y: 2 * y)
@@ -265,6 +272,7 @@ def test_algebraic_variables_jump_with_their_equations(with_action):
     np.testing.assert_allclose(sol.y[0, -1], 2 + 10 + with_action, rtol=1e-7)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize("native", [False, True])
 def test_trajectories_of_an_ensemble(method, native, workers):
@@ -285,6 +293,7 @@ def add_one(t, y):
     return [y[0] + 1.0]
 
 
+@families
 def test_pieces_may_be_as_narrow_as_they_like(method):
     points = [1.0, np.nextafter(1.0, 2), np.nextafter(1.0, 2) + 4e-16, 1 + 1e-12, 1 + 1e-12]
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, 2), [0.0], method, breakpoints=points)
@@ -292,6 +301,7 @@ def test_pieces_may_be_as_narrow_as_they_like(method):
     assert sol.y[0, -1] == pytest.approx(2)
 
 
+@explicit_and_implicit
 def test_bare_ends_are_no_breakpoints(method):
     plain = iv.solve_ivp(KEPLER.fun, (0, 5), KEPLER.y0, method)
     far = iv.solve_ivp(KEPLER.fun, (0, 5), KEPLER.y0, method, breakpoints=[-1, 6, 1e300])
@@ -299,6 +309,7 @@ def test_bare_ends_are_no_breakpoints(method):
     assert plain.nfev == far.nfev
 
 
+@explicit_and_implicit
 def test_complex_states(method):
     sol = iv.solve_ivp(
         lambda t, y: 1j * y * (1 if t < 1 else 2),
@@ -337,7 +348,7 @@ def test_an_input_is_the_function_of_its_table(kind, shape):
         np.testing.assert_array_equal(u(t[-1] + 1e6), values[-1])
 
 
-@pytest.mark.parametrize("kind", ["linear", "cubic"])
+@dealt(12, method=iv.METHODS, kind=["linear", "cubic"])
 def test_a_measured_force(method, kind):
     """The area under a table, to the tolerance; of pairs, which are of order 2 and more, the broken line's exactly."""
     t = np.linspace(0, 4, 17)
@@ -362,6 +373,7 @@ WRONG = [
 ]
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize(("options", "error", "message"), WRONG)
 def test_wrong_breakpoints_are_refused(method, options, error, message):
     with pytest.raises(error, match=message):
@@ -401,7 +413,7 @@ def test_classes_for_scipy_say_what_they_cannot():
         invariode.scipy.ODE45(lambda t, y: -y, 0, [1.0], 1, breakpoints=[0.5])
 
 
-@pytest.mark.parametrize("t0", [0.0, 1.0, -3.0])
+@dealt(12, method=iv.METHODS, t0=[0.0, 1.0, -3.0])
 def test_breakpoints_between_which_no_step_fits_are_one(method, t0):
     """Two near the start, three near t0 + 1: each action is taken, each jump seen, and no step is shorter than the
     smallest. f is called on neither side with a time between them."""
@@ -427,6 +439,7 @@ def test_breakpoints_between_which_no_step_fits_are_one(method, t0):
     np.testing.assert_allclose(sol.y[0, -1], 5 + 2 + 5, rtol=1e-9)
 
 
+@families
 def test_a_breakpoint_at_the_smallest_double_is_passed(method):
     """The step to it would be so short that h times a coefficient is 0."""
     tiny = 5e-324

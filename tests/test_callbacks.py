@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS, slack
 
 
@@ -55,8 +56,7 @@ ROLES = {
 }
 
 
-@pytest.mark.parametrize("after", [0, 1, 2, 7, 30])
-@pytest.mark.parametrize("role", ROLES)
+@dealt(30, method=iv.METHODS, role=ROLES, after=[0, 1, 2, 7, 30])
 def test_exceptions_come_out_unchanged_and_the_next_solve_works(method, role, after):
     options = {"fun": decay, **ROLES[role](after)}
     fun = options.pop("fun")
@@ -114,6 +114,7 @@ def test_integers_and_big_integers():
     assert iv.solve_ivp(lambda t, y: [1, 10**30], (0, 1), [0, 0]).success
 
 
+@explicit_and_implicit
 def test_same_buffer_may_be_returned_every_time(method):
     buffer = np.empty(2)
 
@@ -126,6 +127,7 @@ def test_same_buffer_may_be_returned_every_time(method):
     )
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("keep", [lambda y: y, lambda y: y[:1], memoryview, lambda y: y.T])
 def test_arguments_may_be_kept(method, keep):
     """An array, a view of it or a memoryview that someone holds is never written to again."""
@@ -141,6 +143,7 @@ def test_arguments_may_be_kept(method, keep):
         np.testing.assert_array_equal(np.asarray(view), copy[: len(view)])
 
 
+@explicit_and_implicit
 def test_arguments_may_be_changed(method):
     """The array is the callee's: writing to it, resizing or locking it does not reach the solver."""
 
@@ -156,6 +159,7 @@ def test_arguments_may_be_changed(method):
     )
 
 
+@families
 def test_f_never_sees_what_is_not_finite(method):
     """A stage that overflows fails the attempt; f is not asked beyond."""
     seen = []
@@ -170,7 +174,7 @@ def test_f_never_sees_what_is_not_finite(method):
     assert "component 0 of fun is NaN or infinite" in sol.message
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@dealt(12, method=iv.METHODS, bad=[np.nan, np.inf])
 def test_f_that_is_not_finite(method, bad):
     at_start = iv.solve_ivp(lambda t, y: [1.0, bad], (0, 1), [0, 0], method)
     assert (at_start.status, at_start.success) == (-1, False)
@@ -225,6 +229,7 @@ def test_wrong_shapes_of_invariants_and_jacobians():
         iv.solve_ivp(decay, (0, 1), [1, 1], invariants=shrinking, check=False)
 
 
+@explicit_and_implicit
 def test_callback_is_called_after_each_step_and_stops(method):
     seen = []
     sol = iv.solve_ivp(decay, (0, 3), [1, 1], method, callback=lambda t, y: seen.append((t, *y)))
@@ -237,6 +242,7 @@ def test_callback_is_called_after_each_step_and_stops(method):
     assert stopped.t[-2] <= 1 < stopped.t[-1]
 
 
+@explicit_and_implicit
 def test_extra_arguments_reach_every_function(method):
     def fun(t, y, a, b):
         return [-a * y[0], -b * y[1]]
@@ -254,6 +260,7 @@ def test_extra_arguments_reach_every_function(method):
     assert many.y[0, -1] == pytest.approx(190)
 
 
+@explicit_and_implicit
 def test_nested_solves(method):
     """f may solve another problem: nothing is shared between runs."""
 
@@ -265,6 +272,7 @@ def test_nested_solves(method):
     assert sol.y[0, -1] == pytest.approx(np.exp(-np.exp(-1)), rel=1e-5)
 
 
+@explicit_and_implicit
 def test_runs_in_threads_do_not_disturb_each_other(method):
     problem = PROBLEMS["Kepler"]
     expected = problem.solve(method, rtol=1e-6)
@@ -282,6 +290,7 @@ def test_runs_in_threads_do_not_disturb_each_other(method):
         np.testing.assert_array_equal(result.y, expected.y)
 
 
+@explicit_and_implicit
 def test_nothing_is_kept_alive(method):
     class Right:
         def __call__(self, t, y):
@@ -296,12 +305,14 @@ def test_nothing_is_kept_alive(method):
     assert dense(0.5).shape == (2,)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("returned", [np.ones(2), np.zeros(0), np.ones((1, 2))], ids=lambda a: str(a.shape))
 def test_an_array_is_neither_stop_nor_go_on(method, returned):
     with pytest.raises(ValueError, match=r"callback\(t, y\) returned an array of shape .*, expected True to stop"):
         iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0], method, callback=lambda t, y: returned)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("complex_y0", [1.0, 1j])
 def test_an_integer_beyond_the_range_of_a_double_is_the_functions_fault(method, complex_y0):
     with pytest.raises(ValueError, match=r"fun\(t, y\) returned an integer too large for a double"):
@@ -317,7 +328,7 @@ def test_ctrl_c(tmp_path):
         import invariode as iv
         print("ready", flush=True)
         try:
-            iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 1e12), [1, 0], rtol=1e-10, save="end")
+            iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 1e12), [1, 0], rtol=1e-10, keep="end")
         except KeyboardInterrupt:
             print(time.time(), flush=True)
         """)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from interrupted import differences, go_on, in_another_process, interrupt, killed, random_case
 
 SEED = 18
@@ -23,7 +24,7 @@ def problem(**changes):
     return iv.Problem(**{"fun": decay, "t_span": (0, 3), "y0": [1.0], "args": (2.0,), **changes})
 
 
-@pytest.mark.parametrize("seed", range(SEED, SEED + 3))
+@dealt(24, method=iv.METHODS, seed=range(SEED, SEED + 3))
 def test_it_goes_on_as_if_it_had_not_been_interrupted(method, seed, tmp_path):
     case = random_case(seed, method)
     whole, part = case.solve(), case.solve(max_steps=case.after)
@@ -51,11 +52,12 @@ def test_a_killed_run_is_not_lost(tmp_path):
         assert killed(seed, tmp_path / f"{seed}.checkpoint", rng) in ("whole", "not begun")
 
 
+@families
 def test_checkpoints_change_nothing_and_hold_all(method, tmp_path):
     case = random_case(SEED + 7, method)
     whole = case.solve()
     path = tmp_path / "run.checkpoint"
-    assert not differences(whole, case.solve(checkpoint=path, checkpoint_every=5e-3))
+    assert not differences(whole, case.solve(checkpoint=iv.Checkpoint(path, every=5e-3)))
     assert not differences(whole, iv.load(path, case.problem(), **case.functions))
 
 
@@ -63,8 +65,6 @@ def test_where_no_checkpoint_can_be(tmp_path):
     case = random_case(SEED, "ode45")
     with pytest.raises(FileNotFoundError, match=r"checkpoint: there is no folder .*nowhere: make it"):
         case.solve(checkpoint=tmp_path / "nowhere" / "run.checkpoint")
-    with pytest.warns(UserWarning, match="checkpoint_every has no effect without checkpoint"):
-        case.solve(checkpoint_every=10.0)
 
 
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
@@ -77,7 +77,7 @@ def test_between_two_attempts_of_a_step(method):
     def solve(**more):
         return iv.solve_ivp(corner, (0, 4), [1.0, 0.0], method, rtol=1e-6, atol=1e-8, **more)
 
-    whole, sol = solve(), solve(time_limit=1e-12)
+    whole, sol = solve(), solve(limits=iv.Limits(time=1e-12))
     assert whole.stats.failed > 0
     parts = 1
     while sol.status == -3:
@@ -87,6 +87,7 @@ def test_between_two_attempts_of_a_step(method):
     assert not differences(whole, sol)
 
 
+@explicit_and_implicit
 def test_the_checkpoint_does_not_grow_with_the_run(method, tmp_path):
     sizes = []
     for end in (1, 30):
@@ -98,6 +99,7 @@ def test_the_checkpoint_does_not_grow_with_the_run(method, tmp_path):
     assert sizes[1][1] < sizes[0][1] + 200  # digits of the counts
 
 
+@families
 def test_an_extension_goes_on_writing(method, tmp_path):
     path = tmp_path / "run.checkpoint"
     first = problem().solve(method, checkpoint=path, dense_output=True)
@@ -119,7 +121,7 @@ def test_a_run_that_has_not_ended_is_not_overwritten(tmp_path):
         return [-y[0]]
 
     with pytest.raises(RuntimeError, match="power"):
-        iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=path, checkpoint_every=1e-9)
+        iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=iv.Checkpoint(path, every=1e-9))
     with pytest.raises(ValueError, match=r"holds a run that has come to t = 0\.\d+ and has not ended: go on with load"):
         iv.solve_ivp(fails, (0, 3), [1.0], checkpoint=path)
     cured = iv.Problem(lambda t, y: [-y[0]], (0, 3), [1.0])
@@ -214,7 +216,7 @@ def test_other_versions_are_refused_by_their_number(tmp_path):
 
 def test_damaged_files_are_refused(tmp_path):
     path = tmp_path / "run.checkpoint"
-    problem().solve(checkpoint=path, checkpoint_every=1e-9, dense_output=True)
+    problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), dense_output=True)
     (output,) = tmp_path.glob("run.checkpoint.output-*")
     with pytest.raises(ValueError, match="is a checkpoint, which needs its problem"):
         iv.load(path)
@@ -266,7 +268,6 @@ def test_the_parts_of_the_output_are_all_there_and_those_of_continuous_output_in
 
 @pytest.mark.parametrize(("options", "error", "message"), [
     ({"checkpoint": 3}, TypeError, "checkpoint must be a str or path-like, got 3"),
-    ({"checkpoint_every": 0}, ValueError, "checkpoint_every must be positive"),
 ])  # fmt: skip
 def test_wrong_options(options, error, message):
     with pytest.raises(error, match=message):
@@ -281,3 +282,9 @@ def test_wrong_arguments_of_load(tmp_path):
         iv.load(tmp_path / "a", problem(), invariants=lambda t, y: y)
     with pytest.raises(ValueError, match=r"comes from a file, .* load\(path, problem\)"):
         iv.load(tmp_path / "a").extend(4)
+
+
+def test_an_extension_writes_as_often_as_its_run(tmp_path):
+    problem().solve(checkpoint=iv.Checkpoint(tmp_path / "run", every=7.0), max_steps=2)
+    for every, given in ((7.0, {}), (9.0, {"checkpoint": iv.Checkpoint(tmp_path / "run", every=9.0)})):
+        assert iv.load(tmp_path / "run", problem(), **given)._origin.source.options["checkpoint"].every == every

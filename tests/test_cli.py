@@ -17,6 +17,7 @@ import typer
 from typer.testing import CliRunner
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from invariode._studies.precision import power
 from invariode.cli.app import app
 from invariode.cli.session import clock, count, guarded
@@ -160,23 +161,22 @@ def test_problem_is_the_one_named_or_the_only_one(file, name):
     assert re.search(rf"^problem +{name} *$", outcome.output, re.MULTILINE)
 
 
-@pytest.mark.parametrize(
-    ("file", "says"),
-    [
-        ("prey.py", "several problems: closed, free, wrong, twice. Say which: prey.py:closed"),
-        ("prey.py:close", "does not define close; did you mean closed?"),
-        ("prey.py:orbit", "prey.py:orbit is of type function, expected an invariode.Problem"),
-        ("nothing.py", "defines no invariode.Problem. It should say: problem = iv.Problem("),
-        ("nothing.py", "It defines: step (int), f (function)."),
-        ("pendulums.py", "no such file: pendulums.py; did you mean pendulum.py?"),
-        (".", "is a directory"),
-    ],
-)
-@pytest.mark.parametrize("command", ["solve", "compare", "check"])
-def test_file_without_the_problem_is_a_usage_error_that_says_what_there_is(command, file, says):
+NO_PROBLEM = {
+    "prey.py": "several problems: closed, free, wrong, twice. Say which: prey.py:closed",
+    "prey.py:close": "does not define close; did you mean closed?",
+    "prey.py:orbit": "prey.py:orbit is of type function, expected an invariode.Problem",
+    "nothing.py": "defines no invariode.Problem. It should say: problem = iv.Problem(",
+    "pendulums.py": "no such file: pendulums.py; did you mean pendulum.py?",
+    ".": "is a directory",
+}
+
+
+@dealt(len(NO_PROBLEM), command=["solve", "compare", "check"], file=NO_PROBLEM)
+def test_file_without_the_problem_is_a_usage_error_that_says_what_there_is(command, file):
     outcome = invariode(command, file, width=200)
     assert outcome.exit_code == 2
-    assert says in flat(outcome.output)
+    assert NO_PROBLEM[file] in flat(outcome.output)
+    assert file != "nothing.py" or "It defines: step (int), f (function)." in flat(outcome.output)
 
 
 @pytest.mark.parametrize(
@@ -208,6 +208,7 @@ def test_directory_with_a_colon_is_part_of_the_path(tmp_path):
 # solve
 
 
+@explicit_and_implicit
 def test_solve_prints_the_counts_of_the_library(method):
     outcome = invariode("solve", "pendulum.py", "--method", method, "--rtol", "1e-5", "--atol", "1e-8")
     sol = problem().solve(method, rtol=1e-5, atol=1e-8)

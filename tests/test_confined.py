@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import null_space
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from test_bounds import robertson, total
 
 IMPLICIT = [name for name, method in iv.METHODS.items() if "jac" in method.options]
@@ -47,8 +48,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
-@pytest.mark.parametrize("name", CASES)
+@dealt(24, name=CASES, rtol=[1e-3, 1e-6], method=iv.METHODS)
 def test_f_never_sees_a_value_outside_its_bounds(name, rtol, method):
     fun, t_span, y0, lower, upper = CASES[name]
     f = Watched(fun, lower, upper)
@@ -70,7 +70,7 @@ def test_nor_does_a_stiff_f_nor_one_with_algebraic_equations(method):
     assert f.outside == 0
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-8])
+@dealt(12, rtol=[1e-2, 1e-4, 1e-8], method=iv.METHODS)
 def test_a_tank_that_drains_stays_empty(rtol, method):
     """y = (1 - t/2)² until t = 2; the last part, of the size of atol, may take any time."""
     sol = iv.solve_ivp(tank, (0, 10), [1.0], method, nonnegative=True, rtol=rtol, atol=1e-6, max_steps=3000)
@@ -80,6 +80,7 @@ def test_a_tank_that_drains_stays_empty(rtol, method):
     assert sol.y[0, -1] <= 1e-6
 
 
+@explicit_and_implicit
 def test_a_start_outside_by_less_than_the_tolerance_is_moved_before_f_sees_it(method):
     f = Watched(lambda t, y: [-y[0], y[0]], 0, np.inf)
     assert iv.solve_ivp(f, (0, 1), [1.0, -1e-7], method, nonnegative=True).success
@@ -92,6 +93,7 @@ def drains():
     return iv.compile(lambda t, y: (-(y[0] ** 0.5),))
 
 
+@explicit_and_implicit
 def test_compiled_functions_are_confined_too(method, drains):
     sol = iv.solve_ivp(drains, (0, 10), [1.0], method, nonnegative=True, rtol=1e-4, max_steps=3000)
     assert sol.success, sol.message
@@ -102,6 +104,7 @@ def test_compiled_functions_are_confined_too(method, drains):
 # Laws with roundoff in their coefficients
 
 
+@families
 def test_roundoff_in_a_coefficient_does_not_hold_the_solution(method):
     def law(t, y):
         return [y[0] + y[1] + y[2], y[3] + 1e-17 * (y[0] - 0.7 * y[2])]
@@ -129,7 +132,7 @@ def network(seed):
     return (lambda t, y: change @ (rate * np.where(order.T, y, 1).prod(axis=1))), null_space(change.T).T, y0
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_networks_with_laws_from_a_null_space(seed):
     """With the laws the end is as near to the reference as a few tolerances; methods take turns."""
     fun, laws, y0 = network(seed)
@@ -171,7 +174,7 @@ class Calls:
         return call
 
 
-@pytest.mark.parametrize("given", [True, False])
+@dealt(8, given=[True, False], method=iv.METHODS)
 def test_an_exception_comes_out_as_itself_wherever_it_is_raised(given, method):
     def solve(calls):
         g = calls.of("g", lambda t, y: np.array([y[0] + y[1] + y[2], y[3]]))

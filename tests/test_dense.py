@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS, long_steps
 
 MODES = ["projected", "corrected", "raw"]
 
 
-@pytest.mark.parametrize("interpolation", ["projected", "corrected"])
-@pytest.mark.parametrize("project", [False, True])
+@dealt(28, method=iv.METHODS, problem=PROBLEMS, project=[False, True], interpolation=["projected", "corrected"])
 def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpolation):
     """Just before and just after a knot the values differ by what the solution moves in that time, and by roundoff."""
     sol = problem.solve(method, project, dense_output=True, interpolation=interpolation)
@@ -30,14 +30,14 @@ def test_continuous_across_steps_to_a_few_ulp(method, problem, project, interpol
     assert np.abs(after - sol.y[:, 1:-1]).max() <= bound
 
 
-@pytest.mark.parametrize("interpolation", MODES)
+@dealt(14, method=iv.METHODS, problem=PROBLEMS, interpolation=MODES)
 def test_stored_values_at_the_ends_of_steps(method, problem, interpolation):
     sol = problem.solve(method, dense_output=True, interpolation=interpolation)
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
     np.testing.assert_array_equal(sol.sol.ts, sol.t)
 
 
-@pytest.mark.parametrize("interpolation", MODES)
+@dealt(24, method=iv.METHODS, problem=PROBLEMS, interpolation=MODES)
 def test_output_at_given_times_is_the_dense_output(method, problem, interpolation):
     dense = problem.solve(method, dense_output=True, interpolation=interpolation)
     t = np.linspace(*problem.t_span, 77)
@@ -48,6 +48,7 @@ def test_output_at_given_times_is_the_dense_output(method, problem, interpolatio
     np.testing.assert_allclose(refined.y, dense.sol(refined.t), rtol=1e-13, atol=1e-13)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_projected_values_keep_the_invariants_as_the_steps_do(method, problem):
     """Between steps the residual is the one that interpolates those of the two ends."""
     sol = problem.solve(method, refine=5)
@@ -84,6 +85,7 @@ def test_without_invariants_all_modes_agree(method):
     np.testing.assert_allclose(runs[2].y, runs[0].y, rtol=1e-13, atol=max(1e-14, jump(method) * 1e-3))
 
 
+@explicit_and_implicit
 def test_scalars_arrays_and_order_of_times(method):
     sol = PROBLEMS["Kepler"].solve(method, dense_output=True).sol
     t = np.array([3.0, 0.1, 19.9, 0.1, 20.0, 0.0])
@@ -98,6 +100,7 @@ def test_scalars_arrays_and_order_of_times(method):
         sol([[1.0]])
 
 
+@families
 def test_backwards(method):
     problem = PROBLEMS["Kepler"]
     sol = iv.solve_ivp(problem.fun, (0, -20), problem.y0, method, dense_output=True, invariants=problem.invariants())
@@ -109,6 +112,7 @@ def test_backwards(method):
     np.testing.assert_allclose(again.y, sol.sol(t), rtol=1e-13, atol=1e-13)
 
 
+@families
 def test_dense_output_outlives_the_run_and_may_be_used_in_threads(method):
     from concurrent.futures import ThreadPoolExecutor
 
@@ -133,7 +137,7 @@ def bounce(t, y):
     return y[0]
 
 
-@pytest.mark.parametrize("imposed", [False, True])
+@dealt(12, method=iv.METHODS, imposed=[False, True])
 def test_copies_and_pickles_are_the_same_function(method, imposed):
     """Jumps and projection included; functions that are of no module stay behind where they can."""
     jump = iv.Event(bounce, direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]])
@@ -148,6 +152,7 @@ def test_copies_and_pickles_are_the_same_function(method, imposed):
     np.testing.assert_array_equal(copy.deepcopy(sol).extend(12).y, sol.extend(12).y)
 
 
+@explicit_and_implicit
 def test_a_lambda_is_copied_and_named_where_pickle_refuses_it(method):
     sol = iv.solve_ivp(oscillator, (0, 9), [1.0, 0.0], method, invariants=lambda t, y: y @ y, dense_output=True)
     np.testing.assert_array_equal(copy.deepcopy(sol).sol(1.1), sol.sol(1.1))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import families
 
 EPS = np.finfo(float).eps
 
@@ -43,6 +44,7 @@ def reference():
     return iv.solve_ivp(toda, (0, 20), START, "ode89", rtol=1e-12, atol=1e-13, keep="end").y[:, -1]
 
 
+@families
 def test_momentum_survives_energy_at_steps_and_between(method, reference):
     times = np.linspace(0, 20, 101)
     error, drift = {}, {}

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from invariode import scipy as classes
+from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
 
 untold = pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
@@ -47,7 +49,7 @@ def with_a_jump(k: int):
     )
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+@dealt(12, method=iv.METHODS, rtol=[1e-3, 1e-6])
 def test_jumps_are_named_to_the_last_bit(method, rtol):
     """Nearly all where four attempts or more fail (docs/algorithms.md, 'Jumps of f'), and no other time."""
     found = looked = 0
@@ -66,6 +68,7 @@ def test_jumps_are_named_to_the_last_bit(method, rtol):
     assert looked >= (4 if rtol < 1e-3 else 0)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_smooth_problems_have_none(method, problem):
     """At random tolerances; all other tests of the package are such tests too, since warnings are errors."""
     for rtol in 10.0 ** -np.random.default_rng(len(method + problem.name)).uniform(
@@ -97,6 +100,7 @@ def test_only_jumps_are_named(fun):
     assert sol.stats.discontinuities == ()
 
 
+@explicit_and_implicit
 def test_a_run_says_it_once_and_what_to_try(method):
     with pytest.warns(iv.DiscontinuityWarning, match=f"{method}: fun looks discontinuous at t = 3, 5, where") as said:
         sol = iv.solve_ivp(lambda t, y: [-y[0] + 9 * (3 <= t < 5)], (0, 10), [1.0], method, rtol=1e-6, atol=1e-9)
@@ -106,6 +110,7 @@ def test_a_run_says_it_once_and_what_to_try(method):
     assert "breakpoints=[3, 5]" in sol.message
 
 
+@explicit_and_implicit
 def test_breakpoints_silence_it_and_save_the_failures(method):
     problem = iv.Problem(lambda t, y: [-y[0] + 9 * (3 <= t < 5)], (0, 10), [1.0])
     with pytest.warns(iv.DiscontinuityWarning):
@@ -133,6 +138,7 @@ def test_every_evaluation_is_counted(method):
         assert calls == sol.nfev + sol.stats.nfev_check
 
 
+@families
 @untold
 def test_where_the_smallest_step_fails_the_message_names_the_jump(method):
     """Seconds of a clock: doubles are 1e-7 apart there."""
@@ -162,6 +168,7 @@ def test_jumps_where_y_decides_are_found_where_the_solution_crosses(method):
     assert np.allclose(sol.stats.discontinuities, [np.log(2)], rtol=1e-2)
 
 
+@explicit_and_implicit
 @untold
 def test_backwards_too(method):
     sol = iv.solve_ivp(lambda t, y: [y[0] + 9 * (t <= 3)], (10, 0), [1.0], method, rtol=1e-6, atol=1e-9)
@@ -178,6 +185,7 @@ def test_where_f_jumps_all_the_time_the_search_ends():
     assert f"and at {len(found) - 4} or more other times (stats.discontinuities)" in sol.message
 
 
+@explicit_and_implicit
 @untold
 def test_an_extension_remembers_and_a_file_does(method, tmp_path: Path):
     problem = iv.Problem(switched, (0, 5), [1.0], args=(3.0, 20.0))
@@ -228,6 +236,7 @@ def test_a_saved_ensemble_keeps_it(tmp_path: Path):
     assert [one.stats.discontinuities for one in again] == [(3.0,), ()]
 
 
+@explicit_and_implicit
 def test_the_classes_for_scipy_say_it_once(method):
     run = getattr(classes, {"auto": "LSODA"}.get(method, method.upper()), None)
     if run is None:
@@ -268,7 +277,7 @@ def bouncing(restitution, method, **options):
     return iv.solve_ivp(lambda t, y: [y[1], -1.0], (0, 2 * end), [1.0, 0.0], method, events=hit, **options), end
 
 
-@pytest.mark.parametrize("restitution", [0.4, 0.8])
+@dealt(12, method=iv.METHODS, restitution=[0.4, 0.8])
 def test_impacts_that_accumulate_are_named(method, restitution):
     """A ball falls through the floor when its flights are shorter than what a step shows: that is said, once."""
     with pytest.warns(iv.DiscontinuityWarning, match=r"floor: its actions came closer and closer") as said:
@@ -282,6 +291,7 @@ def test_impacts_that_accumulate_are_named(method, restitution):
     assert named == pytest.approx(end, rel=0.05)
 
 
+@explicit_and_implicit
 def test_impacts_are_named_in_a_run_that_goes_on_too(method, tmp_path):
     """The memory of a run knows how its impacts went."""
     sol, end = bouncing(0.8, method, max_steps=60)
@@ -289,6 +299,7 @@ def test_impacts_are_named_in_a_run_that_goes_on_too(method, tmp_path):
         sol.extend(2 * end, max_steps=None)
 
 
+@explicit_and_implicit
 def test_actions_that_do_not_accumulate_are_not_named(method):
     """Impacts that are few, that end at rest, that keep their distance, or that switch and let the solution pass."""
     short = iv.Event(floor, direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]])
@@ -310,9 +321,8 @@ def block(t, y):
     return [y[1], 0.5 * np.sin(t) - np.sign(y[1])]
 
 
+@dealt(16, method=iv.METHODS, rtol=[1e-3, 1e-6], y0=[[0.0, 1.0], [0.0, 1e-9]])
 @pytest.mark.filterwarnings("ignore::invariode.StiffnessWarning")  # which it is too, in a sense
-@pytest.mark.parametrize("y0", [[0.0, 1.0], [0.0, 1e-9]], ids=["slides first", "sticks at once"])
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
 def test_a_solution_that_sticks_where_f_jumps_is_told(method, rtol, y0):
     """Implicit methods may fail there instead, at last or in most attempts, and name the jump."""
     with pytest.warns(iv.DiscontinuityWarning, match="fun") as said:

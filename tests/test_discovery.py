@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import explicit_and_implicit
 from problems import PROBLEMS
 from stiff import PROBLEMS as STIFF
 
@@ -112,6 +113,7 @@ def test_random_hamiltonians_and_random_systems():
         assert iv.find_invariants(arbitrary, (0, 5), [0.4, 0.2, 0.1], 3) == []
 
 
+@explicit_and_implicit
 def test_what_is_found_is_ready_to_be_imposed(method):
     p = PROBLEMS["Henon-Heiles"]
     (energy,) = iv.find_invariants(p.fun, (0, 30), p.y0, 3)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from invariode import scipy as plugin
 
 EPS = np.finfo(float).eps
@@ -42,7 +43,7 @@ def rise(values):
     return max(np.diff(values).max(initial=0), 0)
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
+@dealt(12, method=iv.METHODS, rtol=[1e-2, 1e-4])
 def test_energy_never_rises_at_steps_and_no_output_is_above_the_start_of_its_step(method, rtol):
     kept = iv.Dissipated(energy)
     sol = iv.solve_ivp(
@@ -59,7 +60,7 @@ def test_energy_never_rises_at_steps_and_no_output_is_above_the_start_of_its_ste
     assert sol.drift().residual_after[0] == sol.residual.max()
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-5])
+@dealt(12, method=iv.METHODS, rtol=[1e-2, 1e-5])
 def test_a_dissipated_exponential_entropy_is_as_accurate_as_without(method, rtol):
     given = {"method": method, "rtol": rtol, "atol": rtol, "t_eval": np.linspace(0, 5, 20)}
     plain = iv.solve_ivp(heat, (0, 5), [0.5], **given)
@@ -78,6 +79,7 @@ def test_what_leaves_the_rest_state_at_crude_tolerances_does_not_when_its_square
     assert rise(sol.y[0] ** 2) <= 1e-12 * sol.y[0, 0] ** 2
 
 
+@explicit_and_implicit
 def test_forced_systems_are_refused(method):
     sol = iv.solve_ivp(forced, (0, 30), [2.0, 0.0], method, rtol=1e-5, invariants=iv.Dissipated(energy))
     assert sol.status == -2

@@ -19,7 +19,7 @@ mpmath = pytest.importorskip("mpmath")
 pytest.importorskip("numba")
 machine_code = pytest.importorskip("invariode._functions.machine_code")
 
-POINTS = 40_000  # a fourth of them in each range of arguments
+POINTS = 16_000  # a fourth of them in each range of arguments
 BITS = 90  # of reference values
 
 VECTOR = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -277,7 +277,7 @@ def test_calls_that_are_not_inlined_have_the_same_bits(monkeypatch):
 
 
 def test_an_unknown_numba_is_one_warning_and_the_librarys_functions(monkeypatch):
-    monkeypatch.setattr(iv.compiled, "_warned", False)
+    monkeypatch.setattr("invariode._functions.compiled._warned", False)
     monkeypatch.setattr(lanes, "FEWEST", 1)
     y0 = np.random.default_rng(3).uniform(-1, 1, (20, 2))
     with monkeypatch.context() as changed:

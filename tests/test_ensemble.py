@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from ensembles import same
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
@@ -77,15 +78,14 @@ def same_counts(out: iv.EnsembleSolution, i: int, one: iv.Solution) -> None:
         assert out[i].stats[name] == alone, name
 
 
-@pytest.mark.parametrize("kind", FUNCTIONS)
-@pytest.mark.parametrize("t_eval", [None, TIMES], ids=["end", "t_eval"])
+@dealt(14, method=iv.METHODS, kind=FUNCTIONS, t_eval=[None, TIMES])
 def test_each_row_is_the_single_solve_of_it(method, kind, t_eval):
     out = solve(kind, method, workers=2 if kind == "native" else 1, size=6, t_eval=t_eval)
     fun, invariants, event = FUNCTIONS[kind]
     y0, mu = rows(6)
     for i in range(6):
         about = {"args": tuple(mu[i]), "invariants": invariants, "events": event, "rtol": 1e-5}
-        one = iv.solve_ivp(fun, SPAN, y0[i], method, t_eval=t_eval, save="end" if t_eval is None else "all", **about)
+        one = iv.solve_ivp(fun, SPAN, y0[i], method, t_eval=t_eval, keep="end" if t_eval is None else "all", **about)
         np.testing.assert_array_equal(out.y[i], one.y)
         assert out.t_end[i] == SPAN[1]
         assert out.status[i] == one.status == 0
@@ -150,7 +150,7 @@ def test_counts_are_those_of_single_solves_however_jacobians_are_had(fun, g, dem
     about = {"invariants": invariants, "events": iv.Event(apsis_code)}
     out = iv.solve_ensemble(fun, SPAN, y0, args=mu, workers=1, **about)
     for i in range(1 if demanded else 3):  # the others are off the value that is demanded
-        same_counts(out, i, iv.solve_ivp(fun, SPAN, y0[i], args=tuple(mu[i]), save="end", **about))
+        same_counts(out, i, iv.solve_ivp(fun, SPAN, y0[i], args=tuple(mu[i]), keep="end", **about))
 
 
 turn_code = iv.compile(lambda t, y, p: (p[0] * y[1], -p[0] * y[0]))
@@ -318,7 +318,7 @@ def test_counts_with_singular_mass_matrices_are_those_of_single_solves():
     about = {"mass": np.diag([1, 1, 0]), "invariants": total, "rtol": 1e-6}
     out = iv.solve_ensemble(decay, (0, 1), y0, "ode15s", args=[[0.5], [1.0]], **about)
     for i, rate in enumerate((0.5, 1.0)):
-        one = iv.solve_ivp(decay, (0, 1), y0[i], "ode15s", args=(rate,), save="end", **about)
+        one = iv.solve_ivp(decay, (0, 1), y0[i], "ode15s", args=(rate,), keep="end", **about)
         np.testing.assert_array_equal(out.y_end[i], one.y[:, -1])
         same_counts(out, i, one)
 
@@ -387,11 +387,11 @@ def test_redundant_invariants_are_said_once():
         ({"method": "ode46"}, ValueError, "did you mean"),
         ({"dense_output": True}, ValueError, "dense_output"),
         ({"refine": 4}, ValueError, "refine"),
-        ({"save": "all"}, ValueError, "t_eval"),
-        ({"save": "outputs"}, ValueError, "save='outputs' of an ensemble needs t_eval"),
-        ({"save": "ends"}, ValueError, "did you mean 'end'"),
-        ({"save": 7}, ValueError, "save must be one of"),
-        ({"save": "end", "t_eval": [1.0]}, ValueError, 'keep="end" keeps only the final state'),
+        ({"keep": "all"}, ValueError, "t_eval"),
+        ({"keep": "outputs"}, ValueError, "keep='outputs' of an ensemble needs t_eval"),
+        ({"keep": "ends"}, ValueError, "did you mean 'end'"),
+        ({"keep": 7}, ValueError, "keep must be one of"),
+        ({"keep": "end", "t_eval": [1.0]}, ValueError, 'keep="end" keeps only the final state'),
         ({"t_span": 1}, ValueError, r"t_span must be a pair \(t0, tf\), got 1"),
         ({"args": [[1.0], [1.0, 2.0]]}, ValueError, r"one length, got lengths \[1, 2\]"),
         ({"args": ["a", "b"]}, ValueError, "got 'a' as a row"),
@@ -429,8 +429,7 @@ iv.solve_ensemble(f, (0, 1e9), np.ones((4, 2)), max_step=0.01, workers=2, progre
 """
 
 
-@pytest.mark.parametrize("native", [True, False], ids=["threads", "processes"])
-@pytest.mark.parametrize("progress", [False, True], ids=["", "progress"])
+@pytest.mark.parametrize(("native", "progress"), [(True, False), (False, True)], ids=["threads", "processes, progress"])
 def test_ctrl_c_ends_all_at_once(tmp_path, native, progress):
     script = tmp_path / "forever.py"
     script.write_text(FOREVER.format(native=native, progress=progress))

@@ -193,3 +193,45 @@ def test_native_trajectories_know_their_invariants_too():
     m = iv.solve_ensemble(f, (0, 4), STARTS, args=np.array(RATES), t_eval=TIMES, invariants=invariant)
     alone = iv.solve_ivp(f, (0, 4), STARTS[2], args=tuple(RATES[2]), t_eval=TIMES, invariants=invariant)
     np.testing.assert_array_equal(m[2].residual, alone.residual)
+
+
+class TestEnsemblesOfAProblem:
+    """`Problem.solve_ensemble` solves, for each row, the problem with that y0 and those args."""
+
+    def problem(self, compiled=False):
+        schedule = iv.Input([0, 1, 2], [0.0, 1.0, 0.0])
+
+        def fed(t, y, u, a):
+            return [u - a * y[0], -y[1]]
+
+        def native(t, y, p):
+            return p[0] - p[1] * y[0], -y[1]
+
+        if compiled:
+            pytest.importorskip("numba")
+        fun = iv.compile(native) if compiled else fed
+        known = {"labels": ["fed", "free"], "nonnegative": ["free"], "bounds": (None, [0.5, np.inf])}
+        return iv.Problem(fun, (0, 3), [0.2, 2.0], args=(2.0,), inputs=schedule, **known)
+
+    @pytest.mark.parametrize("compiled", [False, True])
+    def test_labels_inputs_and_bounds_of_the_problem_work(self, compiled):
+        problem, times = self.problem(compiled), [0.5, 1.5, 3]
+        many = problem.solve_ensemble(args=[[1.0], [2.0]], t_eval=times, workers=1)
+        assert many.labels == many[0].to_dataframe().columns.tolist() == ["fed", "free"]
+        for i, rate in enumerate((1.0, 2.0)):
+            np.testing.assert_array_equal(many.y[i], problem.replace(args=(rate,)).solve(t_eval=times).y)
+        assert many.y[:, 0].max() <= 0.5 < problem.replace(bounds=None, args=(1.0,)).solve().y[0].max()
+
+    def test_what_is_not_given_is_that_of_the_problem(self):
+        problem = self.problem()
+        one = problem.solve().y[:, -1]
+        rows = problem.solve_ensemble([[0.2, 2.0], [0.3, 2.0]], workers=1).y_end
+        streamed = problem.solve_ensemble(iter([([0.2, 2.0], None), ([0.3, 2.0], None)]), workers=1).y_end
+        for first in (problem.solve_ensemble(workers=1).y_end[0], rows[0], streamed[0]):
+            np.testing.assert_array_equal(first, one)
+        np.testing.assert_array_equal(streamed[1], rows[1])
+
+    def test_labels_come_back_from_files(self, tmp_path):
+        many = self.problem().solve_ensemble(workers=1)
+        many.save(tmp_path / "many.npz")
+        assert iv.EnsembleSolution.load(tmp_path / "many.npz").labels == ["fed", "free"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS
 
 
@@ -27,6 +28,7 @@ def run(method, events, t_span=(0, 10), **options):
     return iv.solve_ivp(clock, t_span, [t_span[0], 1.0], method, events=events, rtol=1e-6, **options)
 
 
+@families
 def test_roots_are_found_to_a_few_ulp(method):
     times = [0.3, 1.7, 4.00001, 9.99]
     sol = run(method, [at(s) for s in times])
@@ -36,6 +38,7 @@ def test_roots_are_found_to_a_few_ulp(method):
         np.testing.assert_allclose(states[0][0], found[0], rtol=1e-14)
 
 
+@explicit_and_implicit
 def test_several_roots_in_one_step_are_all_found_in_order(method):
     """Steps of length 1: three zeros between 4 and 5, of one function."""
     times = [4.1, 4.45, 4.8]
@@ -43,6 +46,7 @@ def test_several_roots_in_one_step_are_all_found_in_order(method):
     np.testing.assert_allclose(sol.t_events[0], times, rtol=1e-14)
 
 
+@families
 def test_root_exactly_at_the_end_of_a_step_is_reported_once(method):
     sol = iv.solve_ivp(clock, (0, 10), [0, 0], method, events=lambda t, y: t - 4, max_step=1, first_step=1)
     assert 4.0 in sol.t
@@ -52,6 +56,7 @@ def test_root_exactly_at_the_end_of_a_step_is_reported_once(method):
     np.testing.assert_array_equal(at_the_end.t_events[0], [10.0])
 
 
+@explicit_and_implicit
 def test_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero(method):
     assert run(method, at(0.0)).t_events[0].size == 0
     np.testing.assert_allclose(run(method, at(0.0, 3.0)).t_events[0], [3.0], rtol=1e-14)
@@ -59,29 +64,34 @@ def test_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero(method):
     assert never.t_events[0].size == 0
 
 
+@explicit_and_implicit
 def test_touch_without_a_sign_change_is_no_event(method):
     sol = run(method, lambda t, y: (y[0] - 4.0) ** 2 * (1 if y[0] != 4.0 else 0), max_step=0.37)
     assert sol.t_events[0].size == 0
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize(("direction", "expected"), [(1, [2.0, 6.0]), (-1, [4.0]), (0, [2.0, 4.0, 6.0])])
 def test_direction(method, direction, expected):
     sol = run(method, iv.Event(at(2.0, 4.0, 6.0), direction=direction))
     np.testing.assert_allclose(sol.t_events[0], expected, rtol=1e-14)
 
 
+@explicit_and_implicit
 def test_direction_is_that_of_the_integration(method):
     """Backwards, a function that rises with t falls."""
     sol = run(method, [iv.Event(at(5.0), direction=-1), iv.Event(at(5.0), direction=1)], t_span=(10, 0))
     assert [len(found) for found in sol.t_events] == [1, 0]
 
 
+@explicit_and_implicit
 def test_backwards_in_the_order_of_integration(method):
     sol = run(method, at(2.0, 5.0, 7.0), t_span=(10, 0))
     # y = t but for roundoff, which ode23tb passes on in its slopes
     np.testing.assert_allclose(sol.t_events[0], [7.0, 5.0, 2.0], rtol=1e-12 if method == "ode23tb" else 1e-14)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_terminal_at_an_occurrence(method, count):
     times = [2.0, 3.0, 5.0]
@@ -98,6 +108,7 @@ def test_terminal_at_an_occurrence(method, count):
     np.testing.assert_array_equal(sol.sol(sol.t[-1]), sol.y[:, -1])
 
 
+@explicit_and_implicit
 def test_ties_with_the_terminal_event_are_reported_and_later_roots_dropped(method):
     """At one instant all; in the same step but later, none."""
     sol = run(method, [at(4.4), iv.Event(at(4.4), terminal=True), at(4.4), at(4.41)], max_step=1, first_step=1)
@@ -106,6 +117,7 @@ def test_ties_with_the_terminal_event_are_reported_and_later_roots_dropped(metho
     assert all(found[0] <= sol.t[-1] for found in sol.t_events[:3])
 
 
+@explicit_and_implicit
 def test_output_ends_with_the_terminal_event(method):
     event = iv.Event(at(4.4), terminal=True)
     at_times = run(method, event, t_eval=np.arange(0, 10.5, 0.5))
@@ -113,11 +125,12 @@ def test_output_ends_with_the_terminal_event(method):
     refined = run(method, event, refine=4)
     assert refined.t[-1] == pytest.approx(4.4)
     assert (np.diff(refined.t) > 0).all()
-    end = run(method, event, save="end")
+    end = run(method, event, keep="end")
     assert end.t.shape == (1,)
     assert end.t[0] == refined.t[-1]
 
 
+@explicit_and_implicit
 def test_infinite_interval_is_cut_by_a_terminal_event(method):
     sol = run(method, iv.Event(at(123.0), terminal=True), t_span=(0, np.inf))
     assert sol.t[-1] == pytest.approx(123.0, rel=1e-13)
@@ -125,6 +138,7 @@ def test_infinite_interval_is_cut_by_a_terminal_event(method):
     assert still.t[-1] == pytest.approx(50, rel=1e-13)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_event_states_are_on_the_manifold(method, problem):
     """Located and returned on the projected solution: at every event of the run, and at the terminal one."""
 
@@ -141,6 +155,7 @@ def test_event_states_are_on_the_manifold(method, problem):
     assert np.abs(terminal.residual[:, -1]).max() <= 1.01 * np.abs(sol.residual).max() + 1e-12
 
 
+@families
 def test_raw_and_corrected_event_states_are_on_their_interpolants(method):
     problem = PROBLEMS["Kepler"]
     for mode in ("corrected", "raw"):
@@ -150,6 +165,7 @@ def test_raw_and_corrected_event_states_are_on_their_interpolants(method):
             np.testing.assert_allclose(sol.sol(t), y, rtol=1e-12, atol=1e-12)
 
 
+@families
 def test_no_event_is_lost_or_doubled_over_a_long_run(method):
     """sin t crosses zero at every multiple of π."""
     sol = iv.solve_ivp(
@@ -158,6 +174,7 @@ def test_no_event_is_lost_or_doubled_over_a_long_run(method):
     np.testing.assert_allclose(sol.t_events[0], np.pi * np.arange(1, 32), rtol=1e-6)
 
 
+@explicit_and_implicit
 def test_nan_is_an_error_that_names_the_event(method):
     def height(t, y):
         return np.nan if t > 5 else 1.0
@@ -166,6 +183,7 @@ def test_nan_is_an_error_that_names_the_event(method):
         run(method, height)
 
 
+@explicit_and_implicit
 def test_attributes_as_in_scipy(method):
     def plain(t, y):
         return y[0] - 3
@@ -204,7 +222,7 @@ def many_roots(roots):
     return lambda t, y: np.prod(4 * (y[0] - roots))
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 10, 20])
+@dealt(12, method=iv.METHODS, count=[1, 2, 5, 10, 20])
 def test_adaptive_samples_find_all_roots_of_a_step(method, count):
     """Random ones, the closest at a distance of 1e-4; the usual points miss most of them."""
     rng = np.random.default_rng(count)
@@ -217,13 +235,14 @@ def test_adaptive_samples_find_all_roots_of_a_step(method, count):
         np.testing.assert_allclose(found, roots, atol=1e-9)
 
 
-@pytest.mark.parametrize("rate", [3, 10, 40])
+@dealt(12, method=iv.METHODS, rate=[3, 10, 40])
 def test_adaptive_samples_find_all_roots_of_sines(method, rate):
     found = one_long_step(method, iv.Event(lambda t, y: np.sin(rate * np.pi * y[0] + 0.3), samples="adaptive"))
     exact = (np.arange(1, rate + 1) * np.pi - 0.3) / (rate * np.pi)
     np.testing.assert_allclose(found.t_events[0], exact, rtol=1e-13)
 
 
+@explicit_and_implicit
 def test_so_many_samples_find_roots_between_them(method):
     """Two roots at a distance of 0.05 are seen by 20 points and not by the usual ones."""
     roots = np.array([0.505, 0.555]) if method != "ode23" else np.array([0.55, 0.6])
@@ -232,6 +251,7 @@ def test_so_many_samples_find_roots_between_them(method):
     assert len(one_long_step(method, about).t_events[0]) == 0
 
 
+@explicit_and_implicit
 def test_attribute_of_a_function(method):
     def event(t, y):
         return np.sin(40 * y[0] + 0.3)
@@ -240,6 +260,7 @@ def test_attribute_of_a_function(method):
     assert len(one_long_step(method, event).t_events[0]) == 12
 
 
+@families
 def test_kinks_jumps_touches_and_noise_end(method):
     """What no polynomial resolves is left to signs, after a bounded number of samples."""
     calls = 0
@@ -268,6 +289,7 @@ def test_kinks_jumps_touches_and_noise_end(method):
         assert calls < 4000, name
 
 
+@explicit_and_implicit
 def test_cubic_of_scipys_issue_9228(method):
     """y = (x + 6)(x + 2)(x - 2) has three zeros, two of which SciPy's solve_ivp steps over."""
     for samples in (None, "adaptive"):
@@ -278,6 +300,7 @@ def test_cubic_of_scipys_issue_9228(method):
         np.testing.assert_allclose(sol.t_events[0], [-6, -2, 2], atol=1e-3)
 
 
+@families
 def test_adaptive_samples_on_the_manifold(method):
     """Events are located on the projected solution, backwards and with actions too."""
     kepler = PROBLEMS["Kepler"]

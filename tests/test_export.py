@@ -17,6 +17,7 @@ import pytest
 import xarray as xr
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from problems import PROBLEMS, blow_up
 from test_jumps import ball, bounce, energy, floor
 
@@ -112,7 +113,7 @@ def assert_same(a, b):
     assert repr(a) == repr(b)
 
 
-@pytest.mark.parametrize("interpolation", ["corrected", "raw"])
+@dealt(16, method=iv.METHODS, run=RUNS, interpolation=["corrected", "raw"])
 def test_a_file_gives_back_every_value_to_the_last_bit(method, run, interpolation, tmp_path):
     solve, _ = run
     sol = solve(method, dense_output=True, interpolation=interpolation)
@@ -123,6 +124,7 @@ def test_a_file_gives_back_every_value_to_the_last_bit(method, run, interpolatio
     np.testing.assert_array_equal(sol.sol(times(sol.sol)), again.sol(times(sol.sol)))
 
 
+@dealt(12, method=iv.METHODS, run=RUNS)
 def test_with_its_invariants_a_projected_solution_is_the_same_function(method, run, tmp_path):
     solve, invariants = run
     sol = solve(method, dense_output=True)
@@ -139,6 +141,7 @@ def test_with_its_invariants_a_projected_solution_is_the_same_function(method, r
         np.testing.assert_array_equal(back.sol(times(sol.sol)), expected.sol(times(sol.sol)))
 
 
+@explicit_and_implicit
 def test_without_them_it_is_the_corrected_one_and_says_so_once(method, tmp_path):
     sol = KEPLER.solve(method, dense_output=True)
     corrected = KEPLER.solve(method, dense_output=True, interpolation="corrected")
@@ -151,8 +154,9 @@ def test_without_them_it_is_the_corrected_one_and_says_so_once(method, tmp_path)
     again.sol(times(sol.sol))
 
 
+@explicit_and_implicit
 def test_only_the_final_state(method, tmp_path):
-    sol = bouncing(method, save="end")
+    sol = bouncing(method, keep="end")
     sol.save(tmp_path / "end.npz")
     again = iv.load(tmp_path / "end.npz")
     assert_same(sol, again)
@@ -162,6 +166,7 @@ def test_only_the_final_state(method, tmp_path):
         again.correction  # noqa: B018  # the property raises
 
 
+@dealt(12, method=iv.METHODS, run=RUNS)
 def test_a_loaded_solution_can_be_saved_again(method, run, tmp_path):
     solve, _ = run
     solve(method, dense_output=True, refine=2).save(tmp_path / "first.npz")
@@ -214,6 +219,7 @@ def test_invariants_that_the_run_did_not_have_are_refused(tmp_path):
         iv.load(tmp_path / "plain.npz", invariants=KEPLER.invariants())
 
 
+@explicit_and_implicit
 def test_impose_of_a_loaded_solution_says_what_it_lacks(method, tmp_path):
     sol = KEPLER.solve(method)
     sol.save(tmp_path / "solution.npz")
@@ -350,8 +356,7 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-@pytest.mark.parametrize("member", ["t.npy", "y.npy", "dense.data.npy", "invariants.value.npy", "t", "about.npy"])
+@dealt(24, name=HOSTILE, member=["t.npy", "y.npy", "dense.data.npy", "invariants.value.npy", "t", "about.npy"])
 def test_a_hostile_member_is_damage_whatever_numpy_thinks_of_it(tmp_path, name, member):
     KEPLER.solve("ode45", dense_output=True).save(tmp_path / "a.npz")
     with zipfile.ZipFile(tmp_path / "a.npz") as old, zipfile.ZipFile(tmp_path / "b.npz", "w") as new:
@@ -454,6 +459,7 @@ def test_another_version_is_refused_by_kind_number_and_writer(tmp_path, number, 
         iv.load(tmp_path / "b.npz")
 
 
+@explicit_and_implicit
 def test_continuous_output_that_could_not_be_evaluated_is_refused(method, tmp_path):
     """Nothing that a file says makes the core read where it must not."""
     bouncing(method, dense_output=True).save(tmp_path / "a.npz")
@@ -519,6 +525,7 @@ def test_what_is_missing_says_how_it_is_had(module, monkeypatch):
         sol.to_xarray() if module == "xarray" else sol.to_dataframe()
 
 
+@explicit_and_implicit
 def test_data_set_has_names_coordinates_and_attributes(method):
     sol = kepler_problem(events=[apsis, never]).solve(method)
     ds = sol.to_xarray()
@@ -547,7 +554,7 @@ def test_data_set_has_names_coordinates_and_attributes(method):
 
 
 def test_data_set_of_a_plain_run_has_no_more_than_it_knows():
-    ds = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0, 2.0], save="end").to_xarray()
+    ds = iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0, 2.0], keep="end").to_xarray()
     assert set(ds.variables) == {"y", "t", "component"}
     assert list(ds.component.values) == ["y0", "y1"]
     assert ds.attrs["name"] == "problem"
@@ -560,6 +567,7 @@ def test_events_of_the_same_name_are_numbered():
     assert {"t_events_event_0", "t_events_event_1"} <= set(ds.coords)
 
 
+@dealt(12, method=iv.METHODS, run=RUNS)
 def test_netcdf_round_trip(method, run, tmp_path):
     solve, _ = run
     ds = solve(method).to_xarray()
@@ -569,6 +577,7 @@ def test_netcdf_round_trip(method, run, tmp_path):
         assert again.y.dtype == ds.y.dtype
 
 
+@explicit_and_implicit
 def test_netcdf_round_trip_of_labels_events_and_steps(method, tmp_path):
     labels = ["ξ", "z/R", "u 1", ""]
     ds = kepler_problem(events=[apsis, never], labels=labels, name="").solve(method).to_xarray()
@@ -577,6 +586,7 @@ def test_netcdf_round_trip_of_labels_events_and_steps(method, tmp_path):
         xr.testing.assert_identical(again.load(), ds)
 
 
+@explicit_and_implicit
 def test_table_has_components_and_residuals(method):
     sol = kepler_problem().solve(method)
     table = sol.to_dataframe()
@@ -590,6 +600,7 @@ def test_table_has_components_and_residuals(method):
     assert table.attrs["invariants"] == dict(zip(["energy", "momentum"], sol.drift().value, strict=True))
 
 
+@explicit_and_implicit
 def test_table_of_a_complex_solution_has_two_columns_per_component(method):
     sol = complex_wave(method)
     table = sol.to_dataframe()
@@ -597,6 +608,7 @@ def test_table_of_a_complex_solution_has_two_columns_per_component(method):
     np.testing.assert_array_equal(table["y1.real"] + 1j * table["y1.imag"], sol.y[1])
 
 
+@dealt(12, method=iv.METHODS, run=RUNS)
 def test_csv_and_parquet_round_trip(method, run, tmp_path):
     solve, _ = run
     table = solve(method).to_dataframe()
@@ -609,6 +621,7 @@ def test_csv_and_parquet_round_trip(method, run, tmp_path):
     assert again.attrs == table.attrs
 
 
+@dealt(12, method=iv.METHODS, run=RUNS)
 def test_a_loaded_solution_is_the_same_data(method, run, tmp_path):
     solve, _ = run
     sol = solve(method)

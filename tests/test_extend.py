@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS, blow_up, slack
 
 TIGHT = {"rtol": 1e-8, "atol": 1e-10}
@@ -46,6 +47,7 @@ def test_two_parts_are_one_run(method, end):
     assert first.t[-1] == 5  # is as it was
 
 
+@families
 def test_three_parts_are_two(method):
     first = solve(method, (0, 3))
     sol = first.extend(4).extend(7)
@@ -54,6 +56,7 @@ def test_three_parts_are_two(method):
     np.testing.assert_array_equal(again.y, first.extend(4).y)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_continuous_at_the_seam(method, problem):
     """Within the tolerance of test_dense, also where invariants are projected between steps."""
     middle = sum(problem.t_span) / 3
@@ -66,6 +69,7 @@ def test_continuous_at_the_seam(method, problem):
     np.testing.assert_allclose(around[:, 0], around[:, 1], rtol=1e-12, atol=1e-12)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_invariants_keep_their_old_values(method, problem):
     """Not the values at the seam, which crude tolerances leave a little off."""
     end = problem.t_span[1]
@@ -79,6 +83,7 @@ def test_invariants_keep_their_old_values(method, problem):
     np.testing.assert_allclose(np.abs(sol.residual).max(), problem.drift(sol), atol=1e-14)
 
 
+@families
 def test_the_start_of_the_second_part_is_the_end_of_the_first_to_the_bit(method):
     """It is not projected again, and f and g are not asked again whether g is an invariant."""
     raw = solve(method, (0, 5), rtol=1e-3, atol=1e-6, invariants=KEPLER.invariants(), interpolation="raw",
@@ -88,6 +93,7 @@ def test_the_start_of_the_second_part_is_the_end_of_the_first_to_the_bit(method)
     np.testing.assert_array_equal(sol.sol(raw.t[-1]), raw.y[:, -1])
 
 
+@families
 def test_backwards(method):
     end = 0.5  # t = 0 is a crossing
     sol = solve(method, (20, 13), KEPLER.solution(20.0), events=crossing, dense_output=True).extend(end)
@@ -98,6 +104,7 @@ def test_backwards(method):
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
 
 
+@explicit_and_implicit
 def test_complex_states(method):
     sol = iv.solve_ivp(lambda t, y: 1j * y, (0, 3), [1 + 0j], method, dense_output=True,
                        invariants=lambda t, y: abs(y[0]) ** 2, **TIGHT).extend(9)  # fmt: skip
@@ -106,6 +113,7 @@ def test_complex_states(method):
     np.testing.assert_allclose(np.abs(sol.y), 1, atol=1e-12)
 
 
+@families
 def test_an_event_that_ended_the_run_is_not_found_again(method):
     """Whichever side of the root the final state lies on, and however often."""
     event = iv.Event(crossing, terminal=True)
@@ -121,6 +129,7 @@ def test_an_event_that_ended_the_run_is_not_found_again(method):
     assert (sol.extend(20).status, sol.extend(20).t[-1]) == (0, 20)
 
 
+@explicit_and_implicit
 def test_occurrences_are_counted_on(method):
     """Twice in the first part and once in the second are the three that end a run."""
     event = iv.Event(crossing, terminal=3)
@@ -131,7 +140,7 @@ def test_occurrences_are_counted_on(method):
     assert len(sol.extend(100).t_events[0]) == 6
 
 
-@pytest.mark.parametrize("shift", [-1e-9, 0.0, 1e-9])
+@dealt(12, method=iv.METHODS, shift=[-1e-9, 0.0, 1e-9])
 def test_an_event_at_the_seam_is_found_once(method, shift):
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, 4 + shift), [0.0], method, events=lambda t, y: t - 4).extend(10)
     np.testing.assert_allclose(sol.t_events[0], [4.0], atol=1e-14)
@@ -141,6 +150,7 @@ def bounce(**more):
     return iv.Event(lambda t, y: y[0], direction=-1, action=lambda t, y: [0.0, -0.8 * y[1]], **more)
 
 
+@families
 def test_jumps_go_on_and_each_piece_keeps_its_value(method):
     def ball(t, y):
         return [y[1], -1.0]
@@ -159,6 +169,7 @@ def test_jumps_go_on_and_each_piece_keeps_its_value(method):
     np.testing.assert_allclose(sol.impose().sol(t), sol.sol(t), atol=1e-7)
 
 
+@families
 def test_a_jump_at_the_very_end(method):
     """The action is taken there, and the extension starts behind it."""
     event = iv.Event(lambda t, y: t - 2, action=lambda t, y: [y[0] + 1])
@@ -168,6 +179,7 @@ def test_a_jump_at_the_very_end(method):
     assert list(sol.y[0, sol.t == 2]) == [0.0, 1.0]
 
 
+@explicit_and_implicit
 def test_stopped_by_the_callback(method):
     sol = solve(method, (0, np.inf), callback=lambda t, y: t > 3)
     assert sol.status == 2
@@ -175,6 +187,7 @@ def test_stopped_by_the_callback(method):
     assert sol.extend(10).stats.steps == sol.stats.steps + 1
 
 
+@explicit_and_implicit
 def test_times_of_output(method):
     times = np.linspace(0, 10, 21)
     single = solve(method, (0, 10), t_eval=times)
@@ -197,6 +210,7 @@ def test_times_of_output(method):
         solve(method, (0, 1)).extend(2, t_eval=[2])
 
 
+@explicit_and_implicit
 def test_times_beyond_an_extension_are_kept(method):
     times = np.linspace(0, 10, 21)
     sol = solve(method, (0, 10), t_eval=times, events=iv.Event(lambda t, y: t - 4.2, terminal=True))
@@ -205,9 +219,10 @@ def test_times_beyond_an_extension_are_kept(method):
     np.testing.assert_array_equal(chosen.t, [*times[:9], 5.1, *times[13:]])
 
 
+@explicit_and_implicit
 def test_changing_what_was_given_or_returned_changes_nothing(method):
-    expected = solve(method, (0, 3), save="all").extend(5)
-    sol = solve(method, (0, 3), save="all")
+    expected = solve(method, (0, 3), keep="all").extend(5)
+    sol = solve(method, (0, 3), keep="all")
     sol.y[:] = 0
     np.testing.assert_array_equal(sol.extend(5).y[:, -1], expected.y[:, -1])
 
@@ -222,6 +237,7 @@ def test_changing_what_was_given_or_returned_changes_nothing(method):
     np.testing.assert_array_equal(first.drift().distance_after, drift.distance_after)
 
 
+@explicit_and_implicit
 def test_the_action_of_an_event_that_ended_the_run_is_not_taken(method):
     event = iv.Event(lambda t, y: y[0] - 1, terminal=True, action=lambda t, y: [5.0])
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, 10), [0.0], method, events=event)
@@ -229,15 +245,16 @@ def test_the_action_of_an_event_that_ended_the_run_is_not_taken(method):
     assert sol.extend(3).y[0, -1] == pytest.approx(3)
 
 
-@pytest.mark.parametrize("options", [{"save": "end"}, {"save": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
+@dealt(12, method=iv.METHODS, options=[{"keep": "end"}, {"keep": "outputs"}, {"refine": 4}, {"max_step": 0.1}])
 def test_the_options_of_the_run_hold(method, options):
     sol = solve(method, (0, 2), **options).extend(4)
-    assert len(sol.t) == 1 + (0 if options.get("save") == "end" else sol.stats.steps * options.get("refine", 1))
-    assert (sol.steps is None) == ("save" in options)
+    assert len(sol.t) == 1 + (0 if options.get("keep") == "end" else sol.stats.steps * options.get("refine", 1))
+    assert (sol.steps is None) == ("keep" in options)
     assert "max_step" not in options or np.diff(sol.t).max() <= 0.11 + 1e-15  # the last may be stretched by a tenth
     np.testing.assert_allclose(sol.y[:, -1], KEPLER.solution(4), atol=1e-6 * slack(method))
 
 
+@explicit_and_implicit
 def test_the_longest_step_is_that_of_the_whole_interval(method):
     sol = iv.solve_ivp(lambda t, y: [0.0], (0, 90), [1.0], method).extend(100)
     assert np.abs(sol.steps.h).max() <= 10
@@ -253,6 +270,7 @@ def test_pairs_go_on_with_their_step(pair):
     assert chosen.steps.h[len(first.steps.t)] == pytest.approx(1e-3)
 
 
+@explicit_and_implicit
 def test_an_imposed_solution_stays_imposed(method):
     sol = solve(method, (0, 5), rtol=1e-4, atol=1e-6, invariants=KEPLER.invariants(), dense_output=True)
     imposed = sol.impose().extend(10)
@@ -275,6 +293,7 @@ def test_a_singular_mass_matrix():
     np.testing.assert_allclose(sol.sol(2e3), single.sol(2e3), rtol=1e-4)
 
 
+@explicit_and_implicit
 def test_from_nothing(method):
     sol = iv.solve_ivp(KEPLER.fun, (0, 0), KEPLER.y0, method, dense_output=True, **TIGHT)
     for end in (1, -1):
@@ -283,6 +302,7 @@ def test_from_nothing(method):
         np.testing.assert_array_equal(longer.sol(longer.t), longer.y)
 
 
+@explicit_and_implicit
 def test_it_is_saved_and_loaded_like_any_other(method, tmp_path):
     sol = solve(method, (0, 2), events=crossing, dense_output=True, invariants=KEPLER.invariants()).extend(5)
     sol.save(tmp_path / "orbit.npz")
@@ -306,6 +326,7 @@ WRONG = {
 }
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("name", WRONG)
 def test_refused(method, name):
     options, error, message = WRONG[name]
@@ -313,6 +334,7 @@ def test_refused(method, name):
         solve(method, (0, 2)).extend(**options)
 
 
+@explicit_and_implicit
 def test_a_run_that_failed_is_not_extended(method):
     sol = iv.solve_ivp(blow_up, (0, 2), [1.0], method)
     with pytest.raises(ValueError, match=r"a run that failed cannot be extended: .*t = "):

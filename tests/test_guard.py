@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from problems import (
     PROBLEMS,
     jacobi_integral,
@@ -64,8 +65,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
-@pytest.mark.parametrize("name", WRONG)
+@dealt(60, method=iv.METHODS, name=WRONG, rtol=[1e-3, 1e-6])
 def test_wrong_invariants_are_found(method, name, rtol):
     fun, y0, wrong = WRONG[name]
     invariants = iv.Invariants(wrong, names="suspect")
@@ -82,8 +82,8 @@ def test_wrong_invariants_are_found(method, name, rtol):
         assert len(sol.steps.t) == sol.stats.steps == len(sol.t) - 1
 
 
+@dealt(60, method=iv.METHODS, problem=PROBLEMS, rtol=[1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
 @pytest.mark.filterwarnings("ignore:overflow")  # in stages of attempts that are far too long
-@pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
 def test_right_invariants_are_never_accused(method, problem, rtol):
     t0, tf = problem.t_span
     if rtol < 1e-5:  # many steps: a third of the interval is enough, as in the core's test of a long run
@@ -164,6 +164,7 @@ def test_difference_jacobian_close_to_where_g_ends(method):
     assert not np.abs(drift).max() < 2 * np.abs(sol.residual).max()  # NaN where the plain run leaves the domain
 
 
+@explicit_and_implicit
 def test_given_jacobian_is_not_accused_where_differences_are_coarse(method):
     """With thr far above y the increments of the check are not small for g; the entries are then not judged by them."""
     exact = iv.Invariants(logarithms, jac=lambda t, y: [0.7 * (1 - 1 / y[0]), 1.6 * (1 - 1 / y[1])])
@@ -258,13 +259,14 @@ MISLEADING = {
 }
 
 
-@pytest.mark.parametrize("name", MISLEADING)
+@dealt(33, method=iv.METHODS, name=MISLEADING)
 def test_right_invariants_where_derivatives_mislead(method, name):
     fun, span, y0, g, options = MISLEADING[name]
     sol = iv.solve_ivp(fun, span, y0, method, invariants=g, **options)
     assert sol.success, sol.message
 
 
+@explicit_and_implicit
 def test_projection_is_as_good_where_thr_is_far_above_y(method):
     """Increments as large as thr would make Jacobians by differences worthless."""
     held = iv.Invariants(kepler_invariants, jac="3-point")
@@ -282,7 +284,7 @@ LATE = {
 }
 
 
-@pytest.mark.parametrize("name", LATE)
+@dealt(20, method=iv.METHODS, name=LATE)
 def test_invariants_that_begin_to_change_with_t_are_found(method, name):
     added, options = LATE[name]
     sol = iv.solve_ivp(
@@ -317,7 +319,7 @@ def test_complex_steps_are_given_up_where_they_are_wrong():
     assert "central differences" in sol.stats.derivatives
 
 
-@pytest.mark.parametrize("when", ["always", "needed"])
+@dealt(8, method=iv.METHODS, when=["always", "needed"])
 def test_an_invariant_that_becomes_undefined_ends_the_run_there(method, when):
     held = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 if t < 5 else np.nan, when=when)
     sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 10), [1, 0], method, invariants=held)
@@ -331,13 +333,14 @@ def test_a_right_jacobian_is_not_called_wrong_beside_the_manifold():
     assert report.ok, report
 
 
-@pytest.mark.parametrize("name", HARD)
+@dealt(40, method=iv.METHODS, name=HARD)
 def test_right_invariants_that_are_hard(method, name):
     fun, y0, g = HARD[name]
     sol = iv.solve_ivp(fun, (0, 10), y0, method, invariants=g)
     assert sol.success, sol.message
 
 
+@explicit_and_implicit
 def test_critical_point_at_the_start(method):
     """The energy is stationary where the oscillator rests: it is left out with a warning, and the run goes on."""
     with pytest.warns(UserWarning, match="stationary"):
@@ -345,6 +348,7 @@ def test_critical_point_at_the_start(method):
     assert sol.success
 
 
+@explicit_and_implicit
 def test_position_constraint_alone_is_told_to_need_its_derivative(method):
     invariants = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 - 1, value=0, names="length")
     sol = iv.solve_ivp(pendulum, (0, 50), [1, 0, 0, 0], method, invariants=invariants)
@@ -353,6 +357,7 @@ def test_position_constraint_alone_is_told_to_need_its_derivative(method):
     assert "A hidden constraint is missing" in sol.message
 
 
+@explicit_and_implicit
 def test_wrong_jacobian_is_refused_and_the_entry_named(method):
     problem = PROBLEMS["Kepler"]
 
@@ -369,12 +374,14 @@ def test_wrong_jacobian_is_refused_and_the_entry_named(method):
     assert iv.solve_ivp(problem.fun, (0, 1), problem.y0, method, invariants=invariants, check=False).success
 
 
+@explicit_and_implicit
 def test_wrong_jacobian_of_a_complex_problem_names_the_part(method):
     invariants = iv.Invariants(lambda t, z: abs(z[0]) ** 2, jac=lambda t, z: 2 * z.conj())
     with pytest.raises(iv.InvariantError, match=r"entry for y\[0\] \(imaginary part\)"):
         iv.solve_ivp(lambda t, z: 1j * z, (0, 1), [1 + 1j], method, invariants=invariants)
 
 
+@explicit_and_implicit
 def test_check_false_takes_the_user_at_their_word(method):
     fun, y0, wrong = WRONG["dissipative"]
     sol = iv.solve_ivp(fun, (0, 5), y0, method, invariants=wrong, check=False)
@@ -393,6 +400,7 @@ def test_invariant_that_is_not_finite_at_the_start():
         )
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_size_of_corrections_stays_in_the_range_known_for_right_invariants(method, problem):
     """Below 100 rtol for rtol <= 1e-2: where the guard draws the line."""

@@ -7,6 +7,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
+from cases import ALGEBRAIC, IMPLICIT, dealt
 from problems import implicit, slack, switching
 from stiff import PROBLEMS
 
@@ -47,8 +48,7 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("method", [*(name for name in filter(implicit, iv.METHODS) if not switching(name)), "BDF"])
+@dealt(24, method=[*(name for name in filter(implicit, iv.METHODS) if not switching(name)), "BDF"], form=FORMS)
 def test_every_form_of_the_jacobian_gives_the_same_run(method, form):
     expected = iv.solve_ivp(diffusion, (0, 5), U0, method, jac=diffusion_jacobian, rtol=1e-6)
     sol = iv.solve_ivp(diffusion, (0, 5), U0, method, rtol=1e-6, **FORMS[form])
@@ -107,7 +107,7 @@ def test_sparsity_that_grows_during_the_run_is_followed(code):
     np.testing.assert_allclose(sol.y[:, -1], dense.y[:, -1], rtol=1e-6)
 
 
-@pytest.mark.parametrize("form", ["differences", "dense", "sparse", "banded", "banded differences", "pattern"])
+@dealt(12, code=IMPLICIT, form=["differences", "dense", "sparse", "banded", "banded differences", "pattern"])
 def test_complex_problems(code, form):
     """An analytic f: its complex Jacobian stands for the real one of the pairs."""
     A = np.array([[-1 + 20j, 3, 0], [2j, -300, 1j], [0, 5, -40 - 9j]])
@@ -194,7 +194,7 @@ def test_pattern_with_a_jacobian_is_warned_of():
 
 def test_dense_jacobian_of_very_many_components_is_warned_of(monkeypatch):
     monkeypatch.setattr("invariode._linear.matrices._DENSE_LIMIT", 1000)
-    with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* lband and uband"):
+    with pytest.warns(UserWarning, match="a dense Jacobian of 12 components takes .* jac=Banded"):
         iv.ode15s(lambda t, y: -y, (0, 1), np.ones(12))
 
 
@@ -243,7 +243,7 @@ def test_pattern_that_misses_entries_is_enlarged_and_named():
 class TestMass:
     """M y' = f."""
 
-    @pytest.mark.parametrize("form", ["dense", "sparse", "function", "sparse function", "banded"])
+    @dealt(10, code=IMPLICIT, form=["dense", "sparse", "function", "sparse function", "banded"])
     def test_multiplying_by_a_regular_matrix_reproduces_the_run(self, code, form):
         M = np.diag([2.0, 0.5, 4]) + np.diag([0.25, -0.5], 1)
         options = {
@@ -321,7 +321,7 @@ DAE_FORMS = {
 class TestDae:
     """Singular M, index 1."""
 
-    @pytest.mark.parametrize("form", DAE_FORMS)
+    @dealt(8, algebraic_code=ALGEBRAIC, form=DAE_FORMS)
     def test_robertson(self, algebraic_code, form):
         times = ROBERTSON.times
         sol = algebraic_code(
@@ -332,7 +332,7 @@ class TestDae:
         assert ROBERTSON.error(sol.y) <= 50e-6
         assert np.abs(sol.y.sum(axis=0) - 1).max() < 1e-6
 
-    @pytest.mark.parametrize("form", DAE_FORMS)
+    @dealt(8, algebraic_code=ALGEBRAIC, form=DAE_FORMS)
     def test_start_is_made_consistent(self, algebraic_code, form):
         sol = algebraic_code(robertson_dae, (0, 100), [1, 0, 0.3], **DAE_FORMS[form])
         assert sol.stats.projected_start
@@ -428,7 +428,7 @@ class TestDae:
         diagonal[[0, -1]] = 0
         pattern = sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1])
         u0 = np.sin(np.pi * x) + 0.1 * (x == 0)
-        sol = algebraic_code(fun, (0, 10), u0, mass=sparse.diags_array(diagonal), jac_sparsity=pattern, save="end")
+        sol = algebraic_code(fun, (0, 10), u0, mass=sparse.diags_array(diagonal), jac_sparsity=pattern, keep="end")
         assert sol.success
         np.testing.assert_allclose(sol.y[:, -1], np.sin(np.pi * x) * np.exp(-(np.pi**2) * 0.1), atol=2e-3)
 

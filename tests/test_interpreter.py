@@ -13,24 +13,27 @@ import ctypes, threading, time
 import numpy as np
 import invariode as iv
 
-started = threading.Event()
+started = set()
+
+def began():
+    started.add(threading.get_ident())
 
 def python(t, y):
-    started.set()
+    began()
     return -y
 
 @ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.POINTER(ctypes.c_double)] * 3)
 def native(t, y, out, p):
-    started.set()
+    began()
     out[0] = -y[0]
 
 def sleeping(t, y):
-    started.set()
+    began()
     time.sleep(0.001)
     return -y
 
 def told(t, y):
-    started.set()
+    began()
 
 endless = dict(t_span=(0, 1e9), y0=[1.0], max_step=1e-3, keep="end")
 """
@@ -42,31 +45,32 @@ ENDLESS = {
     "ctypes": "iv.solve_ivp(native, **endless)",
     "matrix": "iv.solve_ivp(python, method='ode15s', mass=lambda t: np.eye(1), **endless)",
     "event and callback": "iv.solve_ivp(python, events=lambda t, y: y[0] + 1, callback=told, **endless)",
-    "invariant": "iv.solve_ivp(lambda t, y: (started.set(), 0 * y)[1], invariants=lambda t, y: y[0], **endless)",
+    "invariant": "iv.solve_ivp(lambda t, y: (began(), 0 * y)[1], invariants=lambda t, y: y[0], **endless)",
     "stepper": "scipy.integrate.solve_ivp(python, (0, 1e9), [1.0], max_step=1e-3, method=invariode.scipy.ODE45)",
-    "compiled": "iv.solve_ivp(compiled, callback=None, **endless)",
-    "compiled on threads": "iv.solve_ensemble(compiled, **(endless | {'y0': np.ones((4, 1))}), workers=2)",
+}
+COMPILED = {
+    "one": "iv.solve_ivp(compiled, callback=None, **endless)",
+    "on threads": "iv.solve_ensemble(compiled, **(endless | {'y0': np.ones((4, 1))}), workers=2)",
 }
 
 
-@pytest.mark.parametrize("what", ENDLESS)
-def test_the_interpreter_may_end_while_a_daemon_thread_solves(what: str) -> None:
+def ends_with_daemons(prelude: str, what: list[str], wait: str) -> None:
     """Python up to 3.13 ends such threads by unwinding them, which the core's callbacks must not see."""
-    if "compiled" in what:
-        pytest.importorskip("numba")
-        prelude = (
-            "compiled = iv.compile(lambda t, y: -y[0])\n"
-            "iv.solve_ivp(compiled, (0, 1), [1.0])\n"
-            "threading.Timer(0.3, started.set).start()\n"
-        )
-    else:
-        prelude = "import scipy.integrate, invariode.scipy\n" if what == "stepper" else ""
-    code = (
-        f"{PRELUDE}{prelude}threading.Thread(target=lambda: {ENDLESS[what]}, daemon=True).start()\n"
-        "assert started.wait(60)\ntime.sleep(0.1)\n"
-    )
+    threads = "\n".join(f"threading.Thread(target=lambda: {one}, daemon=True).start()" for one in what)
+    code = f"{PRELUDE}{prelude}{threads}\n{wait}\n"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_interpreter_may_end_while_daemon_threads_solve() -> None:
+    wait = f"while len(started) < {len(ENDLESS)}: time.sleep(0.05)\ntime.sleep(0.3)"
+    ends_with_daemons("import scipy.integrate, invariode.scipy\n", list(ENDLESS.values()), wait)
+
+
+def test_the_interpreter_may_end_while_daemon_threads_solve_compiled_problems() -> None:
+    pytest.importorskip("numba")
+    prelude = "compiled = iv.compile(lambda t, y: -y[0])\niv.solve_ivp(compiled, (0, 1), [1.0])\n"
+    ends_with_daemons(prelude, list(COMPILED.values()), "time.sleep(0.3)")
 
 
 def test_another_interpreter_is_told_that_it_cannot_have_the_package() -> None:

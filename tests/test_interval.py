@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 
 #: More evaluations than any of these runs takes before it ends.
 MOST = 20_000
@@ -44,7 +45,7 @@ def within(sol, span, longest, breaks):
     assert t.size == 0 or (min(span) <= t.min() and t.max() <= max(span))
 
 
-@pytest.mark.parametrize("case", range(4))
+@dealt(16, method=iv.METHODS, case=range(4))
 def test_f_undefined_from_some_t_on(method, case):
     """The attempts end there, forwards and backwards, with a random max_step and breakpoints."""
     r = np.random.default_rng(case)
@@ -61,8 +62,8 @@ def test_f_undefined_from_some_t_on(method, case):
     within(sol, span, longest, breaks)
 
 
+@dealt(12, method=iv.METHODS, span=[(0.0, 11.0), (11.0, 0.0)])
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # where the equation stops being stiff
-@pytest.mark.parametrize("span", [(0.0, 11.0), (11.0, 0.0)], ids=["forwards", "backwards"])
 def test_f_undefined_for_a_while_after_any_step(method, span):
     """Also after a hand-over, from which the member before goes on with its own, longer step."""
     base = relaxing(2.0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from gallery import GALLERY, REDUNDANT
 from problems import PROBLEMS, kepler, kepler_invariants, kepler_jacobian
 
@@ -22,8 +23,8 @@ def references():
     }
 
 
+@dealt(18, method=iv.METHODS, name=GALLERY)
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
-@pytest.mark.parametrize("name", GALLERY)
 def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, references):
     p = GALLERY[name]
     rtol = 1e-6 if iv.METHODS[method].order > 3 else 1e-4  # below order 4, steps are many
@@ -38,7 +39,7 @@ def test_automatic_jacobians_are_as_good_as_analytic_ones(method, name, referenc
         assert error(kind) <= 3 * given, kind
 
 
-@pytest.mark.parametrize("name", GALLERY)
+@dealt(18, method=iv.METHODS, name=GALLERY)
 def test_no_warnings_but_the_right_ones(method, name):
     p = GALLERY[name]
     with warnings.catch_warnings(record=True) as warned:
@@ -178,6 +179,7 @@ class TestCheck:
 class TestDrift:
     """`drift` tells what projection kept."""
 
+    @explicit_and_implicit
     def test_table(self, method):
         p = PROBLEMS["Kepler"]
         sol = iv.solve_ivp(
@@ -202,7 +204,7 @@ class TestDrift:
 class TestWhen:
     """`when="needed"` leaves alone what is close already."""
 
-    @pytest.mark.parametrize("name", ["Kepler", "Lotka-Volterra", "rigid body", "Henon-Heiles"])
+    @dealt(12, method=iv.METHODS, name=["Kepler", "Lotka-Volterra", "rigid body", "Henon-Heiles"])
     def test_saves_jacobians_and_keeps_the_accuracy(self, method, name):
         p = PROBLEMS[name]
         options = {"method": method, "rtol": 1e-7, "atol": 1e-10}

@@ -9,12 +9,11 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
+from cases import IMPLICIT
 from invariode import _core
 from invariode._run.plan import make_plan
-from problems import implicit, switching
 from stiff import PROBLEMS
 
-IMPLICIT = [name for name in filter(implicit, iv.METHODS) if not switching(name)]
 ROBERTSON, BRUSSELATOR = PROBLEMS["Robertson"], PROBLEMS["Brusselator"]
 
 
@@ -266,6 +265,7 @@ def test_a_search_gives_up_in_good_time():
     assert len(calls) <= 40
 
 
+@pytest.mark.parametrize("method_code", ["ode15s", "radau"])
 def test_an_entry_that_appears_later_is_found(method_code):
     """From t = 1 on the last component acts on the first one."""
     n = 200

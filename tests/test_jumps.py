@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import slack
 
 RESTITUTION = 0.9
@@ -44,8 +45,7 @@ def impacts(count: int) -> np.ndarray:
     return np.array(times)
 
 
-@pytest.mark.parametrize("project", [False, True])
-@pytest.mark.parametrize("rtol", [1e-6, 1e-9])
+@dealt(12, method=iv.METHODS, rtol=[1e-6, 1e-9], project=[False, True])
 def test_ball_bounces_thirty_times(method, rtol, project):
     hit = iv.Event(floor, direction=-1, terminal=31, action=bounce)
     sol = iv.solve_ivp(
@@ -71,6 +71,7 @@ def test_ball_bounces_thirty_times(method, rtol, project):
         assert np.ptp([energy(0, y) for y in sol.y.T]) > 0.2  # which falls
 
 
+@families
 def test_the_solution_has_both_values_and_sol_the_later_one(method):
     hit = iv.Event(floor, direction=-1, terminal=4, action=bounce)
     sol = iv.solve_ivp(ball, (0, 100), [1.0, 0.0], method, events=hit, invariants=energy, dense_output=True, refine=3)
@@ -86,6 +87,7 @@ def test_the_solution_has_both_values_and_sol_the_later_one(method):
     np.testing.assert_allclose(energy(0, imposed.sol(0.99 * at)), held[pieces], atol=1e-3)
 
 
+@explicit_and_implicit
 def test_output_at_given_times_gives_one_value_each(method):
     hit = iv.Event(floor, direction=-1, action=bounce)
     first = float(iv.solve_ivp(ball, (0, 4), [1.0, 0.0], method, events=hit, invariants=energy).t_events[0][0])
@@ -96,6 +98,7 @@ def test_output_at_given_times_gives_one_value_each(method):
     assert np.abs(sol.residual).max() < 1e-6
 
 
+@families
 def test_dosing(method):
     """A linear decay to which 1 is added each time that a clock strikes."""
     doses = [iv.Event(lambda t, y, s=s: t - s, action=lambda t, y: y + 1) for s in (1.0, 2.0, 3.0)]
@@ -107,6 +110,7 @@ def test_dosing(method):
     assert [len(t) for t in sol.t_events] == [1, 1, 1]
 
 
+@explicit_and_implicit
 def test_switching_without_a_change_of_the_state(method):
     """A relay: the action changes a parameter only; the right-hand side is evaluated afresh."""
     state = {"on": True}
@@ -124,6 +128,7 @@ def test_switching_without_a_change_of_the_state(method):
     np.testing.assert_allclose(sol.t_events[1], [1.5, 3.5, 5.5, 7.5, 9.5], atol=1e-9)
 
 
+@explicit_and_implicit
 def test_values_that_are_demanded_or_not_reheld_stay(method):
     spin = iv.Event(lambda t, y: t - 1, action=lambda t, y: [-y[1], y[0]], rehold=False)  # keeps the radius
 
@@ -150,6 +155,7 @@ def test_values_that_are_demanded_or_not_reheld_stay(method):
     assert np.hypot(*sol.y[:, -1]) == pytest.approx(2, rel=1e-5)
 
 
+@families
 def test_backwards(method):
     hit = iv.Event(lambda t, y: y[0] - 1, action=lambda t, y: [3.0])
     sol = iv.solve_ivp(lambda t, y: [1.0], (0, -6), [2.0], method, events=hit, dense_output=True)
@@ -158,9 +164,10 @@ def test_backwards(method):
     assert sol.sol(-2.0)[0] == pytest.approx(2)
 
 
+@explicit_and_implicit
 def test_only_the_final_state(method):
     hit = iv.Event(floor, direction=-1, terminal=5, action=bounce)
-    sol = iv.solve_ivp(ball, (0, 100), [1.0, 0.0], method, events=hit, invariants=energy, save="end", rtol=1e-8)
+    sol = iv.solve_ivp(ball, (0, 100), [1.0, 0.0], method, events=hit, invariants=energy, keep="end", rtol=1e-8)
     assert sol.t.shape == (1,)
     assert len(sol.t_events[0]) == 5
     assert np.abs(sol.residual).max() < 1e-8
@@ -175,6 +182,7 @@ def test_plain_function_with_the_attributes_is_as_good():
     assert len(sol.t_events[0]) == 3
 
 
+@explicit_and_implicit
 def test_misuse(method):
     with pytest.raises(TypeError, match="action must be a function"):
         iv.Event(floor, action=3)

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, splu
 
 import invariode as iv
+from cases import dealt
 from invariode._problem.methods import METHODS
 
 MATRIX_FREE = [name for name, about in METHODS.items() if "linear_solver" in about.options]
@@ -49,8 +50,14 @@ def diffusive(t, y, c):
     return splu(sp.csc_array(EYE - c * DIFFUSION))
 
 
+def gmres(**options):
+    """The options, with those of GMRES in one."""
+    own = {name: options.pop(name) for name in ("dimension", "preconditioner", "jac_product") if name in options}
+    return {"linear_solver": iv.GMRES(**own), **options}
+
+
 def solve(method="ode15s", rtol=1e-4, **options):
-    return iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, linear_solver="gmres", **options)
+    return iv.solve_ivp(reacting, (0, 0.5), Y0, method, rtol=rtol, atol=rtol, **gmres(**options))
 
 
 FORMS = {
@@ -62,7 +69,7 @@ FORMS = {
     "jac, operator": {"jac": lambda t, y: aslinearoperator(jacobian(t, y))},
     "jac, constant": {"jac": aslinearoperator(DIFFUSION)},  # not quite that of f
     "preconditioned": {"preconditioner": diffusive},
-    "short cycles": {"krylov_dimension": 3},
+    "short cycles": {"dimension": 3},
 }
 
 
@@ -71,8 +78,7 @@ def exact():
     return iv.radau(reacting, (0, 0.5), Y0, rtol=1e-9, atol=1e-10, jac=jacobian).y[:, -1]
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("method", MATRIX_FREE)
+@dealt(18, method=MATRIX_FREE, form=FORMS)
 def test_it_is_as_accurate_as_with_lu_factors(method, form, exact):
     """GMRES leaves a twentieth of what Newton's iteration may leave: a fraction of the tolerance in all."""
     for rtol in (1e-3, 1e-6):
@@ -159,7 +165,7 @@ def test_complex_states(method):
     y0 = Y0 * np.exp(1j * Y0)
     exact = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, "radau", jac=A, **options).y[:, -1]
     for form in ({}, {"jac": A}, {"preconditioner": lambda t, y, c: splu(sp.csc_array(EYE - c * A))}):
-        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, method, linear_solver="gmres", **form, **options)
+        sol = iv.solve_ivp(lambda t, y: A @ y, (0, 0.3), y0, method, **gmres(**form), **options)
         assert np.abs(sol.y[:, -1] - exact).max() < 1e-5
 
 
@@ -182,9 +188,8 @@ def test_mass_matrices(method, moving):
         method,
         rtol=1e-4,
         atol=1e-4,
-        linear_solver="gmres",
+        linear_solver=iv.GMRES(preconditioner=lambda t, y, c: splu(sp.csc_array(mass(t) @ (EYE - c * DIFFUSION)))),
         mass=mass if moving else M,
-        preconditioner=lambda t, y, c: splu(sp.csc_array(mass(t) @ (EYE - c * DIFFUSION))),
     )
     plain = solve("ode15s" if method == "auto" else method, preconditioner=diffusive)
     assert abs(sol.stats.steps - plain.stats.steps) <= 5
@@ -217,7 +222,7 @@ def test_projection(method):
     free = iv.solve_ivp(rotating, (0, 2), y0, method, linear_solver="gmres", rtol=1e-4)
     drift = abs((free.y**2).sum(axis=0) - y0 @ y0).max()
     for form in ({}, {"preconditioner": lambda t, y, c: lambda b: b}):
-        sol = iv.solve_ivp(rotating, (0, 2), y0, method, linear_solver="gmres", invariants=size, rtol=1e-4, **form)
+        sol = iv.solve_ivp(rotating, (0, 2), y0, method, invariants=size, rtol=1e-4, **gmres(**form))
         assert sol.success
         assert abs(sol.residual).max() < 1e-4 * drift
         assert sol.stats.projections > 0
@@ -242,7 +247,7 @@ RELAXATION = {"differences": {}, "jac_product": {"jac_product": relaxation_produ
 def test_auto_hands_over_where_it_does_with_matrices(form):
     options = {"rtol": 1e-5, "atol": 1e-8}
     direct = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **options)
-    free = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", linear_solver="gmres", **RELAXATION[form], **options)
+    free = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **gmres(**RELAXATION[form]), **options)
     assert free.stats.switches == direct.stats.switches >= 3
     assert abs(free.y[0, -1] - direct.y[0, -1]) < 1e-3
     turns = [np.flatnonzero(sol.steps.method[1:] != sol.steps.method[:-1]) for sol in (free, direct)]
@@ -251,7 +256,7 @@ def test_auto_hands_over_where_it_does_with_matrices(form):
 
 @pytest.mark.parametrize("form", RELAXATION)
 def test_auto_continues_bit_for_bit_wherever_it_is_cut(form):
-    options = {"rtol": 1e-4, "linear_solver": "gmres", **RELAXATION[form]}
+    options = {"rtol": 1e-4, **gmres(**RELAXATION[form])}
     whole = iv.solve_ivp(relaxation, (0, 220), [2.0, 0.0], "auto", **options)
     assert whole.stats.switches >= 3
     for steps in range(40, whole.stats.steps, 60):
@@ -282,7 +287,7 @@ def test_an_exception_in_a_look_at_the_spectral_radius_comes_out_unchanged():
 
     with pytest.raises(KeyError, match="the second one"):
         iv.solve_ivp(
-            lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), [1.0], "auto", linear_solver="gmres", jac_product=product
+            lambda t, y: 1e4 * (np.cos(t) - y), (0, 3), [1.0], "auto", linear_solver=iv.GMRES(jac_product=product)
         )
 
 
@@ -309,7 +314,7 @@ def test_linear_invariants(method):
     rtol = 1e-5
 
     def drift(**options):
-        sol = iv.solve_ivp(no_flux, (0, 0.5), y0, method, rtol=rtol, atol=rtol, linear_solver="gmres", **options)
+        sol = iv.solve_ivp(no_flux, (0, 0.5), y0, method, rtol=rtol, atol=rtol, **gmres(**options))
         assert sol.success
         return np.abs(sol.y.sum(axis=0) - y0.sum()).max() / y0.sum()
 
@@ -329,7 +334,7 @@ def test_events_output_and_breakpoints_work_as_with_lu_factors(method):
         return y[N // 2] - 0.2
 
     options = {"events": middle, "dense_output": True, "breakpoints": [0.2], "rtol": 1e-6}
-    free = iv.solve_ivp(reacting, (0, 0.5), Y0, method, linear_solver="gmres", preconditioner=diffusive, **options)
+    free = iv.solve_ivp(reacting, (0, 0.5), Y0, method, linear_solver=iv.GMRES(preconditioner=diffusive), **options)
     direct = iv.solve_ivp(reacting, (0, 0.5), Y0, method, jac=jacobian, **LIKE[method], **options)
     assert len(free.t_events[0]) == len(direct.t_events[0]) > 0
     np.testing.assert_allclose(free.t_events[0], direct.t_events[0], atol=1e-4)
@@ -350,6 +355,26 @@ def test_runs_continue_bit_for_bit(method, form):
     assert both.stats.linear_iterations == whole.stats.linear_iterations
 
 
+def test_runs_continue_from_a_file_with_their_solver(tmp_path):
+    """The functions of GMRES are given again; they, and its numbers, must be those of the run."""
+    file, own = tmp_path / "run", iv.GMRES(preconditioner=diffusive, dimension=8)
+    problem = iv.Problem(reacting, (0, 0.5), Y0)
+    whole = problem.solve("ode15s", linear_solver=own)
+    half = problem.solve("ode15s", linear_solver=own, limits=iv.Limits(steps=20, time=1e6), checkpoint=file)
+    for path in (file, tmp_path / "saved"):
+        half.save(tmp_path / "saved")
+        loaded = iv.load(path, problem, linear_solver=own)
+        np.testing.assert_array_equal(loaded.extend(0.5, max_steps=None).y, whole.y)
+        with pytest.raises(ValueError, match="the run has linear_solver with functions, which are not in the file"):
+            iv.load(path, problem)
+        for other in ("direct", iv.GMRES(preconditioner=diffusive, dimension=9), iv.GMRES(dimension=8)):
+            with pytest.raises(ValueError, match=r"linear_solver has .* here, and .*'dimension': 8.* in the file"):
+                iv.load(path, problem, linear_solver=other)
+        with pytest.raises(ValueError, match="the code of preconditioner is not that of the run"):
+            iv.load(path, problem, linear_solver=iv.GMRES(preconditioner=lambda t, y, c: splu(EYE), dimension=8))
+        half = problem.solve("ode15s", linear_solver=own, limits=iv.Limits(steps=20, time=1e6))
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # Failure and misuse
 
@@ -359,10 +384,10 @@ def test_systems_that_are_not_solved_are_a_failure_with_advice(method):
     """With a cyclic shift as preconditioner GMRES gets nowhere until its space is the whole one; and f is so large that
     it matters in the smallest step."""
     shift = {"preconditioner": lambda t, y, c: lambda b: np.roll(b, 1), "jac_product": lambda t, y, v: -1e20 * v}
-    sol = iv.solve_ivp(lambda t, y: -1e20 * y, (1, 2), np.eye(40)[0], method, linear_solver="gmres", **shift)
+    sol = iv.solve_ivp(lambda t, y: -1e20 * y, (1, 2), np.eye(40)[0], method, **gmres(**shift))
     assert sol.status == -1
     assert "GMRES does not solve the linear systems" in sol.message
-    assert "give a better preconditioner, or a larger krylov_dimension" in sol.message
+    assert "give a better preconditioner, or a larger GMRES" in sol.message
 
 
 UNDEFINED = {
@@ -373,13 +398,11 @@ UNDEFINED = {
 }
 
 
-@pytest.mark.parametrize("t0", [0, 1])
-@pytest.mark.parametrize("form", UNDEFINED)
-@pytest.mark.parametrize("method", ALONE)
+@dealt(8, method=ALONE, form=UNDEFINED, t0=[0, 1])
 def test_what_is_never_defined_ends_a_run_after_eight_attempts(method, form, t0):
     """The smallest step at t = 0 is so small that hundreds would follow."""
     options, message = UNDEFINED[form]
-    sol = iv.solve_ivp(reacting, (t0, t0 + 0.5), Y0, method, linear_solver="gmres", **options)
+    sol = iv.solve_ivp(reacting, (t0, t0 + 0.5), Y0, method, **gmres(**options))
     assert (sol.status, sol.stats.steps, sol.stats.failed) == (-1, 0, 8)
     assert message in sol.message
     assert "leave it out" in sol.message
@@ -441,21 +464,21 @@ def test_exceptions_come_out_unchanged():
     ("options", "error", "match"),
     [
         ({"jac_product": lambda t, y, v: v[:-1]}, ValueError, r"jac_product\(t, y, v\) returned shape \(143,\)"),
-        ({"jac_product": 3.0}, TypeError, "jac_product must be a function"),
-        ({"jac": "complex-step"}, ValueError, "with linear_solver='gmres' give jac_product"),
-        ({"jac_product": product, "jac": jacobian}, ValueError, "jac and jac_product say the same"),
+        ({"jac_product": 3.0}, TypeError, "jac_product of GMRES must be a function"),
+        ({"jac": "complex-step"}, ValueError, "with GMRES give"),
+        ({"jac_product": product, "jac": jacobian}, ValueError, "say the same"),
         ({"jac": lambda t, y: np.eye(3)}, ValueError, r"jac\(t, y\) has shape \(3, 3\), expected shape \(144, 144\)"),
         ({"preconditioner": lambda t, y, c: 3.0}, TypeError, "expected an object with solve"),
         ({"preconditioner": lambda t, y, c: lambda b: b[:2]}, ValueError, r"preconditioner returned shape \(2,\)"),
         ({"preconditioner": lambda t, y, c: lambda b: 1j * b}, TypeError, "preconditioner returned complex numbers"),
-        ({"preconditioner": aslinearoperator(DIFFUSION)}, TypeError, "preconditioner must be a function"),
+        ({"preconditioner": aslinearoperator(DIFFUSION)}, TypeError, "preconditioner of GMRES must be a function"),
         ({"mass": EYE}, ValueError, "needs a preconditioner if there is a mass matrix"),
         (
             {"mass": sp.diags_array(np.append(0.0, np.ones(N - 1))), "preconditioner": diffusive},
             ValueError,
             "singular mass matrix",
         ),
-        ({"krylov_dimension": 0}, ValueError, "krylov_dimension"),
+        ({"dimension": 0}, ValueError, "dimension of GMRES must be a positive integer"),
     ],
 )
 def test_misuse_is_an_error(options, error, match):
@@ -473,11 +496,8 @@ def test_methods_that_need_exact_solutions_say_so(method):
 
 
 def test_what_has_no_effect_draws_a_warning():
-    with pytest.warns(UserWarning, match="jac_sparsity has no effect with linear_solver='gmres'"):
-        solve(jac_sparsity=DIFFUSION)
-    with pytest.warns(UserWarning, match="preconditioner has no effect without linear_solver='gmres'"):
-        iv.ode15s(reacting, (0, 0.01), Y0, preconditioner=diffusive)
-    with pytest.warns(UserWarning, match="krylov_dimension has no effect without linear_solver='gmres'"):
-        iv.ode15s(reacting, (0, 0.01), Y0, krylov_dimension=3)
+    for known in ({"jac_sparsity": DIFFUSION}, {"jac": iv.Banded(12, 12)}):
+        with pytest.warns(UserWarning, match="has no effect with GMRES"):
+            solve(**known)
     with pytest.raises(TypeError, match="LinearOperator, whose entries are not known: give linear_solver='gmres'"):
         iv.ode15s(reacting, (0, 0.01), Y0, jac=aslinearoperator(DIFFUSION))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from invariode import _core
 from invariode._functions import lanes
 from problems import PROBLEMS
@@ -137,9 +138,7 @@ def test_an_invariant_is_held_as_without_lanes(instructions, monkeypatch):
     assert (found.residual_after < 1e-9).all()
 
 
-@pytest.mark.parametrize("method", PAIRS)
-@pytest.mark.parametrize("invariants", [None, ENERGY])
-@pytest.mark.parametrize("interpolation", ["projected", "raw"])
+@dealt(10, method=PAIRS, invariants=[None, ENERGY], interpolation=["projected", "raw"])
 def test_output_at_times_is_that_of_single_solves(method, invariants, interpolation):
     options = {"t_eval": [0, 0.1, 0.10001, 1, 2.5, 4], "invariants": invariants, "interpolation": interpolation}
     found = solve(COMPILED["quartic"], method, **options)
@@ -248,7 +247,7 @@ def test_a_limit_of_steps_is_that_of_single_solves():
         ({"method": "ode113"}, "explicit Runge-Kutta pair"),
         ({"t_eval": [1.0, 2.0], "keep": "all"}, "recorded"),
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
-        ({"time_limit": 100.0}, "limited"),
+        ({"limits": iv.Limits(time=100.0)}, "limited"),
         ({"nonnegative": True}, "bounds"),
         ({"invariants": iv.Invariants(iv.compile(energy), names="energy")}, "give jac"),
         ({"invariants": [ENERGY, iv.Invariants(iv.compile(lambda t, y, p: y[0]), names="x")]}, "several invariants"),

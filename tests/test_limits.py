@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS
 
 KEPLER = PROBLEMS["Kepler"]
@@ -25,8 +26,7 @@ def circle(t, y):
     return [y[1], -y[0]]
 
 
-@pytest.mark.parametrize("project", [False, True])
-@pytest.mark.parametrize("keep", ["all", "outputs", "end"])
+@dealt(12, method=iv.METHODS, keep=["all", "outputs", "end"], project=[False, True])
 def test_max_steps_ends_the_run_where_the_unlimited_run_is_then(method, keep, project):
     about = {"keep": keep, "invariants": KEPLER.invariants() if project else None}
     whole, sol = kepler(method, **{**about, "keep": "all"}), kepler(method, max_steps=17, **about)
@@ -38,12 +38,17 @@ def test_max_steps_ends_the_run_where_the_unlimited_run_is_then(method, keep, pr
     assert "after 17 steps" in sol.message
 
 
+@explicit_and_implicit
 def test_the_limit_is_no_limit_where_the_run_ends_before(method):
     whole = kepler(method)
-    assert kepler(method, max_steps=whole.stats.steps, max_points=whole.stats.steps + 1, time_limit=1e6).status == 0
+    assert (
+        kepler(method, max_steps=whole.stats.steps, limits=iv.Limits(points=whole.stats.steps + 1, time=1e6)).status
+        == 0
+    )
     assert kepler(method, max_steps=whole.stats.steps - 1).status == -3
 
 
+@explicit_and_implicit
 def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
     sol = kepler(method, max_steps=10, events=lambda t, y: y[1], dense_output=True)
     for parts in (2, 3):
@@ -55,7 +60,7 @@ def test_an_extension_has_the_limits_of_its_run_or_its_own(method):
     np.testing.assert_array_equal(sol.sol(sol.t), sol.y)
 
 
-@pytest.mark.parametrize("end", [1e9, np.inf])
+@dealt(8, method=iv.METHODS, end=[1e9, np.inf])
 def test_time_limit(method, end):
     """Python's function waits: the limit is looked at after each attempt, which takes a few calls."""
 
@@ -64,46 +69,51 @@ def test_time_limit(method, end):
         return circle(t, y)
 
     start = time.perf_counter()
-    sol = iv.solve_ivp(slow, (0, end), [1.0, 0.0], method, time_limit=0.1, max_step=1.0)
+    sol = iv.solve_ivp(slow, (0, end), [1.0, 0.0], method, limits=iv.Limits(time=0.1), max_step=1.0)
     assert sol.status == -3
-    assert "time_limit = 0.1 s is over at t = " in sol.message
+    assert "The limit of 0.1 s is over at t = " in sol.message
     assert 0.1 <= time.perf_counter() - start < 5
 
 
+@families
 def test_attempts_that_fail_are_no_way_round_the_time(method):
     def undefined_beyond_one(t, y):
         time.sleep(1e-3)
         return [np.nan if t > 1 else 1.0]
 
-    sol = iv.solve_ivp(undefined_beyond_one, (0, 10), [0.0], method, time_limit=0.01, first_step=1.5, max_step=2.0)
+    sol = iv.solve_ivp(
+        undefined_beyond_one, (0, 10), [0.0], method, limits=iv.Limits(time=0.01), first_step=1.5, max_step=2.0
+    )
     assert sol.status == -3
     assert sol.t_end <= 1
 
 
-def test_max_points_counts_what_is_kept(method):
-    by_steps = kepler(method, max_points=50)
+@explicit_and_implicit
+def test_the_limit_of_points_counts_what_is_kept(method):
+    by_steps = kepler(method, limits=iv.Limits(points=50))
     assert by_steps.status == -3
     assert len(by_steps.t) == 50
     assert "50 points are kept" in by_steps.message
-    refined = kepler(method, max_points=50, refine=4)
+    refined = kepler(method, limits=iv.Limits(points=50), refine=4)
     assert refined.status == -3
     assert 50 <= len(refined.t) < 54
-    dense = kepler(method, max_points=50, dense_output=True, t_eval=np.linspace(0, END, 3))
+    dense = kepler(method, limits=iv.Limits(points=50), dense_output=True, t_eval=np.linspace(0, END, 3))
     assert dense.status == -3
     assert len(dense.sol.ts) == 50
-    with_events = kepler(method, max_points=2, keep="end", events=lambda t, y: y[1])
+    with_events = kepler(method, limits=iv.Limits(points=2), keep="end", events=lambda t, y: y[1])
     assert with_events.status == -3
     assert len(with_events.t_events[0]) == 1  # the other one is the final state
-    assert kepler(method, max_points=2, keep="end").status == 0
+    assert kepler(method, limits=iv.Limits(points=2), keep="end").status == 0
 
 
+@explicit_and_implicit
 def test_what_is_kept_is_bounded_without_any_option(method, monkeypatch):
     """The bounds made small: as many points, or as much memory."""
     from invariode._run import plan
 
     monkeypatch.setattr(plan, "_MOST_POINTS", 40)
     assert kepler(method).status == -3
-    assert kepler(method, max_points=10**6).status == 0
+    assert kepler(method, limits=iv.Limits(points=10**6)).status == 0
     asked_for = kepler(method, t_eval=np.linspace(0, END, 100))
     assert (asked_for.status, len(asked_for.t)) == (0, 100)
     monkeypatch.setattr(plan, "_MOST_POINTS", 10**7)
@@ -111,7 +121,7 @@ def test_what_is_kept_is_bounded_without_any_option(method, monkeypatch):
     sol = kepler(method)
     kept = sol.t.nbytes + sol.y.nbytes + sol.steps._rows.nbytes
     assert sol.status == -3
-    assert "What is kept fills 4096 bytes, the most without max_points" in sol.message
+    assert "What is kept fills 4096 bytes, the most that the limits allow" in sol.message
     assert 4096 <= kept < 4096 + 2 * 80
     assert kepler(method, keep="end").status == 0
 
@@ -128,14 +138,18 @@ def native_oscillator():
     return iv.compile(lambda t, y, p: [y[1], -p[0] * y[0]])
 
 
+@explicit_and_implicit
 def test_native_runs_end_at_their_limits(method, native_circle):
-    sol = iv.solve_ivp(native_circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, time_limit=0.05, keep="end")
+    sol = iv.solve_ivp(
+        native_circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, limits=iv.Limits(time=0.05), keep="end"
+    )
     assert sol.status == -3
-    assert "time_limit" in sol.message
+    assert "The limit of 0.05 s" in sol.message
     assert sol.t_end > 1
     assert iv.solve_ivp(native_circle, (0, 1e9), [1.0, 0.0], method, max_step=0.1, max_steps=9).stats.steps == 9
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("native", [False, True])
 def test_a_trajectory_of_an_ensemble_has_limits_of_its_own(method, native, native_oscillator):
     """The fast oscillations need more steps than the slow ones."""
@@ -172,7 +186,7 @@ def interrupted_after(seconds):
     return timer
 
 
-@pytest.mark.parametrize("native", [False, True])
+@dealt(8, method=iv.METHODS, native=[False, True])
 def test_ctrl_c_returns_what_there_is(method, native, native_circle):
     """The handler of the session is in force again afterwards, and the run can go on."""
     before = signal.getsignal(signal.SIGINT)
@@ -185,12 +199,14 @@ def test_ctrl_c_returns_what_there_is(method, native, native_circle):
     assert sol.extend(sol.t_end + 1, on_interrupt="raise").status == 0
 
 
+@explicit_and_implicit
 def test_ctrl_c_raises_unless_it_is_to_return(method):
     interrupted_after(0.2).start()
     with pytest.raises(KeyboardInterrupt):
         iv.solve_ivp(circle, (0, np.inf), [1.0, 0.0], method, max_step=0.1, keep="end")
 
 
+@explicit_and_implicit
 def test_a_second_ctrl_c_raises(method):
     """Where the present step does not come to its end."""
 
@@ -204,6 +220,7 @@ def test_a_second_ctrl_c_raises(method):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@explicit_and_implicit
 def test_in_another_thread_nothing_changes(method):
     found = []
     thread = threading.Thread(target=lambda: found.append(kepler(method, on_interrupt="return").status))
@@ -215,8 +232,8 @@ def test_in_another_thread_nothing_changes(method):
 WRONG = [
     ({"max_steps": 0}, ValueError, "max_steps must be a positive integer, got 0"),
     ({"max_steps": 1e6}, TypeError, r"max_steps must be a positive integer, got 1000000\.0"),
-    ({"max_points": 2**63}, ValueError, "max_points must be at most 9223372036854775807: leave it out"),
-    ({"time_limit": 0}, ValueError, "time_limit must be positive, got 0"),
+    ({"limits": 100}, TypeError, r"limits must be invariode.Limits\(...\), as in Limits\(steps=1000\), got 100"),
+    ({"max_steps": 9, "limits": iv.Limits(steps=9)}, ValueError, "max_steps=9 is short for limits"),
     ({"on_interrupt": "stop"}, ValueError, "on_interrupt must be one of 'raise', 'return', got 'stop'"),
 ]
 
@@ -230,7 +247,7 @@ def test_wrong_values_are_refused(options, error, message):
 def test_classes_for_scipy_say_what_they_cannot():
     import invariode.scipy
 
-    for name in ("max_steps", "time_limit", "max_points", "on_interrupt"):
+    for name in ("max_steps", "limits", "on_interrupt"):
         with pytest.raises(TypeError, match=f"{name} is an option of solve_ivp, not of ODE45"):
             invariode.scipy.ODE45(circle, 0, [1.0, 0.0], 1, **{name: 1})
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import families
 
 EPS = np.finfo(float).eps
 RANDOM = np.random.default_rng(14)
@@ -119,6 +120,7 @@ def energy_and_momentum(t, y):
     return np.array([a * a + 2 * b * b + 3 * c * c, *(rows @ body)])
 
 
+@families
 def test_attitude_energy_and_momentum_of_a_rigid_body_are_held_together(method):
     """Over 30 rotations about the middle axis, where it tumbles: to roundoff after two iterations."""
     held = [

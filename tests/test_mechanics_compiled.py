@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -39,10 +40,7 @@ def pythons_pendulum():
 OPTIONS = {"method": "ode45", "rtol": 1e-7, "atol": 1e-9}
 
 
-@pytest.mark.parametrize(
-    "part",
-    ["all", "force", "constraints", "mass", "energy"],
-)
+@pytest.mark.parametrize("part", ["all", "constraints", "energy"])
 def test_compiled_functions_and_mixed_ones_give_the_same_motion(part):
     expected = pythons_pendulum().problem((0, 3), [2, 0], [0, 0]).solve(**OPTIONS)
     in_python = {
@@ -211,6 +209,11 @@ COMPILED_BAD = {
 }
 
 
+@cache
+def weight():
+    return iv.compile(lambda t, q, v: (0.0, -1.0))
+
+
 @pytest.mark.parametrize("name", COMPILED_BAD)
 def test_bad_input_of_compiled_functions_is_refused_in_words(name):
     pytest.importorskip("numba")
@@ -218,7 +221,7 @@ def test_bad_input_of_compiled_functions_is_refused_in_words(name):
     if name in ("force of another size", "jacobian of another size"):
         error, message = TypeError, "returns 3 values, expected 2"  # as everywhere that `compile` is used
     given = {part: iv.compile(function) for part, function in COMPILED_BAD[name].items()}
-    arguments = {"mass": [1, 1], "force": iv.compile(lambda t, q, v: (0.0, -1.0))} | given
+    arguments = {"mass": [1, 1], "force": weight()} | given
     with pytest.raises(error, match=message):
         MechanicalSystem(**arguments).problem((0, 1), [1, 0], [0, 1])
 

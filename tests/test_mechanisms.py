@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mechanisms
+from cases import dealt
 
 EXPLICIT = ("ode45", "dop853", "ode78", "ode89", "ode113")
 
@@ -32,8 +33,7 @@ KNOWN = {
 }
 
 
-@pytest.mark.parametrize("method", EXPLICIT)
-@pytest.mark.parametrize("name", KNOWN)
+@dealt(6, method=EXPLICIT, name=KNOWN)
 def test_errors_of_positions_velocities_and_multipliers_fall_with_the_tolerance(name, method):
     case = getattr(mechanisms, name)()
     allowed, reference = map(np.array, KNOWN[name])
@@ -41,7 +41,7 @@ def test_errors_of_positions_velocities_and_multipliers_fall_with_the_tolerance(
         assert (errors(case, method, rtol) <= allowed * rtol + reference).all(), rtol
 
 
-@pytest.mark.parametrize("method", EXPLICIT)
+@pytest.mark.parametrize("method", ["ode45", "ode113"])
 def test_in_levels_the_squeezing_mechanism_has_no_fewer_digits_than_plain(method):
     """As the test set counts them, of the worst position: within 0.2 at each tolerance, and in the mean one more."""
     case = mechanisms.squeezer()

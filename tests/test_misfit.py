@@ -9,9 +9,8 @@ import pytest
 
 import invariode as iv
 import stiff_ends
-from problems import implicit, switching
+from cases import IMPLICIT, dealt
 
-IMPLICIT = [name for name in filter(implicit, iv.METHODS) if not switching(name)]
 TOLERANCES = [1e-3, 1e-6, 1e-8]
 
 #: Friction, in units of the stiffness. From y = 1 at rest the body slides with y = 1/4 + 3/4 cos t until t = π.
@@ -47,9 +46,8 @@ def error(sol, rtol):
     return np.abs(sol.y[:, -1] - EXACT).max() / rtol
 
 
+@dealt(10, method_code=IMPLICIT, fun=[friction, sharp], rtol=TOLERANCES)
 @pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")
-@pytest.mark.parametrize("rtol", TOLERANCES)
-@pytest.mark.parametrize("fun", [friction, sharp])
 def test_a_start_on_a_jump_costs_no_accuracy(method_code, fun, rtol):
     """Increments of 1e-14 straddle the jump. The error is that of a smooth start, and what the first step adds, for
     which the jump is an error of a tolerance or some: 10 of them."""
@@ -82,12 +80,11 @@ def circle(t, y):
 
 WRONG = {
     "jac_sparsity": ({"jac_sparsity": np.eye(2)}, r"jac_sparsity misses the entry \(1, 0\)"),
-    "bands": ({"lband": 0, "uband": 0}, r"lband and uband miss the entry \(1, 0\).*give lband=1, uband=1"),
+    "bands": ({"lband": 0, "uband": 0}, r"the bands of the Jacobian miss the entry \(1, 0\).*give jac=Banded\(1, 1\)"),
 }
 
 
-@pytest.mark.parametrize("rtol", TOLERANCES)
-@pytest.mark.parametrize("what", WRONG)
+@dealt(10, method_code=IMPLICIT, what=WRONG, rtol=TOLERANCES)
 def test_a_structure_that_misses_entries_is_named_and_costs_no_accuracy(method_code, what, rtol):
     """Columns that share a row would otherwise be differenced together."""
     structure, message = WRONG[what]
@@ -112,8 +109,7 @@ def coupled(n):
     return fun, np.linspace(1, 2, n)
 
 
-@pytest.mark.parametrize("how", ["pattern", "bands"])
-@pytest.mark.parametrize("jac", ["differences", "complex-step"])
+@dealt(10, method_code=IMPLICIT, how=["pattern", "bands"], jac=["differences", "complex-step"])
 def test_one_missing_entry_of_many_is_named(method_code, how, jac):
     n = 20
     fun, y0 = coupled(n)

@@ -9,6 +9,7 @@ from sympy.physics.mechanics import dynamicsymbols
 
 import invariode as iv
 import multibody
+from cases import dealt
 from invariode import symbolic
 from invariode._mechanics.system import MechanicalSystem
 
@@ -19,9 +20,7 @@ MECHANISMS = {  # how long they run, and how many tolerances they may be off: er
 }
 
 
-@pytest.mark.parametrize("rtol", [1e-6, 1e-9])
-@pytest.mark.parametrize("method", ["dop853", "ode113", "radau"])
-@pytest.mark.parametrize("name", MECHANISMS)
+@dealt(9, name=MECHANISMS, method=["dop853", "ode113", "radau"], rtol=[1e-6, 1e-9])
 def test_mechanisms_move_as_in_minimal_coordinates(name, method, rtol):
     tf, allowed = MECHANISMS[name]
     mechanism = getattr(multibody, name)()
@@ -31,8 +30,7 @@ def test_mechanisms_move_as_in_minimal_coordinates(name, method, rtol):
     assert np.abs(sol.y[: len(reference), -1] - reference).max() <= allowed * rtol
 
 
-@pytest.mark.parametrize("rtol", [1e-4, 1e-7])
-@pytest.mark.parametrize("method", ["radau", "auto"])
+@pytest.mark.parametrize(("method", "rtol"), [("radau", 1e-7), ("auto", 1e-4)])
 def test_the_stiff_governor_with_redundant_rows_moves_as_in_minimal_coordinates(method, rtol):
     """At its start other rows depend on the others than beside it: two are left out all the same."""
     governor = multibody.governor()

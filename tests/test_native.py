@@ -17,6 +17,7 @@ import pytest
 import scipy
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit
 from problems import implicit
 
 numba = pytest.importorskip("numba")
@@ -84,7 +85,7 @@ def same_jacobian(method):
     return {"jac": "differences"} if implicit(method) else {}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@dealt(12, method=iv.METHODS, kind=KINDS)
 def test_every_kind_of_native_function_gives_the_run_of_the_python_one(method, kind):
     options = {"rtol": 1e-6, "dense_output": True, **same_jacobian(method)}
     python = iv.solve_ivp(kepler, (0, 20), ORBIT, method, **options)
@@ -94,7 +95,7 @@ def test_every_kind_of_native_function_gives_the_run_of_the_python_one(method, k
     np.testing.assert_allclose(native.sol(3.3), python.sol(3.3), rtol=1e-9)
 
 
-@pytest.mark.parametrize("which", ["all", "invariants", "events", "right-hand side"])
+@dealt(12, method=iv.METHODS, which=["all", "invariants", "events", "right-hand side"])
 def test_native_and_python_functions_mix(method, which):
     native = {"right-hand side": which in ("all", "right-hand side"), "events": which in ("all", "events")}
     native["invariants"] = which in ("all", "invariants")
@@ -387,6 +388,7 @@ kepler_jitted = numba.njit(kepler)
 ROOT = iv.compile(lambda t, y: (np.sqrt(1 - t),))
 
 
+@explicit_and_implicit
 def test_nan_is_a_failed_attempt(method):
     sol = iv.solve_ivp(ROOT, (0, 2), [0.0], method)
     assert sol.status == -1
@@ -427,7 +429,7 @@ def test_another_thread_solves_while_native_code_integrates():
     thread = threading.Thread(target=other)
     thread.start()
     with pytest.raises(KeyboardInterrupt):
-        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
+        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, keep="end", max_step=np.inf)
     thread.join()
     native, python = others
     assert native.success
@@ -442,7 +444,7 @@ def test_ctrl_c_stops_native_code():
     thread = threading.Thread(target=press)
     thread.start()
     with pytest.raises(KeyboardInterrupt):
-        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, save="end", max_step=np.inf)
+        iv.solve_ivp(SLOW, (0, 1e12), [1, 0], rtol=1e-9, keep="end", max_step=np.inf)
     thread.join()
     assert iv.solve_ivp(SLOW, (0, 1), [1, 0]).success
 

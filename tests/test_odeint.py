@@ -8,6 +8,7 @@ import scipy.integrate
 from scipy.integrate import ODEintWarning
 
 import invariode as iv
+from cases import dealt
 from stiff import robertson, robertson_jacobian
 
 LIBRARIES = pytest.mark.parametrize("odeint", [scipy.integrate.odeint, iv.odeint], ids=["scipy", "invariode"])
@@ -58,8 +59,7 @@ WAYS = {
 class TestJacobians:
     """odeint's test_odeint_banded_jacobian and its doubles with col_deriv and tfirst."""
 
-    @pytest.mark.parametrize("way", WAYS)
-    @pytest.mark.parametrize("tfirst", [False, True])
+    @dealt(12, way=WAYS, tfirst=[False, True])
     @LIBRARIES
     def test_all_ways(self, odeint, way, tfirst):
         options = dict(WAYS[way])

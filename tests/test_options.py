@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
 import re
+import textwrap
+from pathlib import Path
 from typing import Annotated, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -17,14 +20,12 @@ from invariode._problem.methods import METHODS
 from invariode._problem.options import TABLE
 from invariode._run import plan
 
-#: Who solves an ensemble, and where its results go.
-OF_PARTS = ("executor", "store", "resume", "retry", "chunk", "seed")
-
 #: The way in, and what its signature has beside the rows of the table.
 ENTRIES = {
     "solve_ivp": (iv.solve_ivp, {"fun", "t_span", "y0", "method"}),
     "Problem.solve": (iv.Problem.solve, {"self", "method"}),
-    "solve_ensemble": (iv.solve_ensemble, {"fun", "t_span", "y0", "method", "workers", "lanes", *OF_PARTS}),
+    "Problem.solve_ensemble": (iv.Problem.solve_ensemble, {"self", "y0", "method", "store"}),
+    "solve_ensemble": (iv.solve_ensemble, {"fun", "t_span", "y0", "method", "store"}),
     **{name: (getattr(iv, name), {"fun", "t_span", "y0"}) for name in METHODS},
     **{name.upper(): (getattr(plugin, name.upper()), {"fun", "t0", "y0", "t_bound"}) for name in METHODS},
 }
@@ -66,7 +67,7 @@ def typed(entry):
 def test_documented_is_typed_is_in_the_signature(way):
     entry, others = ENTRIES[way]
     shown = names_of(entry, others)
-    assert shown <= set(TABLE) | {"progress", "workers"}
+    assert shown <= set(TABLE)
     assert typed(entry) - others - {"self"} == shown
     assert shown <= documented(entry), "not documented"
     assert {name for name in documented(entry) if name in TABLE} <= shown, "documented, and not an option"
@@ -74,23 +75,22 @@ def test_documented_is_typed_is_in_the_signature(way):
 
 def call(way, **options):
     entry = ENTRIES[way][0]
-    if way == "Problem.solve":
-        return iv.Problem(decay, (0, 1), [1.0]).solve(**options)
+    if way.startswith("Problem."):
+        extra = {"workers": 1} if way == "Problem.solve_ensemble" else {}
+        return getattr(iv.Problem(decay, (0, 1), [1.0]), way.removeprefix("Problem."))(**{**extra, **options})
     if way in {name.upper() for name in METHODS}:
         return entry(decay, 0, [1.0], 1, **options)
     extra = {"workers": 1} if way == "solve_ensemble" else {}
-    return entry(decay, (0, 1), [1.0], **extra, **options)
+    return entry(decay, (0, 1), [1.0], **{**extra, **options})
 
 
 @pytest.mark.parametrize("way", ENTRIES)
 def test_all_that_is_shown_is_accepted_and_nothing_else(way):
     entry, others = ENTRIES[way]
     shown = names_of(entry, others)
-    for name in shown - {"checkpoint_every"}:  # which alone has no effect (tests/test_checkpoints.py)
+    for name in shown:
         call(way, **{name: VALUES.get(name, TABLE[name].default)})
-    for name in set(TABLE) - shown - others - {
-        "dense_output", "refine", "on_interrupt", "checkpoint", "checkpoint_every"
-    }:  # fmt: skip
+    for name in set(TABLE) - shown - others - {"dense_output", "refine", "on_interrupt", "checkpoint"}:
         with pytest.raises(TypeError, match=name):
             call(way, **{name: VALUES.get(name, TABLE[name].default)})
     with pytest.raises(TypeError, match="unknown option 'rtoll'; did you mean 'rtol'"):
@@ -103,7 +103,7 @@ def test_defaults_of_the_signature_are_those_of_the_table(way):
     for name, parameter in inspect.signature(entry).parameters.items():
         if name in TABLE and name not in others:
             own = METHODS[way].refine if name == "refine" and way in METHODS else TABLE[name].default
-            if (way, name) == ("solve_ensemble", "on_failure"):
+            if way.endswith("solve_ensemble") and name == "on_failure":
                 own = "warn"  # it fails in some trajectories of many
             assert parameter.default == own, f"default of {name}: change the row of options.py"
 
@@ -117,14 +117,14 @@ def test_a_wrong_value_of_each_checked_option_is_refused():
 
 
 def test_no_option_is_accepted_and_ignored():
-    """The plan reads each option of a run, but for `save` (another name of `keep`) and `min_step` (a warning)."""
+    """The plan reads each option of a run, except for `min_step`, which draws a warning."""
     tree = ast.parse(inspect.getsource(plan))
     read = {
         node.slice.value
         for node in ast.walk(tree)
         if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "options"
     }
-    assert read == set(options.table_of(options.Options)) - {"save", "min_step"}, "unused rows of options.py"
+    assert read == set(options.table_of(options.Options)) - {"min_step"}, "unused rows of options.py"
     with pytest.warns(UserWarning, match="option 'min_step' has no effect"):
         iv.ode45(decay, (0, 1), [1.0], min_step=0.1)
 
@@ -151,24 +151,14 @@ def test_the_command_has_the_flags_of_the_table():
 
     flags = inspect.signature(solve).parameters
     of_the_command = {name for name, row in TABLE.items() if row.command}
-    assert {name for name in flags if name in TABLE and name != "progress"} == of_the_command
+    known = options.table_of(options.AllOptions).keys() - {"progress"}
+    assert {name for name in flags if name in known} == of_the_command
+    assert flags["checkpoint_every"].default == iv.Checkpoint.every
     for name in of_the_command:
         assert flags[name].default == TABLE[name].default
 
 
 class TestKeep:
-    def test_save_is_another_name_of_it(self):
-        for value in ("all", "outputs", "end"):
-            keep, save = (iv.solve_ivp(decay, (0, 1), [1.0], **{name: value}) for name in ("keep", "save"))
-            np.testing.assert_array_equal(keep.t, save.t)
-            assert (keep.steps is None) == (save.steps is None) == (value != "all")
-        assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end", save="end").t.tolist() == [1]
-        assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end", save=None).t.tolist() == [1]
-
-    def test_two_values_contradict_each_other(self):
-        with pytest.raises(TypeError, match="two names for one option, got keep='all' and save='end': give keep"):
-            iv.solve_ivp(decay, (0, 1), [1.0], keep="all", save="end")
-
     def test_in_an_ensemble(self):
         one = iv.solve_ensemble(decay, (0, 1), [[1.0]], workers=1, keep="end")
         np.testing.assert_array_equal(one.y_end, iv.solve_ensemble(decay, (0, 1), [[1.0]], workers=1).y_end)
@@ -176,5 +166,147 @@ class TestKeep:
             iv.solve_ensemble(decay, (0, 1), [[1.0]], workers=1, keep="all")
 
     def test_an_extension_keeps_what_the_run_kept(self):
-        for name in ("keep", "save"):
-            assert iv.solve_ivp(decay, (0, 1), [1.0], **{name: "end"}).extend(2).t.tolist() == [2]
+        assert iv.solve_ivp(decay, (0, 1), [1.0], keep="end").extend(2).t.tolist() == [2]
+
+
+class TestOptionsOfSeveralFields:
+    """GMRES, Banded, Checkpoint and Limits: values that cannot change, each checked when it is made."""
+
+    @pytest.mark.parametrize(
+        ("make", "error", "message"),
+        [
+            (lambda: iv.GMRES(dimension=0), ValueError, "dimension of GMRES must be a positive integer, got 0"),
+            (lambda: iv.GMRES(preconditioner=3), TypeError, "preconditioner of GMRES must be a function"),
+            (lambda: iv.Banded(-1, 1), ValueError, "lower of Banded must be a bandwidth, an integer from 0"),
+            (lambda: iv.Banded(1, 1.5), TypeError, "upper of Banded must be a bandwidth"),
+            (lambda: iv.Banded(1, 1, "sparse"), ValueError, "fun of Banded must be a function, the bands, 'complex"),
+            (lambda: iv.Checkpoint(3), TypeError, "path of Checkpoint must be a str or path-like, got 3"),
+            (lambda: iv.Checkpoint("run", every=0), ValueError, "every of Checkpoint must be positive, got 0"),
+            (lambda: iv.Limits(steps=1.5), TypeError, "steps of Limits must be a positive integer, got 1.5"),
+            (lambda: iv.Limits(time=0), ValueError, "time of Limits must be positive, got 0"),
+            (lambda: iv.Limits(points=2**63), ValueError, "points of Limits must be at most 9223372036854775807"),
+            (lambda: iv.Limits(bytes=-1), ValueError, "bytes of Limits must be a positive integer, got -1"),
+        ],
+    )
+    def test_a_wrong_field_is_named(self, make, error, message):
+        with pytest.raises(error, match=message):
+            make()
+
+    def test_they_cannot_change(self):
+        for one in (iv.GMRES(), iv.Banded(1, 1), iv.Checkpoint("run"), iv.Limits()):
+            for field in dataclasses.fields(one):
+                with pytest.raises(dataclasses.FrozenInstanceError):
+                    setattr(one, field.name, None)
+
+    def test_short_forms_are_the_same_options(self, tmp_path):
+        """The same run, bit for bit, and the same end of it."""
+        x = np.linspace(0, 1, 12)[1:-1]
+
+        def heat(t, u):
+            return np.diff(u, n=2, prepend=0, append=0) / (x[1] - x[0]) ** 2
+
+        bands = np.array([[1.0], [-2.0], [1.0]]) * np.ones(len(x)) / (x[1] - x[0]) ** 2
+        pairs = [
+            ({"linear_solver": "gmres"}, {"linear_solver": iv.GMRES()}),
+            ({"lband": 1, "uband": 1}, {"jac": iv.Banded(1, 1)}),
+            ({"lband": 1, "uband": 1, "jac": bands}, {"jac": iv.Banded(1, 1, bands)}),
+            ({"lband": 1, "uband": 1, "jac": lambda t, u: bands}, {"jac": iv.Banded(1, 1, lambda t, u: bands)}),
+            ({"max_steps": 7}, {"limits": iv.Limits(steps=7)}),
+            ({"checkpoint": tmp_path / "a"}, {"checkpoint": iv.Checkpoint(tmp_path / "b")}),
+            ({"nonnegative": True}, {"bounds": (0, None)}),
+        ]
+        for short, whole in pairs:
+            one, other = (iv.ode15s(heat, (0, 0.1), np.sin(np.pi * x), **form) for form in (short, whole))
+            np.testing.assert_array_equal(one.y, other.y)
+            assert (one.status, one.stats.nfev, one.stats.njev) == (other.status, other.stats.nfev, other.stats.njev)
+
+    def test_two_forms_of_one_thing_are_one_too_many(self):
+        with pytest.raises(ValueError, match=r"give either jac=Banded\(lower, upper\) or lband and uband, not both"):
+            iv.Problem(decay, (0, 1), [1.0], jac=iv.Banded(0, 0), lband=0)
+        with pytest.raises(ValueError, match="lower of Banded must be a bandwidth, an integer from 0 to 0, got 1"):
+            iv.Problem(decay, (0, 1), [1.0], jac=iv.Banded(1, 0))
+
+    def test_an_extension_replaces_the_limits_of_its_run_in_either_form(self):
+        for limited in ({"max_steps": 3}, {"limits": iv.Limits(steps=3)}):
+            sol = iv.solve_ivp(decay, (0, 10), [1.0], **limited)
+            assert sol.extend(10).stats.steps == 6
+            assert sol.extend(10, max_steps=2).stats.steps == 5
+            assert sol.extend(10, limits=iv.Limits(steps=4)).stats.steps == 7
+            assert sol.extend(10, limits=iv.Limits(time=60)).success
+
+    def test_bytes_alone_limit_what_is_kept(self):
+        sol = iv.solve_ivp(decay, (0, 10), [1.0], max_step=1e-3, limits=iv.Limits(bytes=4096))
+        assert sol.status == -3
+        assert 4096 <= sol.t.nbytes + sol.y.nbytes + sol.steps._rows.nbytes < 4096 + 2 * 64
+
+
+def test_a_name_of_an_earlier_version_is_told_its_new_form():
+    new = {
+        "save": "keep=",
+        "time_limit": "limits=invariode.Limits(time=)",
+        "max_points": "limits=invariode.Limits(points=)",
+        "checkpoint_every": "checkpoint=invariode.Checkpoint(path, every=)",
+        "krylov_dimension": "linear_solver=invariode.GMRES(dimension=)",
+        "preconditioner": "linear_solver=invariode.GMRES(preconditioner=)",
+        "jac_product": "linear_solver=invariode.GMRES(jac_product=)",
+    }
+    for name, form in new.items():
+        for way in ENTRIES:
+            with pytest.raises(TypeError, match=re.escape(f"unknown option {name!r}: give {form}")):
+                call(way, **{name: 1})
+        with pytest.raises(TypeError, match=re.escape(f"Problem has no argument {name!r}: give {form}")):
+            iv.Problem(decay, (0, 1), [1.0], **{name: 1})
+
+
+class TestPublicNames:
+    def test_each_option_has_one_topic(self):
+        """The documentation is in the order of the topics."""
+        listed = [name for names in options.TOPICS.values() for name in names]
+        rows = options.table_of(options.AllOptions) | options.table_of(options.ManyOptions)
+        assert sorted(listed) == sorted(rows)
+        for text in (iv.solve_ivp.__doc__.partition("Other Parameters")[2], iv.ode15s.__doc__):
+            places = {name: re.search(rf"^    .*\b{name}\b.* : ", text, re.M) for name in listed}
+            found = [place.start() for place in places.values() if place]
+            assert len(found) > 20
+            assert found == sorted(found)
+
+    def test_a_signature_fits_on_a_screen(self):
+        for entry, _ in ENTRIES.values():
+            assert len(textwrap.wrap(f"{entry.__name__}{inspect.signature(entry)}", 80)) <= 24
+
+    def test_the_reference_lists_each_public_name_once(self):
+        page = Path(__file__).parents[1] / "docs" / "reference.md"
+        listed = re.findall(r"^   (\w+)$", page.read_text(encoding="utf-8"), re.M)
+        assert sorted(listed) == sorted(iv.__all__)
+
+    def test_the_package_completes_public_names_only(self):
+        shown = {name for name in dir(iv) if not name.startswith("_")}
+        assert set(iv.__all__) <= shown
+        assert shown - set(iv.__all__) <= MODULES
+
+    def test_editors_complete_names_and_options(self):
+        """Without running the code: jedi's completion, which is IPython's and that of many editors."""
+        jedi = pytest.importorskip("jedi")
+        source = Path(iv.__file__).parents[1]
+        project = jedi.Project(source, added_sys_path=[str(source)], smart_sys_path=False)
+
+        def completed(code):
+            found = jedi.Script(f"import invariode as iv\nq = iv.Problem(f, s, y)\n{code}", project=project).complete()
+            return {one.name for one in found}
+
+        assert {name for name in completed("iv.") if not name.startswith("_")} == {*iv.__all__} | MODULES
+        ways = {
+            "iv.solve_ivp(f, s, y, ": options.SolveOptions,
+            "iv.ode45(f, s, y, ": options.AllOptions,
+            "iv.solve_ensemble(f, s, y, ": options.EnsembleOptions,
+            "q.solve('ode45', ": options.Options,
+            "q.prepare('ode45', ": options.Options,
+            "q.solve_ensemble(y, ": options.ProblemEnsembleOptions,
+            "q.solve().extend(2, ": options.ExtensionOptions,
+        }
+        for way, kind in ways.items():
+            assert {f"{name}=" for name in kind.__annotations__} <= completed(way), way
+
+
+#: What users import besides the names of the package.
+MODULES = {"cli", "problems", "scipy", "symbolic"}

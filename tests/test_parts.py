@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -222,7 +223,8 @@ def test_what_an_iterator_yields_is_checked() -> None:
 def test_parts_have_all_rows_once_and_digests_tell_them_apart() -> None:
     y0, args = rows(50)
     given = list(GivenRows(y0, args).parts(8))
-    streamed = StreamedRows(((y0[i : i + 3], args[i : i + 3]) for i in range(0, 50, 3)), _rows)
+    problem = iv.Problem(lambda t, y, *args: y, (0, 1), y0[0])
+    streamed = StreamedRows(((y0[i : i + 3], args[i : i + 3]) for i in range(0, 50, 3)), partial(_rows, problem))
     streamed.first(20)
     again = list(streamed.parts(8))
     assert [(p.number, p.start, digest(p)) for p in given] == [(p.number, p.start, digest(p)) for p in again]

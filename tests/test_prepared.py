@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 
 numba = pytest.importorskip("numba")
 
@@ -87,9 +88,7 @@ def same(a: iv.Solution, b: iv.Solution) -> None:
     assert repr(a.drift()) == repr(b.drift())
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("kept", [False, True])
-@pytest.mark.parametrize("change", CHANGES)
+@dealt(24, form=FORMS, kept=[False, True], change=CHANGES, method=iv.METHODS)
 def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> None:
     problem = described(form, kept, events=True)
     solver = problem.prepare(method)
@@ -98,9 +97,7 @@ def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> N
     same(solver(), problem.solve(method))
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("options", OPTIONS)
-@pytest.mark.parametrize("change", CHANGES)
+@dealt(16, form=FORMS, options=OPTIONS, change=CHANGES)
 def test_options_hold_in_every_call(form: str, options: str, change: str) -> None:
     problem, given = described(form), OPTIONS[options]
     solver = problem.prepare("ode45", **given)
@@ -137,10 +134,10 @@ def test_problems_that_are_looked_at_anew(fun: Callable[..., Any], options: dict
         same(solver(y0=y0), problem.replace(y0=y0).solve(method))
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(
-    "wrong",
-    [
+@dealt(
+    10,
+    form=FORMS,
+    wrong=[
         {"y0": [np.nan, 0.0, 0.0, 1.0]},
         {"y0": [1.0, 0.0]},
         {"y0": "abcd"},
@@ -152,7 +149,6 @@ def test_problems_that_are_looked_at_anew(fun: Callable[..., Any], options: dict
         {"t_span": 4.0},
         {"y0": [0.0, 0.0, 0.0, 0.0]},
     ],
-    ids=str,
 )
 def test_errors_are_those_of_a_solve(form: str, wrong: dict[str, Any]) -> None:
     def outcome(act: Callable[[], Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Long runs: `progress=True` tells where they are, and with `t_eval` or save="end" memory does not grow with them."""
+"""Long runs: `progress=True` tells where they are, and with `t_eval` or keep="end" memory does not grow with them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import explicit_and_implicit
 from invariode._base import progress
 from problems import PROBLEMS
 
 pytest.importorskip("rich")
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("t_span", [(0, 20), (20, 0)])
 def test_a_bar_with_t_and_h_that_ends_where_the_run_does(method, t_span, capsys):
     problem = PROBLEMS["Kepler"]
@@ -34,6 +36,7 @@ def test_a_bar_with_t_and_h_that_ends_where_the_run_does(method, t_span, capsys)
     assert "h = " in err
 
 
+@explicit_and_implicit
 def test_the_bar_of_an_extension_is_over_its_interval(method, capsys):
     sol = iv.solve_ivp(lambda t, y: -y, (0, 10), [1.0], method)
     sol.extend(12, progress=True)
@@ -42,6 +45,7 @@ def test_the_bar_of_an_extension_is_over_its_interval(method, capsys):
     assert "100%" in err
 
 
+@explicit_and_implicit
 def test_an_infinite_interval_has_no_percentage(method, capsys):
     stop = iv.Event(lambda t, y: t - 5, terminal=True)
     iv.solve_ivp(lambda t, y: -y, (0, np.inf), [1.0], method, events=stop, progress=True)
@@ -64,7 +68,7 @@ def test_updates_are_few_and_the_last_one_is_the_end(monkeypatch, oscillator):
 
     updates: list[float] = []
     monkeypatch.setattr(Progress, "update", lambda self, task, **fields: updates.append(fields["t"]))
-    sol = iv.solve_ivp(oscillator, (0, 5000), [1.0, 0.0], rtol=1e-8, save="end", progress=True)
+    sol = iv.solve_ivp(oscillator, (0, 5000), [1.0, 0.0], rtol=1e-8, keep="end", progress=True)
     assert updates == sorted(updates)
     assert updates[-1] == 5000
     assert len(updates) <= 1 + sol.stats.steps / 20
@@ -86,7 +90,7 @@ def test_updates_come_while_the_run_goes_on(monkeypatch, oscillator):
 
     monkeypatch.setattr(Progress, "update", update)
     with pytest.raises(EnoughError):
-        iv.solve_ivp(oscillator, (0, 1e12), [1.0, 0.0], rtol=1e-8, save="end", progress=True)
+        iv.solve_ivp(oscillator, (0, 1e12), [1.0, 0.0], rtol=1e-8, keep="end", progress=True)
     assert 0 < updates[0] < updates[1] < updates[2] < 1e12
 
 
@@ -194,7 +198,7 @@ def test_ctrl_c_with_a_bar(tmp_path, native):
         fun = {fun}
         Progress.update = lambda *about, **fields: print("under way", flush=True)
         try:
-            iv.solve_ivp(fun, (0, 1e12), [1.0, 0.0], rtol=1e-10, save="end", progress=True)
+            iv.solve_ivp(fun, (0, 1e12), [1.0, 0.0], rtol=1e-10, keep="end", progress=True)
         except KeyboardInterrupt:
             print("interrupted", flush=True)
         """)
@@ -233,7 +237,7 @@ PEAKS = """
 
 @pytest.mark.parametrize(
     ("times", "options", "grows"),
-    [(True, {}, False), (False, {"save": "end"}, False), (True, {"save": "all"}, True)],
+    [(True, {}, False), (False, {"keep": "end"}, False), (True, {"keep": "all"}, True)],
     ids=["t_eval", "end", "all"],
 )
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory from /proc")
@@ -245,18 +249,19 @@ def test_memory_of_a_million_steps(times, options, grows):
     assert (growth > 30e6) if grows else (growth < 2e6)
 
 
+@explicit_and_implicit
 def test_what_is_kept(method):
     about = (lambda t, y: [y[1], -y[0]], (0, 10), [1.0, 0.0], method)
     times = [0.0, 5.0, 10.0]
     assert iv.solve_ivp(*about).steps is not None
-    assert iv.solve_ivp(*about, t_eval=times, save="all").steps is not None
-    for options in ({"t_eval": times}, {"save": "outputs"}, {"save": "end"}):
+    assert iv.solve_ivp(*about, t_eval=times, keep="all").steps is not None
+    for options in ({"t_eval": times}, {"keep": "outputs"}, {"keep": "end"}):
         sol = iv.solve_ivp(*about, **options)
         assert sol.steps is None
         assert sol.stats.steps > 0
         with pytest.raises(ValueError, match='keep="all"'):
             sol.correction  # noqa: B018  # the access is the test
-    np.testing.assert_array_equal(iv.solve_ivp(*about, save="outputs").y, iv.solve_ivp(*about).y)
+    np.testing.assert_array_equal(iv.solve_ivp(*about, keep="outputs").y, iv.solve_ivp(*about).y)
 
 
 class Cell:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS, TestProblem, implicit, kepler, kepler_invariants, kepler_jacobian, long_steps, slack
 
 
+@dealt(24, method=iv.METHODS, problem=PROBLEMS)
 def test_residual_at_steps_is_far_below_the_plain_run(method, problem):
     plain, projected = problem.solve(method, False), problem.solve(method)
     assert projected.success
@@ -27,17 +29,9 @@ def takes_complex(problem: TestProblem) -> bool:
     return "hypot" not in problem.g.__code__.co_names
 
 
-@pytest.mark.parametrize(
-    ("kind", "problem"),
-    [
-        (kind, problem)
-        for kind in KINDS
-        for problem in PROBLEMS.values()
-        if kind != "complex-step" or takes_complex(problem)
-    ],
-    ids=lambda one: getattr(one, "name", one),
-)
+@dealt(28, method=iv.METHODS, problem=PROBLEMS, kind=KINDS)
 def test_every_kind_of_jacobian_gives_the_same_run(method, problem, kind):
+    kind = "3-point" if kind == "complex-step" and not takes_complex(problem) else kind
     options = {"rtol": 1e-6, "atol": 1e-9} if long_steps(method) else {}  # the lengths of long steps magnify roundoff
     given = problem.solve(method, **options)
     invariants = iv.Invariants(problem.g, kind, problem.value)
@@ -50,6 +44,7 @@ def test_every_kind_of_jacobian_gives_the_same_run(method, problem, kind):
     np.testing.assert_allclose(differences.y, given.y, rtol=1e-3, atol=1e-3)
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("name", [name for name, problem in PROBLEMS.items() if not takes_complex(problem)])
 def test_a_complex_step_through_a_function_of_reals_raises_its_error(method, name):
     problem = PROBLEMS[name]
@@ -58,7 +53,7 @@ def test_a_complex_step_through_a_function_of_reals_raises_its_error(method, nam
         iv.solve_ivp(problem.fun, problem.t_span, problem.y0, method, invariants=invariants)
 
 
-@pytest.mark.parametrize("factor", [2.0**-40, 2.0**40])
+@dealt(12, method=iv.METHODS, problem=PROBLEMS, factor=[2.0**-40, 2.0**40])
 def test_units_of_g_do_not_matter(method, problem, factor):
     """Multiplication by a power of two is exact: every digit stays."""
     invariants = iv.Invariants(
@@ -72,7 +67,7 @@ def test_units_of_g_do_not_matter(method, problem, factor):
     np.testing.assert_array_equal(scaled.y, plain.y)
 
 
-@pytest.mark.parametrize("small", [0, 1e-307, 1e-290, 1e-251, 1e-249, 1e-100])
+@dealt(12, method=iv.METHODS, small=[0, 1e-307, 1e-290, 1e-251, 1e-249, 1e-100])
 def test_components_near_zero_under_pure_relative_control(method, small):
     """However small a component is, its complex step does not underflow, and the gradient is right."""
     sol = iv.solve_ivp(
@@ -82,6 +77,7 @@ def test_components_near_zero_under_pure_relative_control(method, small):
     np.testing.assert_allclose(sol.y[:, -1], [np.cos(1), -np.sin(1)], rtol=1e-5 * slack(method))
 
 
+@explicit_and_implicit
 def test_redundant_invariant_is_dropped_with_one_warning(method):
     def three(t, y):
         energy, momentum = kepler_invariants(t, y)
@@ -102,6 +98,7 @@ def test_redundant_invariant_is_dropped_with_one_warning(method):
     np.testing.assert_allclose(sol.y, two.y, rtol=1e-5, atol=1e-5)
 
 
+@families
 def test_circular_orbit_where_invariants_are_redundant_everywhere(method):
     if iv.METHODS[method].order == 2:
         pytest.skip("its orbits are less circular than rtol, and the invariants independent")
@@ -111,6 +108,7 @@ def test_circular_orbit_where_invariants_are_redundant_everywhere(method):
     assert np.abs(sol.residual).max() < 1e-5
 
 
+@explicit_and_implicit
 def test_invariant_whose_value_is_zero(method):
     """Units of g do not enter, so an invariant that is 0 is like any other."""
     sol = iv.solve_ivp(lambda t, y: [y[1], y[0]], (0, 5), [1, 1], method, invariants=lambda t, y: y[1] ** 2 - y[0] ** 2)
@@ -118,6 +116,7 @@ def test_invariant_whose_value_is_zero(method):
     np.testing.assert_allclose(sol.y[0], sol.y[1], rtol=1e-10)
 
 
+@explicit_and_implicit
 def test_one_invariant_as_number_as_vector_or_in_a_list(method):
     problem = PROBLEMS["Kepler"]
 
@@ -153,6 +152,7 @@ def test_more_iterations_leave_smaller_residuals(method):
     assert residuals[2] < 1e-14
 
 
+@explicit_and_implicit
 def test_demanded_value_close_to_y0_is_projected_once(method):
     off = [1 + 2e-4, 0, 0, 0]
     problem = PROBLEMS["pendulum"]
@@ -161,6 +161,7 @@ def test_demanded_value_close_to_y0_is_projected_once(method):
     assert np.abs(sol.residual[:, 0]).max() < 1e-15
 
 
+@explicit_and_implicit
 def test_demanded_value_far_from_y0_is_refused(method):
     problem = PROBLEMS["pendulum"]
     invariants = iv.Invariants(problem.g, problem.jac, 0, names=["length", "velocity"])
@@ -173,6 +174,7 @@ def test_demanded_value_far_from_y0_is_refused(method):
     assert iv.solve_ivp(problem.fun, (0, 5), y0, method, invariants=invariants).success
 
 
+@families
 def test_complex_state(method):
     """|z| is kept by z' = i z: the complex run is the run of the pairs of reals."""
 
@@ -216,6 +218,7 @@ class TestImpose:
         np.testing.assert_array_equal(one.y, many.y[:, 3])
         np.testing.assert_array_equal(iv.impose(invariants, sol).y, many.y)  # a result: its t and y, its first point
 
+    @dealt(14, method=iv.METHODS, problem=PROBLEMS)
     def test_own_invariants(self, method, problem: TestProblem):
         sol = problem.solve(method, refine=3, dense_output=True)
         imposed = sol.impose()

@@ -12,6 +12,7 @@ from scipy.integrate import OdeSolver
 
 import invariode as iv
 import invariode.scipy as plugin
+from cases import dealt, explicit_and_implicit, families
 from problems import PROBLEMS, blow_up, implicit
 
 CLASSES = {name: getattr(plugin, name.upper()) for name in iv.METHODS}
@@ -41,7 +42,7 @@ def test_names_of_scipy_are_classes_too(name):
         np.testing.assert_array_equal(sol.y, expected.y)
 
 
-@pytest.mark.parametrize("project", [False, True])
+@dealt(14, method=iv.METHODS, problem=PROBLEMS, project=[False, True])
 def test_the_steps_the_counts_and_the_dense_output_are_ours(method, problem, project):
     invariants = problem.invariants() if project else None
     ours = problem.solve(method, project, dense_output=True)
@@ -73,6 +74,7 @@ def test_nfev_is_the_number_of_calls(method):
             break
 
 
+@families
 @pytest.mark.parametrize("t_span", [(0, 20), (20, 0)])
 def test_events_of_scipy_are_ours(method, t_span):
     """Located by SciPy on our continuous extension: to the accuracy of its root finder, 4 ulp."""
@@ -93,6 +95,7 @@ def test_events_of_scipy_are_ours(method, t_span):
         np.testing.assert_allclose(ya, yb, atol=1e-12)
 
 
+@explicit_and_implicit
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")  # a few steps from rest, in which y3 has no error
 def test_a_terminal_event_of_scipy_ends_the_run_on_the_manifold(method):
     problem = PROBLEMS["pendulum"]
@@ -108,6 +111,7 @@ def test_a_terminal_event_of_scipy_ends_the_run_on_the_manifold(method):
     assert np.abs(problem.g(sol.t[-1], sol.y[:, -1])).max() < 1e-9
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("backwards", [False, True])
 def test_times_of_output(method, backwards):
     problem = PROBLEMS["rigid body"]
@@ -119,6 +123,7 @@ def test_times_of_output(method, backwards):
     np.testing.assert_allclose(sol.y, ours.y, rtol=1e-13, atol=1e-13)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_stepping_by_hand_is_the_solve(method, problem):
     ours = problem.solve(method)
     solver = CLASSES[method](
@@ -139,6 +144,7 @@ def test_stepping_by_hand_is_the_solve(method, problem):
         solver.step()
 
 
+@explicit_and_implicit
 def test_an_interpolant_outlives_its_step_and_its_solver(method):
     problem = PROBLEMS["Lotka-Volterra"]
     solver = CLASSES[method](problem.fun, 0, problem.y0, 50, invariants=problem.invariants())
@@ -157,6 +163,7 @@ def test_an_interpolant_outlives_its_step_and_its_solver(method):
         first([[1.0]])
 
 
+@explicit_and_implicit
 def test_complex_states(method):
     sol = scipy.integrate.solve_ivp(
         lambda t, y: 1j * y, (0, 10), [1 + 0j], method=CLASSES[method], dense_output=True, rtol=1e-6, atol=1e-8,
@@ -180,8 +187,7 @@ CORNERS = {
 }
 
 
-@pytest.mark.parametrize("name", CORNERS)
-@pytest.mark.parametrize("dense_output", [False, True])
+@dealt(12, method=iv.METHODS, name=CORNERS, dense_output=[False, True])
 def test_corner_cases(method, name, dense_output):
     t_span, y0, options = CORNERS[name]
 
@@ -195,6 +201,7 @@ def test_corner_cases(method, name, dense_output):
     np.testing.assert_array_equal(sol.y[:, -1], ours.y[:, -1])
 
 
+@explicit_and_implicit
 def test_an_infinite_bound(method):
     solver = CLASSES[method](lambda t, y: [y[1], -y[0]], 0, [1.0, 0.0], np.inf, rtol=1e-6, atol=1e-8)
     while solver.t < 30:
@@ -203,6 +210,7 @@ def test_an_infinite_bound(method):
     np.testing.assert_allclose(solver.dense_output()(30.0), [np.cos(30), -np.sin(30)], atol=1e-3)
 
 
+@explicit_and_implicit
 def test_a_step_that_fails_has_our_message(method):
     sol = scipy.integrate.solve_ivp(blow_up, (0, 2), [1.0], method=CLASSES[method])
     ours = iv.solve_ivp(blow_up, (0, 2), [1.0], method)
@@ -212,6 +220,7 @@ def test_a_step_that_fails_has_our_message(method):
     assert "not finite at the start" in nan.message
 
 
+@explicit_and_implicit
 def test_a_failed_solver_has_no_interpolant(method):
     solver = CLASSES[method](blow_up, 0, [1.0], 2)
     while solver.status == "running":
@@ -221,6 +230,7 @@ def test_a_failed_solver_has_no_interpolant(method):
         solver.dense_output()
 
 
+@explicit_and_implicit
 def test_an_invariant_that_is_none_is_refused_by_the_constructor_or_ends_the_run(method):
     with pytest.raises(iv.InvariantError, match="not conserved"):
         CLASSES[method](lambda t, y: [y[1], -y[0]], 0, [1.0, 0.5], 10, invariants=lambda t, y: y[0])
@@ -232,6 +242,7 @@ def test_an_invariant_that_is_none_is_refused_by_the_constructor_or_ends_the_run
     assert "is not conserved" in late.message
 
 
+@explicit_and_implicit
 def test_exceptions_come_out_and_end_the_solver(method):
     def late(t, y):
         if t > 0.5:
@@ -245,6 +256,7 @@ def test_exceptions_come_out_and_end_the_solver(method):
         solver.step()
 
 
+@explicit_and_implicit
 def test_a_function_may_not_step_its_own_solver(method):
     def fun(t, y):
         if solver is not None:
@@ -257,7 +269,8 @@ def test_a_function_may_not_step_its_own_solver(method):
         solver.step()
 
 
-@pytest.mark.parametrize("name", ["rtoll", "invariant", "events", "t_eval", "refine", "dense_output", "save"])
+@explicit_and_implicit
+@pytest.mark.parametrize("name", ["rtoll", "invariant", "events", "t_eval", "refine", "dense_output", "keep"])
 def test_unknown_options_are_refused(method, name):
     hint = {"rtoll": "did you mean 'rtol'", "invariant": "did you mean 'invariants'"}.get(name, "option of solve_ivp")
     with pytest.raises(TypeError, match=f"{name}.*{hint}"):
@@ -310,6 +323,7 @@ def after_use(simulation):
     return weakref.ref(simulation)
 
 
+@explicit_and_implicit
 def test_a_solver_that_its_functions_refer_to_is_collected(method):
     alive = after_use(Simulation(method))
     gc.collect()
@@ -323,6 +337,7 @@ def test_a_solver_that_its_matrices_refer_to_is_collected(matrices):
     assert alive() is None
 
 
+@explicit_and_implicit
 def test_the_solver_keeps_what_it_needs(method):
     """Without a reference to the functions from anywhere else."""
     solver = CLASSES[method]((lambda a: lambda t, y: [-a * y[0]])(0.5), 0, [1.0], 4, rtol=1e-6, atol=1e-9)

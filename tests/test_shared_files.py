@@ -43,7 +43,7 @@ def fails(t, y, rate):
 
 def interrupted(path, **options):
     with pytest.raises(PowerError):
-        problem(fun=fails).solve(checkpoint=path, checkpoint_every=1e-9, **options)
+        problem(fun=fails).solve(checkpoint=iv.Checkpoint(path, every=1e-9), **options)
 
 
 def names(folder):
@@ -120,7 +120,7 @@ def test_a_second_run_is_told_who_has_the_checkpoint_before_it_computes(tmp_path
         told.append(len(calls) - before)
         return False
 
-    whole = problem().solve(checkpoint=path, callback=second, checkpoint_every=1e-9)
+    whole = problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), callback=second)
     assert told
     assert set(told) == {0}
     assert not differences(whole, iv.load(path, problem(), callback=second))
@@ -175,7 +175,7 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path):
         "    if t > 1: os.kill(os.getpid(), signal.SIGKILL)\n"
         "    return [-y[0]]\n"
         "if os.fork() == 0: iv.solve_ivp(lambda t, y: -y, (0, 1), [1.0])\n"
-        "else: iv.solve_ivp(f, (0, 3), [1.0], checkpoint='sim', checkpoint_every=1e-9)\n"
+        "else: iv.solve_ivp(f, (0, 3), [1.0], checkpoint=iv.Checkpoint('sim', every=1e-9))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path)
     assert done.returncode == -signal.SIGKILL
@@ -221,7 +221,7 @@ def test_where_there_are_no_locks_a_run_stops_before_it_writes_over_another(tmp_
         pytest.warns(UserWarning, match=r"the file system of .* has no locks: make sure that no other process"),
         pytest.raises(ValueError, match=r"another process has written .* while this run went on, which stops here"),
     ):
-        problem().solve(checkpoint=path, callback=meddles, checkpoint_every=1e-9)
+        problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), callback=meddles)
     assert not differences(problem().solve(), iv.load(path, problem()))
 
 

@@ -9,6 +9,7 @@ import pytest
 from scipy import sparse
 
 import invariode as iv
+from cases import dealt
 from problems import implicit
 from stiff import E5_END, E5_START, E5_Y2, E5_Y3, PROBLEMS, StiffProblem, e5, e5_jacobian
 from stiff_ends import PROBLEMS as ENDS
@@ -80,17 +81,19 @@ def test_calibration_changes_the_tolerances_of_the_steps_and_nothing_else():
 RADAU_LIMIT = 20
 
 
-@pytest.mark.parametrize("rtol", DECADES)
-@pytest.mark.parametrize("name", [name for name in PROBLEMS if name not in TOLERANCES])
+@dealt(24, name=[name for name in PROBLEMS if name not in TOLERANCES], rtol=DECADES)
 def test_error_of_radau_stays_near_the_tolerance(name, rtol):
     sol = solve(name, rtol, "radau", t_eval=PROBLEMS[name].times)
     assert sol.success, sol.message
     assert PROBLEMS[name].error(sol.y) <= RADAU_LIMIT * rtol
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-5])
-@pytest.mark.parametrize("name", [name for name in PROBLEMS if name not in TOLERANCES])
-@pytest.mark.parametrize("method", [name for name in IMPLICIT if iv.METHODS[name].order == 2])
+@dealt(
+    24,
+    method=[name for name in IMPLICIT if iv.METHODS[name].order == 2],
+    name=[name for name in PROBLEMS if name not in TOLERANCES],
+    rtol=[1e-3, 1e-4, 1e-5],
+)
 def test_error_of_second_order_methods_follows_the_tolerance(method, name, rtol):
     """Steps with an error of O(h^3) below rtol are so long that all of them leave O(h^2), that is O(rtol^(2/3))."""
     sol = solve(name, rtol, method, t_eval=PROBLEMS[name].times)
@@ -237,9 +240,7 @@ def test_difference_jacobian_solves_as_the_given_one(name):
     assert sol.stats.steps <= 1.2 * given.stats.steps
 
 
-@pytest.mark.parametrize("jac", [None, e5_jacobian], ids=["differences", "given"])
-@pytest.mark.parametrize("rtol", 10.0 ** -np.arange(4, 8.5, 0.5))
-@pytest.mark.parametrize("unit", [1, 2.0**-40, 2.0**40])
+@dealt(18, jac=[None, e5_jacobian], rtol=10.0 ** -np.arange(4, 8.5, 0.5), unit=[1, 2.0**-40, 2.0**40])
 def test_components_that_start_at_zero_leave_no_roundoff_in_the_jacobian(jac, rtol, unit):
     """E5, whose y2 = y3 + y4 comes down by 12 orders: what Newton's iteration leaves of it does not. In any units."""
 
@@ -319,6 +320,6 @@ def test_sparse_system_of_many_components():
     pattern = sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1])
     exact = u0 * np.exp(-(np.pi**2) * 1e-4 * 100)
     for options in ({"jac_sparsity": pattern}, {"lband": 1, "uband": 1}):
-        sol = iv.ode15s(heat, (0, 100), u0, save="end", **options)
+        sol = iv.ode15s(heat, (0, 100), u0, keep="end", **options)
         assert sol.success
         assert np.abs(sol.y[:, -1] - exact).max() < 1e-3

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 from math import comb
 
 import numpy as np
 import pytest
 
 import invariode as iv
+from cases import dealt
 from invariode import scipy as classes
 from invariode._problem.methods import METHODS
 from problems import PROBLEMS
@@ -46,9 +48,7 @@ STIFF = {
 }
 
 
-@pytest.mark.parametrize("method", EXPLICIT)
-@pytest.mark.parametrize("name", STIFF)
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+@dealt(24, method=EXPLICIT, name=STIFF, rtol=[1e-3, 1e-6])
 def test_stiff_problems_are_called_stiff_by_explicit_methods(method, name, rtol):
     fun, tf, y0 = STIFF[name]
     with pytest.warns(iv.StiffnessWarning, match=f"{method}: since t = .* limited by stability.*try ode15s") as said:
@@ -59,9 +59,8 @@ def test_stiff_problems_are_called_stiff_by_explicit_methods(method, name, rtol)
     assert "limited by stability" in sol.message
 
 
+@dealt(14, method=EXPLICIT, name=PROBLEMS)
 @pytest.mark.filterwarnings("ignore:overflow")
-@pytest.mark.parametrize("method", EXPLICIT)
-@pytest.mark.parametrize("name", PROBLEMS)
 def test_no_other_problem_is_called_stiff(method, name):
     """At crude and at tight tolerances, plain and projected."""
     problem = PROBLEMS[name]
@@ -86,12 +85,16 @@ def test_implicit_methods_say_nothing():
     assert sol.stats.stiff_since is None
 
 
+@cache
+def damped():
+    """Damping grows from nothing to 2000 at t = 10."""
+    return iv.compile(lambda t, y: (-1000 * (1 + np.tanh(t - 10)) * (y[0] - np.cos(t)) - np.sin(t), -y[1]))
+
+
 @pytest.mark.parametrize("method", EXPLICIT)
 def test_stiffness_that_begins_later_is_dated(method):
-    """Damping grows from nothing to 2000 at t = 10."""
-    damped = iv.compile(lambda t, y: (-1000 * (1 + np.tanh(t - 10)) * (y[0] - np.cos(t)) - np.sin(t), -y[1]))
     with pytest.warns(iv.StiffnessWarning):
-        sol = iv.solve_ivp(damped, (0, 20), [1.0, 1], method, rtol=1e-6, atol=1e-9, keep="end")
+        sol = iv.solve_ivp(damped(), (0, 20), [1.0, 1], method, rtol=1e-6, atol=1e-9, keep="end")
     assert 2 < sol.stats.stiff_since < 11
 
 

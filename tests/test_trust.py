@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import invariode as iv
 import solved_mechanisms
+from cases import dealt, explicit_and_implicit
 from gallery import GALLERY
 from invariode.scipy import ODE45
 from problems import PROBLEMS, henon_heiles, henon_heiles_energy, kepler, kepler_invariants, pendulum_constraints
@@ -36,8 +37,7 @@ EPS = np.finfo(float).eps
 # Wrong by little
 
 
-@pytest.mark.parametrize("rtol", [1e-9, 1e-11])
-@pytest.mark.parametrize("p", [1e-7, 1e-6])
+@dealt(16, method=iv.METHODS, p=[1e-7, 1e-6], rtol=[1e-9, 1e-11])
 def test_a_coefficient_wrong_by_less_than_one_in_a_million_is_found_where_it_matters(method, p, rtol):
     sol = iv.solve_ivp(
         henon_heiles,
@@ -47,13 +47,13 @@ def test_a_coefficient_wrong_by_less_than_one_in_a_million_is_found_where_it_mat
         rtol=rtol,
         atol=1e-3 * rtol,
         invariants=lambda t, y: henon_heiles_energy(t, y) + p * y[0] ** 2 * y[1],
-        save="end",
+        keep="end",
     )
     assert sol.status == -2, sol.message
 
 
 def test_right_invariants_are_never_accused_in_random_runs():
-    assert [str(case) for case in campaign.cases(60, 5, right=True) if campaign.accused(case)] == []
+    assert [str(case) for case in campaign.cases(30, 5, right=True) if campaign.accused(case)] == []
 
 
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
@@ -104,7 +104,7 @@ def test_the_check_knows_no_unit_of_time(unit):
         assert report.conserved[0] == conserved, report
 
 
-@pytest.mark.parametrize("size", [1e-100, 1e-12, 1.0, 1e100])
+@dealt(12, method=iv.METHODS, size=[1e-100, 1e-12, 1.0, 1e100])
 def test_the_guard_knows_no_unit_of_the_state(method, size):
     for p, found in ((0.0, False), (1e-2, True)):
         held = iv.Invariants(lambda t, y, p=p: y[1] ** 2 / 2 + 2 * (1 + p) * y[0] ** 2)
@@ -141,8 +141,7 @@ def test_impose_where_the_terms_of_an_invariant_vanish_with_its_residual():
         np.testing.assert_allclose(found.y, [0, -1, 0, 0], rtol=4 * EPS, atol=1e-3 * 40 * EPS)  # 1e-3: the weight
 
 
-@pytest.mark.parametrize("jac", [None, "3-point", "2-point"])
-@pytest.mark.parametrize("digits", range(3, 10))
+@dealt(10, digits=range(3, 10), jac=[None, "3-point", "2-point"])
 def test_the_printed_start_of_a_slider_crank_is_imposed_with_default_weights(digits, jac):
     """Printed to nine digits, or fewer: angles that are 0, elastic coordinates of 1e-5, angular velocities of 150."""
     held = iv.Invariants(elastic_crank_constraints, jac, value=0)
@@ -152,6 +151,7 @@ def test_the_printed_start_of_a_slider_crank_is_imposed_with_default_weights(dig
     assert np.abs(elastic_crank_constraints(0, found.y)).max() <= 1e-13  # ε of angular velocities of 150
 
 
+@explicit_and_implicit
 def test_a_solve_from_the_printed_start_of_a_slider_crank_projects_it(method):
     held = iv.Invariants(elastic_crank_constraints, value=0)
     moving = lambda t, y: [*y[7:], *np.zeros(7)]  # noqa: E731 (true of its first 1e-9 s)
@@ -169,10 +169,9 @@ def logarithm(t, y):
     return y[0] - np.log(y[0]) + 2 * (y[1] - np.log(y[1]))
 
 
+@dealt(24, method=iv.METHODS, g=[pole, logarithm], y0=[(1e-6, 0.5), (1e-6, 2), (1e-6, 3), (1e-4, 1)])
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
-@pytest.mark.parametrize("g", [pole, logarithm])
-@pytest.mark.parametrize("y0", [(1e-6, 0.5), (1e-6, 2), (1e-6, 3), (1e-4, 1)], ids=str)
 def test_projection_does_not_leave_the_domain_of_an_invariant(method, g, y0):
     """A population far below its tolerance, which the correction of a step may take to the other side of 0."""
     sol = iv.solve_ivp(lambda t, y: [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])], (0, 50), y0, method, invariants=g)
@@ -186,10 +185,10 @@ def root(t, y):
 
 @pytest.mark.filterwarnings("ignore:(invalid value|divide by zero):RuntimeWarning")
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")
-@pytest.mark.parametrize("g", [pole, logarithm, root])
-@pytest.mark.parametrize(("end", "other"), [(1, 0), (1, -1), (10, 3)], ids=str)
-def test_nor_a_domain_that_ends_elsewhere(method, g, end, other):
+@dealt(27, method=iv.METHODS, g=[pole, logarithm, root], ends=[(1, 0), (1, -1), (10, 3)])
+def test_nor_a_domain_that_ends_elsewhere(method, g, ends):
     """The same populations, counted down from one number and up from another: log(1 - y), sqrt(10 - y), 1 / (y - 3)."""
+    end, other = ends
     rtol = (1e-5 if method == "ode23" else 1e-6) / end  # the absolute accuracy of a problem that is not shifted
 
     def moved(t, y):
@@ -219,6 +218,7 @@ def test_a_right_jacobian_beside_a_pole_is_not_called_wrong(jac):
             assert iv.check_invariants(lambda t, y: [0, 0], iv.Invariants(g, jac), 0, [1 - near, 2])
 
 
+@explicit_and_implicit
 @pytest.mark.parametrize("when", ["always", "needed"])
 def test_a_run_that_leaves_the_domain_of_an_invariant_says_so(method, when):
     held = iv.Invariants(lambda t, y: y[0] ** 2 + y[1] ** 2 if t < 5 else np.nan, names="radius", when=when)
@@ -253,6 +253,7 @@ def test_invariants_that_depend_on_each_other_in_a_step_or_two_are_not_called_re
             assert sol.success
 
 
+@explicit_and_implicit
 def test_a_warning_of_redundant_invariants_says_whether_it_matters(method):
     if iv.METHODS[method].order == 2:
         pytest.skip("its orbits are less circular than rtol, and the invariants independent")
@@ -260,7 +261,7 @@ def test_a_warning_of_redundant_invariants_says_whether_it_matters(method):
         iv.solve_ivp(kepler, (0, 20), [1, 0, 0, 1], method, rtol=1e-6, invariants=kepler_invariants)
 
 
-@pytest.mark.parametrize("rtol", [1e-9, 1e-11])
+@dealt(12, method=iv.METHODS, rtol=[1e-9, 1e-11])
 def test_redundant_invariants_by_differences_cost_no_accuracy(method, rtol):
     problem = PROBLEMS["rigid body"]
     if method in ("ode23", "ode15s") and rtol < 1e-9:
@@ -280,7 +281,7 @@ def test_redundant_invariants_by_differences_cost_no_accuracy(method, rtol):
         np.testing.assert_allclose(run(four, "2-point"), exact, rtol=0, atol=10 * rtol)
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.01, 30])
+@dealt(12, method=iv.METHODS, factor=[0.1, 0.01, 30])
 def test_when_needed_keeps_its_promise_after_a_jump(method, factor):
     jump = iv.Event(lambda t, y: t - 5, action=lambda t, y: factor * y)
     sol = iv.solve_ivp(
@@ -297,7 +298,7 @@ def test_when_needed_keeps_its_promise_after_a_jump(method, factor):
     assert sol.drift().distance_after.max() < 0.02  # 0.01 of the tolerance, and what one iteration leaves
 
 
-@pytest.mark.parametrize("rtol", [1e-5, 1e-7])
+@dealt(12, method=iv.METHODS, rtol=[1e-5, 1e-7])
 def test_when_needed_keeps_its_promise_where_gradients_change_fast(method, rtol):
     e = 0.99
     start = [1 - e, 0, 0, np.sqrt((1 + e) / (1 - e))]
@@ -333,7 +334,7 @@ def in_levels(constraints, n):
     ]
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+@dealt(12, method=iv.METHODS, tolerance=[1e-3, 1e-5])
 def test_corrections_in_levels_do_no_harm(method, tolerance):
     """The remedy: on the same problem the velocities are as accurate as without invariants."""
     options = {"method": method, "rtol": tolerance, "atol": tolerance}
@@ -345,7 +346,7 @@ def test_corrections_in_levels_do_no_harm(method, tolerance):
     assert np.abs(kept - exact).max() < 3 * max(np.abs(plain - exact).max(), tolerance)
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+@dealt(12, method=iv.METHODS, tolerance=[1e-3, 1e-5])
 def test_no_harm_is_seen_in_a_mechanism_that_has_none(method, tolerance):
     """SUNDIALS' slider crank with one atol: positions and velocities are alike in size, and projection helps."""
     with warnings.catch_warnings():
@@ -355,7 +356,7 @@ def test_no_harm_is_seen_in_a_mechanism_that_has_none(method, tolerance):
             assert sol.success
 
 
-@pytest.mark.parametrize("name", iv.problems.__all__)
+@dealt(16, method=iv.METHODS, name=iv.problems.__all__)
 def test_no_harm_is_seen_in_classic_problems(method, name):
     if name in ("hires", "robertson") and "jac" not in iv.METHODS[method].options:
         pytest.skip("too many steps")
@@ -400,8 +401,8 @@ def test_it_is_said_of_a_run_that_scipy_ends_early_too():
     assert len(said) == 1
 
 
+@dealt(24, method=iv.METHODS, problem=PROBLEMS, rtol=[1e-3, 1e-5, 1e-7])
 @pytest.mark.filterwarnings("ignore:overflow")
-@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-7])
 def test_no_harm_is_seen_where_projection_helps(method, problem, rtol):
     with warnings.catch_warnings():
         warnings.simplefilter("error", iv.AccuracyWarning)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
+from cases import ALGEBRAIC, dealt
 from problems import PROBLEMS, TestProblem, implicit, one_step, slack
 from stiff import PROBLEMS as STIFF
 
@@ -90,6 +91,7 @@ def assert_same(scaled: iv.Solution, plain: iv.Solution, units: Units) -> None:
 # Powers of two
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_units_do_not_matter_without_invariants(method, problem):
     plain = solve(problem, method, Units(), project=False)
     for c in FAR:
@@ -97,7 +99,7 @@ def test_units_do_not_matter_without_invariants(method, problem):
             assert_same(solve(problem, method, units, project=False), plain, units)
 
 
-@pytest.mark.parametrize("jac", JACOBIANS)
+@dealt(14, method=iv.METHODS, problem=PROBLEMS, jac=JACOBIANS)
 def test_units_do_not_matter_with_invariants(method, problem, jac):
     plain = solve(problem, method, Units(), jac=jac)
     for c in FAR:
@@ -105,6 +107,7 @@ def test_units_do_not_matter_with_invariants(method, problem, jac):
             assert_same(solve(problem, method, units, jac=jac), plain, units)
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_extreme_units_of_the_state_do_not_matter(method, problem):
     plain = solve(problem, method, Units())
     for units in (Units(state=c) for c in EXTREME):
@@ -167,16 +170,7 @@ WITH_MASS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "units"),
-    [
-        (name, units)
-        for name in WITH_MASS
-        for units in (Units(time=FAR[0]), Units(time=FAR[1]), Units(state=FAR[0]), Units(state=FAR[1]))
-    ],
-    ids=lambda one: f"time {one.time:g}, state {one.state:g}" if isinstance(one, Units) else one,
-)
-@pytest.mark.parametrize("method", [name for name, about in iv.METHODS.items() if about.mass == "any"])
+@dealt(24, method=ALGEBRAIC, name=WITH_MASS, units=[Units(time=c) for c in FAR] + [Units(state=c) for c in FAR])
 @pytest.mark.filterwarnings("ignore:.*redundant:UserWarning")  # the invariant is the algebraic equation
 def test_units_do_not_matter_with_mass_matrices(method, name, units):
     fun, end, y0, mass, g = WITH_MASS[name]
@@ -197,9 +191,7 @@ def test_units_do_not_matter_with_mass_matrices(method, name, units):
     assert_same(run(units), plain, units)
 
 
-@pytest.mark.parametrize("jac", ["given", None])
-@pytest.mark.parametrize("units", [Units(time=c) for c in FAR] + [Units(state=c) for c in FAR], ids=str)
-@pytest.mark.parametrize("name", PROBLEMS)
+@dealt(14, name=PROBLEMS, units=[Units(time=c) for c in FAR] + [Units(state=c) for c in FAR], jac=["given", None])
 def test_the_check_of_invariants_knows_no_units(name, units, jac):
     problem = PROBLEMS[name]
 
@@ -216,10 +208,13 @@ def test_the_check_of_invariants_knows_no_units(name, units, jac):
 SIZES = (2.0**-332, 2.0**-40, 2.0**40, 2.0**332)
 
 
-@pytest.mark.parametrize("units", [Units(time=c) for c in SIZES] + [Units(state=c) for c in SIZES], ids=str)
-@pytest.mark.parametrize(("name", "degree"), [("rigid body", 2), ("Henon-Heiles", 3), ("Kepler", 2)])
-def test_the_search_for_invariants_knows_no_units(name, degree, units):
-    problem = PROBLEMS[name]
+#: And of which degree its invariants are.
+SEARCHED = {"rigid body": 2, "Henon-Heiles": 3, "Kepler": 2}
+
+
+@dealt(8, name=SEARCHED, units=[Units(time=c) for c in SIZES] + [Units(state=c) for c in SIZES])
+def test_the_search_for_invariants_knows_no_units(name, units):
+    problem, degree = PROBLEMS[name], SEARCHED[name]
 
     def search(units: Units) -> list[iv.PolynomialInvariant]:
         y0 = units.state * np.array(problem.y0, dtype=float)
@@ -251,12 +246,12 @@ ALIKE = 100
 
 def end_state(problem: TestProblem, method: str, y0: np.ndarray, g: iv.Invariants) -> np.ndarray:
     """The state after a fifth of the interval, before the problem has amplified roundings much."""
-    sol = iv.solve_ivp(problem.fun, first(1 / 5, problem), y0, method, invariants=g, save="end", **TOLERANCES)
+    sol = iv.solve_ivp(problem.fun, first(1 / 5, problem), y0, method, invariants=g, keep="end", **TOLERANCES)
     assert sol.success, sol.message
     return sol.y[:, -1]
 
 
-@pytest.mark.parametrize("jac", JACOBIANS)
+@dealt(14, method=iv.METHODS, problem=PROBLEMS, jac=JACOBIANS)
 def test_units_of_invariants_change_roundings_only(method, problem, jac):
     """By powers of ten: the solution moves as it does when the last digit of y0 changes."""
     y0, held = np.array(problem.y0, dtype=float), invariants(problem, Units(), jac)
@@ -283,7 +278,7 @@ def permuted(problem: TestProblem, of_state: np.ndarray, of_invariants: np.ndarr
     )
 
 
-@pytest.mark.parametrize("project", [False, True])
+@dealt(14, method=iv.METHODS, problem=PROBLEMS, project=[False, True])
 def test_the_order_of_components_does_not_matter(method, problem, project):
     order = np.arange(len(problem.y0))[::-1]
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))
@@ -301,6 +296,7 @@ def test_the_order_of_components_does_not_matter(method, problem, project):
     )
 
 
+@dealt(14, method=iv.METHODS, problem=PROBLEMS)
 def test_the_order_of_invariants_does_not_matter(method, problem):
     state = np.arange(len(problem.y0))
     g = np.arange(np.size(problem.g(0, np.array(problem.y0))))[::-1]
@@ -322,7 +318,7 @@ def central_differences(fun: Callable[..., Any]) -> Callable[..., Any]:
     return jac
 
 
-@pytest.mark.parametrize("project", [False, True])
+@dealt(14, method=iv.METHODS, problem=PROBLEMS, project=[False, True])
 def test_the_direction_of_time_does_not_matter(method, problem, project):
     """s = -t: y' = f(t, y) is dy/ds = -f(-s, y), with the same steps and the same digits."""
 

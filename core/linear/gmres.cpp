@@ -1,6 +1,7 @@
 #include "linear/gmres.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 #include "weights.hpp"
@@ -75,6 +76,7 @@ Gmres<Scalar>::Gmres(std::size_t n, std::size_t dimension, KrylovMemory& memory)
 template <class Scalar>
 GmresResult Gmres<Scalar>::solve(LinearOperator<Scalar>& A, const double* w, double tolerance, Scalar* x) {
   basis_ = memory_.as<Scalar>();
+  assert(tolerance > 0 && (basis_ != nullptr || n_ == 0));  // the memory has not been given back
   scratch_ = basis_ + (dimension_ + 1) * n_;
   tried_ = nullptr;
   for (std::size_t i = 0; i < n_; ++i) {
@@ -82,7 +84,7 @@ GmresResult Gmres<Scalar>::solve(LinearOperator<Scalar>& A, const double* w, dou
     x[i] = 0;
   }
   size_ = largest(scratch_, n_);
-  shrinkage_ = 1;
+  least_singular_value_ = 1;
   for (int count = 0; count < most_cycles; ++count) {
     const double before = size_, norm = euclidean(scratch_, n_);
     if (norm == 0) return GmresResult::converged;
@@ -111,8 +113,9 @@ GmresResult Gmres<Scalar>::cycle(LinearOperator<Scalar>& A, const double* w, dou
       return GmresResult::undefined;
     }
     const double estimate = rotate(columns_++);
-    shrinkage_ = std::min(shrinkage_, std::real(H(columns_ - 1, columns_ - 1)));  // about the least singular value
-    const double goal = shrinkage_ * tolerance;
+    least_singular_value_ =
+        std::min(least_singular_value_, std::real(H(columns_ - 1, columns_ - 1)));  // about the least singular value
+    const double goal = least_singular_value_ * tolerance;
     if (estimate * ratio > goal && columns_ < dimension_) continue;
     form_residual();
     if (size_ <= goal) return GmresResult::converged;

@@ -2,6 +2,7 @@
 // Restarted GMRES for systems whose matrix is known by its products alone (Saad & Schultz, SIAM J. Sci. Stat. Comput. 7
 // (1986) 856-869), in the weights of the error test (Brown & Hindmarsh, Appl. Math. Comput. 31 (1989) 40-91).
 
+#include <cassert>
 #include <complex>
 #include <cstddef>
 #include <cstdint>
@@ -78,7 +79,7 @@ class Gmres {
   [[nodiscard]] std::size_t n() const { return n_; }
   /// How much smaller than a vector its product has been in the last solve, at most 1: a residual is about that much
   /// smaller than the error of x. Small where a preconditioner is crude, or of another scale than A.
-  [[nodiscard]] double shrinkage() const { return shrinkage_; }
+  [[nodiscard]] double least_singular_value() const { return least_singular_value_; }
   /// All iterations so far: one product each.
   [[nodiscard]] std::int64_t iterations() const { return iterations_; }
   void state(Archive& archive) { archive(iterations_); }
@@ -91,8 +92,14 @@ class Gmres {
   void add_solution(const double* w, Scalar* x);
   void combine(std::size_t count, std::size_t first, std::size_t size, Scalar* out) const;
 
-  Scalar* basis(std::size_t j) { return basis_ + j * n_; }
-  Scalar& H(std::size_t i, std::size_t j) { return hessenberg_[j * (dimension_ + 1) + i]; }
+  Scalar* basis(std::size_t j) {
+    assert(j <= dimension_);
+    return basis_ + j * n_;
+  }
+  Scalar& H(std::size_t i, std::size_t j) {
+    assert(i <= dimension_ && j < dimension_);
+    return hessenberg_[j * (dimension_ + 1) + i];
+  }
 
   std::size_t n_, dimension_;
   KrylovMemory& memory_;
@@ -106,7 +113,7 @@ class Gmres {
   const Scalar* tried_ = nullptr;     // see `tried`
   std::size_t columns_ = 0;           // of the present cycle
   double size_ = 0;                   // of the residual that was formed last
-  double shrinkage_ = 1;
+  double least_singular_value_ = 1;
   std::int64_t iterations_ = 0;
 };
 

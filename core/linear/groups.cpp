@@ -1,5 +1,8 @@
 #include "linear/groups.hpp"
 
+#include <algorithm>
+#include <cassert>
+
 namespace invariode {
 
 ColumnGroups group_columns(std::size_t rows, std::size_t columns, const int* starts, const int* indices) {
@@ -8,6 +11,7 @@ ColumnGroups group_columns(std::size_t rows, std::size_t columns, const int* sta
   std::vector<std::size_t> taken_for;  // of each group: the last column that could not join it, plus 1
   for (std::size_t j = 0; j < columns; ++j) {
     const int *first = indices + starts[j], *last = indices + starts[j + 1];
+    assert(std::all_of(first, last, [rows](int i) { return i >= 0 && static_cast<std::size_t>(i) < rows; }));
     for (const int* i = first; i != last; ++i)
       for (const std::size_t g : groups_of_row[static_cast<std::size_t>(*i)]) taken_for[g] = j + 1;
     std::size_t group = 0;

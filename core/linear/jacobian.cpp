@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -127,7 +128,7 @@ Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, 
   doubtful_now_ = false;
   bool finite = true;
   if (step_complex(t, y, finite) == Status::stop) return Status::stop;
-  if (!finite) return leave_complex_steps(f, t, y, slope);
+  if (!finite) return abandon_complex_steps(f, t, y, slope);
   if (!due) return Status::ok;
   switch (examine(f, t, y, slope)) {
     case JacobianCheck::Verdict::stop: return Status::stop;
@@ -138,7 +139,8 @@ Status Jacobian::examined_complex_steps(Callback& f, double t, const double* y, 
   const bool structured = matrix_.structure.kind != Structure::Kind::dense && !source_.found_pattern;
   if (structured && enlarge_pattern(f, t, y, slope, reach_, larger) == Status::stop) return Status::stop;
   if (larger) return step_complex(t, y, finite);
-  return misfit_ ? Status::ok : leave_complex_steps(f, t, y, slope);  // bands are known to miss entries: so it must be
+  return misfit_ ? Status::ok
+                 : abandon_complex_steps(f, t, y, slope);  // bands are known to miss entries: so it must be
 }
 
 Status Jacobian::step_complex(double t, const double* y, bool& finite) {
@@ -157,9 +159,9 @@ Status Jacobian::step_complex(double t, const double* y, bool& finite) {
 }
 
 /// f(t, y) is at hand only where it was needed.
-Status Jacobian::leave_complex_steps(Callback& f, double t, const double* y, const double* slope) {
+Status Jacobian::abandon_complex_steps(Callback& f, double t, const double* y, const double* slope) {
   kind_ = Kind::differences;
-  left_complex_steps_ = t;
+  abandoned_complex_steps_ = t;
   std::vector<double> own;
   if (slope == nullptr) {
     own.resize(matrix_.n());
@@ -268,6 +270,7 @@ Status Jacobian::complete(Callback& f, double t, const double* y, const double* 
 }
 
 Status Jacobian::difference(Callback& f, double t, const double* y, const double* slope) {
+  assert(slope != nullptr || matrix_.n() == 0);
   drowned_.reserve(matrix_.n());  // once: a copy has no room yet, and later evaluations are not to allocate
   std::copy(y, y + matrix_.n(), point_.begin());
   for (const std::vector<std::size_t>& group : groups_) {
@@ -326,7 +329,7 @@ void Jacobian::matrix_state(Archive& archive) {
 }
 
 void Jacobian::state(Archive& archive) {
-  archive(count_, noise_, factor_, kind_, left_complex_steps_, enlargements_, doubtful_now_, examined_, misfit_);
+  archive(count_, noise_, factor_, kind_, abandoned_complex_steps_, enlargements_, doubtful_now_, examined_, misfit_);
   source_.complex_f.state(archive);
   archive.require(kind_ == source_.kind || (source_.kind == Kind::complex_steps && kind_ == Kind::differences));
   archive.require(!examined_ || source_.found_pattern);

@@ -78,7 +78,7 @@ class Jacobian {
   /// Of f at complex y, so far.
   [[nodiscard]] std::int64_t complex_calls() const { return source_.complex_f.calls(); }
   /// From this t on differences have replaced complex steps; NaN: they have not.
-  [[nodiscard]] double left_complex_steps() const { return left_complex_steps_; }
+  [[nodiscard]] double abandoned_complex_steps() const { return abandoned_complex_steps_; }
   /// How often a pattern that was found has grown.
   [[nodiscard]] std::int64_t enlargements() const { return enlargements_; }
   /// How much of it is roundoff of f, a norm in the weights; of c J it is |c| times that. Always 0 but for differences.
@@ -100,7 +100,7 @@ class Jacobian {
   void measure_noise(const double* y, const double* slope);
   Status step_complex(double t, const double* y, bool& finite);
   Status examined_complex_steps(Callback& f, double t, const double* y, const double* slope);
-  Status leave_complex_steps(Callback& f, double t, const double* y, const double* slope);
+  Status abandon_complex_steps(Callback& f, double t, const double* y, const double* slope);
   Status difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope);
   Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope,
                          const std::vector<double>& displacement, bool& larger);
@@ -122,7 +122,7 @@ class Jacobian {
   const Weights& weights_;
   std::int64_t count_ = 0;
   double noise_ = 0;
-  double left_complex_steps_ = std::numeric_limits<double>::quiet_NaN();
+  double abandoned_complex_steps_ = std::numeric_limits<double>::quiet_NaN();
   std::int64_t enlargements_ = 0;
   bool doubtful_now_ = false;
   bool examined_ = false;                         // a pattern that was found, as long as examining it leads anywhere

@@ -26,7 +26,7 @@ class JacobianCheck {
   /// Where f is not finite beside y, or beside it is outside of the box, nothing speaks against J.
   Verdict examine(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
                   std::size_t turn, const Box& box = {});
-  /// The same in the direction in which f leads, of a neighbourhood as wide as `reach`, and with the patience of
+  /// The same in the direction in which f leads, of a neighbourhood as wide as `reach`, and with the tolerance of
   /// Newton's iteration: only what would mislead it counts.
   Fit fit(Callback& f, double t, const double* y, const double* slope, const Matrix& J, const double* reach,
           std::size_t turn, const Box& box = {});

@@ -1,6 +1,7 @@
 #include "linear/mass.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -61,6 +62,7 @@ void Mass::algebraic_part(const double* f, double* r) const {
 
 void Mass::algebraic_part(const Matrix& J, double* out) const {
   const std::size_t n = J.n();
+  assert(static_cast<Eigen::Index>(n) == Z_.rows());
   std::fill(out, out + equations() * n, 0);
   const Eigen::SparseMatrix<double, Eigen::RowMajor> rows(Z_);
   J.for_each([&](std::size_t i, std::size_t j, double value) {

@@ -3,6 +3,7 @@
 // columns of Z span the left null space (docs/algorithms.md, 'Mass matrices').
 
 #include <Eigen/SparseCore>
+#include <cassert>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -11,7 +12,7 @@
 #include "callback.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/matrix.hpp"
-#include "slope.hpp"
+#include "manifold/slope.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -24,10 +25,10 @@ class Mass {
   /// for all t, where each column has a row in which the others are zero; r = 0 for a regular M.
   Mass(Matrix matrix, MatrixFunction function, const Basis& null_basis);
 
-  /// M(t) is to be called by way of what `see` makes of it.
-  template <class See>
-  void see(See&& see) {
-    if (function_) function_ = see(function_);
+  /// M(t) is to be called by way of what `wrap` makes of it.
+  template <class Wrap>
+  void wrap(Wrap&& wrap) {
+    if (function_) function_ = wrap(function_);
   }
 
   /// Takes M at t, if it depends on t.
@@ -46,7 +47,10 @@ class Mass {
   /// Zᵀ J into out (r, n), row-major.
   void algebraic_part(const Matrix& J, double* out) const;
   /// The row of M that follows from the others by column k of Z, and that algebraic equation k takes.
-  [[nodiscard]] std::size_t own_row(std::size_t k) const { return own_[k]; }
+  [[nodiscard]] std::size_t own_row(std::size_t k) const {
+    assert(k < own_.size());
+    return own_[k];
+  }
   /// M with Zᵀ J in the rows of the algebraic equations: regular where the index is 1. Dense if M is, else sparse.
   [[nodiscard]] Matrix completed(const Matrix& J) const;
 

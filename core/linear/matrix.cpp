@@ -4,6 +4,7 @@
 #include <Eigen/SparseCore>
 #include <Eigen/SparseLU>
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <complex>
 #include <new>
@@ -42,6 +43,7 @@ class DenseByEigen final : public Factors<Scalar> {
   explicit DenseByEigen(std::size_t n) : A_(index(n), index(n)), lu_(index(n)), x_(index(n)) {}
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
+    assert(index(jacobian.n()) == A_.rows());
     A_.setZero();
     assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j) -> Scalar& { return A_(index(i), index(j)); });
     lu_.compute(A_);
@@ -72,6 +74,7 @@ class DenseByLapack final : public Factors<Scalar> {
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     const auto n = static_cast<std::size_t>(n_);
+    assert(jacobian.n() == n);
     const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * n + i]; };
     lu_.assign(n * n, 0);
     assemble(mass, c, jacobian, at);
@@ -124,6 +127,7 @@ class BandedByLapack final : public Factors<Scalar> {
         pivots_(s.n) {}
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
+    assert(jacobian.n() == pivots_.size());
     const auto rows = static_cast<std::size_t>(rows_), top = rows - static_cast<std::size_t>(lower_) - 1;
     const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * rows + top + i - j]; };
     std::fill(lu_.begin(), lu_.end(), 0);
@@ -171,6 +175,7 @@ class SparseByEigen final : public Factors<Scalar> {
       for (; p < of_mass_.size(); ++p) A_.valuePtr()[of_mass_[p]] += 1;
     p = 0;
     jacobian.for_each([&](std::size_t, std::size_t, double v) { A_.valuePtr()[of_jacobian_[p++]] -= c * v; });
+    assert(p == of_jacobian_.size());
     if (!A_.coeffs().allFinite()) return false;
     lu_.factorize(A_);
     // Eigen reports a singular matrix and a lack of memory by the same code, or the latter by none.
@@ -213,7 +218,9 @@ class SparseByEigen final : public Factors<Scalar> {
     const auto find = [this](std::size_t i, std::size_t j) {
       const int* first = A_.innerIndexPtr() + A_.outerIndexPtr()[place_[j]];
       const int* last = A_.innerIndexPtr() + A_.outerIndexPtr()[place_[j] + 1];
-      return std::lower_bound(first, last, place_[i]) - A_.innerIndexPtr();
+      const int* found = std::lower_bound(first, last, place_[i]);
+      assert(found != last && *found == place_[i]);
+      return found - A_.innerIndexPtr();
     };
     of_jacobian_.clear();
     of_mass_.clear();
@@ -260,6 +267,7 @@ void Matrix::provide() {
 }
 
 void Matrix::multiply(const double* x, double* y) const {
+  assert(x != y || n() == 0);
   std::fill(y, y + n(), 0);
   for_each([&](std::size_t i, std::size_t j, double a) { y[i] += a * x[j]; });
 }

@@ -1,6 +1,7 @@
 #pragma once
 // Square matrices as implicit methods meet them: Jacobian, mass matrix, and the LU factors of M − c J.
 
+#include <cassert>
 #include <complex>
 #include <cstddef>
 #include <cstdint>
@@ -53,6 +54,7 @@ struct Matrix {
   template <class Self, class Visit>
   static void for_each_of(Self& self, Visit&& visit) {
     const auto& [kind, n, lower, upper] = self.structure;
+    assert(self.values.size() == self.size());
     if (kind == Structure::Kind::dense) {
       for (std::size_t i = 0; i < n; ++i)
         for (std::size_t j = 0; j < n; ++j) visit(i, j, self.values[i * n + j]);

@@ -1,6 +1,7 @@
 #include "linear/matrix_free.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace invariode {
@@ -72,6 +73,7 @@ void MatrixFree::take_scratch(double* part, double* product) {
 }
 
 void MatrixFree::reach(double t, const double* y) {
+  assert(std::isfinite(t));
   t_ = t;
   y_ = y;
 }
@@ -121,13 +123,14 @@ Status MatrixFree::apply(Complex* b) {
 }
 
 bool MatrixFree::negligible(const double* w, double tolerance, const double* b) const {
-  return max_norm(gmres_.n(), [b, w](std::size_t i) { return b[i] / w[i]; }) <= gmres_.shrinkage() * tolerance;
+  return max_norm(gmres_.n(), [b, w](std::size_t i) { return b[i] / w[i]; }) <=
+         gmres_.least_singular_value() * tolerance;
 }
 
 /// Both parts of b: w belongs to each.
 bool MatrixFree::negligible(const double* w, double tolerance, const Complex* b) const {
   return max_norm(2 * gmres_.n(), [b = reals(b), w](std::size_t i) { return b[i] / w[i / 2]; }) <=
-         complex_gmres_->shrinkage() * tolerance;
+         complex_gmres_->least_singular_value() * tolerance;
 }
 
 GmresResult MatrixFree::solve(double c, const Matrix* mass, const double* w, double tolerance, double* b) {
@@ -137,6 +140,7 @@ GmresResult MatrixFree::solve(double c, const Matrix* mass, const double* w, dou
 }
 
 GmresResult MatrixFree::solve(Complex c, const Matrix* mass, const double* w, double tolerance, Complex* b) {
+  assert(complex_gmres_);
   complex_c_ = c;
   mass_ = mass;
   return explained(*complex_gmres_, complex_gmres_->solve(*this, w, tolerance, b));

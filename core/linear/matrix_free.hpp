@@ -13,7 +13,7 @@
 #include "linear/gmres.hpp"
 #include "linear/mass.hpp"
 #include "linear/preconditioner.hpp"
-#include "step.hpp"
+#include "linear/work.hpp"
 #include "weights.hpp"
 
 namespace invariode {

@@ -3,6 +3,7 @@
 // and in a narrow band a call takes longer than its work.
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <complex>
 #include <cstddef>
@@ -27,7 +28,10 @@ class NarrowBand {
   /// The entries, until they are factorised.
   [[nodiscard]] const std::vector<Scalar>& entries() const { return rows_; }
   /// A(i, j), of a matrix that is not factorised yet. Row i begins at column i − lower.
-  Scalar& at(std::size_t i, std::size_t j) { return row(i)[j + lower_ - i]; }
+  Scalar& at(std::size_t i, std::size_t j) {
+    assert(i < n_ && i <= j + lower_ && j + lower_ - i < width_);
+    return row(i)[j + lower_ - i];
+  }
 
   /// Replaces A by its factors. False: it is singular, or not finite.
   [[nodiscard]] bool factor() {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cassert>
 #include <cmath>
 #include <iterator>
 #include <utility>
@@ -86,6 +87,7 @@ std::optional<Pattern> find_pattern(Callback& f, double t, const std::vector<dou
                                     const std::vector<double>& value, const std::vector<double>& displacement,
                                     const PatternSearch& search, bool& stopped) {
   const std::size_t n = y.size();
+  assert(value.size() == n && displacement.size() == n);
   std::vector<double> point = y, moved(n);
   std::int64_t calls = 0;
   Blocks blocks = everything(n);
@@ -137,6 +139,7 @@ std::optional<Pattern> find_pattern_near(Callback& f, double t, const std::vecto
 }
 
 Pattern united(const Pattern& a, const Pattern& b) {
+  assert(a.n() == b.n());
   Pattern both{.starts = {0}, .rows = {}};
   both.rows.reserve(a.rows.size() + b.rows.size());
   for (std::size_t j = 0; j < a.n(); ++j) {

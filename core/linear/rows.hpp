@@ -1,6 +1,7 @@
 #pragma once
 // The gradients of invariants, row by row: all entries, or those of a pattern.
 
+#include <cassert>
 #include <cstddef>
 #include <vector>
 
@@ -64,6 +65,7 @@ class RowLayout {
   /// Where gradient i begins.
   [[nodiscard]] std::size_t start(std::size_t i) const { return starts_[i]; }
   [[nodiscard]] Row row(std::size_t i, const double* values) const {
+    assert(i < rows_.size());
     const auto& [start, size, columns] = rows_[i];
     return {values + start, columns == full ? nullptr : columns_.data() + columns, size};
   }

@@ -1,6 +1,7 @@
 #include "manifold/bounds.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -35,6 +36,7 @@ bool Bounds::contain(const double* y) const {
 }
 
 Bounds::Excess Bounds::excess(const double* y, const Weights& weights) const {
+  assert(weights.size() == n_);
   Excess most;
   for (const auto& [i, lower, upper] : intervals_) {
     const double outside = std::max(lower - y[i], y[i] - upper);

@@ -1,6 +1,7 @@
 #include "manifold/guard.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -104,7 +105,7 @@ Finding Guard::start_jacobian(double t, const double* y) {
   for (std::size_t j = 0; j < n; ++j) point_[j] = y[j] - cbrt_eps * size[j] * direction(j);
   if (invariants_.residual(t, point_.data(), minus_.data()) == Status::stop) return stopped();
   for (std::size_t i = 0; i < m; ++i) {
-    if (invariants_.by_differences(i) || invariants_.certain(i)) continue;
+    if (invariants_.by_differences(i) || invariants_.untested(i)) continue;
     const Directional<double> along(at.gradient(i), size, direction);
     const double quotient = (plus_[i] - minus_[i]) / (2 * cbrt_eps);
     if (along.contradicted(quotient, invariants_.roundoff(i, y, J), cbrt_eps)) return worst_entry(t, y);
@@ -135,7 +136,7 @@ Finding Guard::worst_entry(double t, const double* y, double factor) {
   Finding worst;
   double largest = 0;
   for (std::size_t i = 0; i < m; ++i) {
-    if (invariants_.certain(i)) continue;
+    if (invariants_.untested(i)) continue;
     double terms = 0;
     for (std::size_t j = 0; j < n; ++j)
       terms =
@@ -194,6 +195,7 @@ Finding Guard::start_rate(double t, const double* y, const double* f, double h) 
 }
 
 Finding Guard::rate(const Linearization& at, double t, const double* f, double h, std::int64_t steps) {
+  assert(std::isfinite(h) && h != 0 && at.m() == invariants_.m());
   if (const Finding seen = look_along_flow(at, t, f, h, steps); seen.kind != Finding::Kind::none) return seen;
   const std::size_t n = invariants_.n();
   std::fill(gt_.begin(), gt_.end(), 0);
@@ -419,7 +421,7 @@ Finding Guard::unless_uncertain(const Finding& finding, double t, double h) {
   }
   const double noise = noise_in_time(projector_.linearization(), i, t, h);
   if (off <= uncertainty * flow.error + noise || invariants_.by_differences(i)) return {};
-  if (invariants_.leave_complex_steps(i)) return {};
+  if (invariants_.abandon_complex_steps(i)) return {};
   return worst_entry(t, point_.data());
 }
 
@@ -445,7 +447,7 @@ bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h
 
 /// Whether the derivatives of invariant i hide rates that count, though g itself does not.
 bool Guard::blind(const Linearization& at, std::size_t i, double t, const double* f, double h) {
-  if (invariants_.certain(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
+  if (invariants_.untested(i) || slope_.relative_error() > 0 || limit(i) <= suspicious_angle) return false;
   const double hidden = limit(i) * at.row_norm[i] * weighted_norm(f, at.weights.data(), at.n()) +
                         invariants_.roundoff_of_rate(i, at.y.data(), at.jacobian.data(), f) +
                         noise_in_time(at, i, t, h);
@@ -508,7 +510,7 @@ Finding Guard::suspect(const Linearization& at, double t, const double* f, doubl
   Finding worst;
   double largest_drift = 0;
   for (std::size_t i = 0; i < invariants_.m(); ++i) {
-    if (invariants_.certain(i)) continue;
+    if (invariants_.untested(i)) continue;
     const double rate = gt_[i] + at.gradient(i).dot(f);
     if (!invariants_.contradicts(i, std::copysign(1.0, h) * rate)) continue;
     const double angle = std::abs(rate) / (std::abs(gt_[i]) + at.row_norm[i] * speed);

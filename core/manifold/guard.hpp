@@ -6,23 +6,12 @@
 #include <cstdint>
 #include <vector>
 
+#include "manifold/finding.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
-#include "slope.hpp"
+#include "manifold/slope.hpp"
 
 namespace invariode {
-
-/// What speaks against the invariants.
-struct Finding {
-  enum class Kind { none, stop, undefined, off_value, wrong_jacobian, not_conserved };
-  Kind kind = Kind::none;
-  int invariant = -1;
-  int component = -1;  ///< wrong_jacobian: the column
-  double t = 0;
-  double size = 0;      ///< off_value: residual; wrong_jacobian: the entry given; not_conserved: d/dt of the invariant
-  double distance = 0;  ///< off_value: in units of rtol; wrong_jacobian: the difference quotient; not_conserved: ρ
-  double drift = 0;     ///< not_conserved: in a step, in units of rtol; of several invariants the largest
-};
 
 /// The tests, in the order in which the loop asks for them: `start_value`, `start_jacobian`, `start_rate`; then after
 /// each accepted step `rate` and `corrected`, and `confirm` where corrections stay too large to be accepted. A

@@ -1,6 +1,7 @@
 #include "manifold/invariants.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -36,20 +37,21 @@ Invariants::Invariants(std::size_t n, std::vector<InvariantBlock> blocks, std::v
     any_one_sided_ = any_one_sided_ || block.sense != 0;
     along_steps_ = along_steps_ || block.along_steps;
   }
+  assert(sense_.size() == m() && weights.size() == n_);
   note_kinds();
 }
 
 void Invariants::note_kinds() {
   derivative_error_ = 0;
   increment_.clear();
-  certain_.clear();
+  untested_.clear();
   for (const InvariantBlock& block : blocks_) {
     const double increment = block.derivative == Derivative::central   ? cbrt_eps
                              : block.derivative == Derivative::forward ? sqrt_eps
                                                                        : 0;
     if (increment > 0) derivative_error_ = std::max(derivative_error_, eps / increment);
     increment_.insert(increment_.end(), block.m, increment);
-    certain_.insert(certain_.end(), block.m, block.certain);
+    untested_.insert(untested_.end(), block.m, block.untested);
   }
 }
 
@@ -106,7 +108,7 @@ bool Invariants::all_by_differences() const {
   return std::all_of(increment_.begin(), increment_.end(), [](double d) { return d != 0; });
 }
 
-bool Invariants::leave_complex_steps(std::size_t i) {
+bool Invariants::abandon_complex_steps(std::size_t i) {
   auto block = blocks_.begin();
   for (std::size_t end = block->m; end <= i; end += block->m) ++block;
   if (block->derivative != Derivative::complex_step) return false;

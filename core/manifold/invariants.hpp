@@ -2,6 +2,7 @@
 // The invariants as functions: residual, Jacobian, derivative with respect to t.
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -29,7 +30,7 @@ struct InvariantBlock {
   bool held = false;               ///< its value is what g was, not one that is demanded
   int sense = 0;                   ///< 0: it keeps its value; −1: in the direction of integration it never rises above
                                    ///< it; 1: never falls below it
-  bool certain = false;            ///< true of every solution, as algebraic equations are: not tested
+  bool untested = false;           ///< true of every solution, as algebraic equations are: not tested
   bool along_steps = false;        ///< its correction is sought among the directions that its step is made of
   int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
   std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
@@ -56,16 +57,22 @@ class Invariants {
   /// Of `calls`, those for Jacobians.
   [[nodiscard]] std::int64_t derivative_calls() const { return derivative_calls_; }
   /// True where the Jacobian of invariant i is a difference quotient, good to ε^{2/3} or ε^{1/2} only.
-  [[nodiscard]] bool by_differences(std::size_t i) const { return increment_[i] != 0; }
+  [[nodiscard]] bool by_differences(std::size_t i) const {
+    assert(i < m());
+    return increment_[i] != 0;
+  }
   [[nodiscard]] bool all_by_differences() const;
   /// What the worst derivatives are good to, relative to the terms of their row: ε^{2/3}, ε^{1/2}, or 0 without
   /// differences.
   [[nodiscard]] double relative_error_of_derivatives() const { return derivative_error_; }
   /// From now on the block of invariant i has differences instead of complex steps; false: it had none.
-  bool leave_complex_steps(std::size_t i);
+  bool abandon_complex_steps(std::size_t i);
   /// Values, kinds of derivatives, counts.
   void state(Archive& archive);
-  [[nodiscard]] bool certain(std::size_t i) const { return certain_[i] != 0; }
+  [[nodiscard]] bool untested(std::size_t i) const {
+    assert(i < m());
+    return untested_[i] != 0;
+  }
   /// Of invariant i: 0, −1 or 1, as of its block.
   [[nodiscard]] int sense(std::size_t i) const { return sense_[i]; }
   [[nodiscard]] bool any_one_sided() const { return any_one_sided_; }
@@ -123,7 +130,7 @@ class Invariants {
   RowLayout layout_;
   double derivative_error_ = 0;
   std::vector<double> increment_;  // of the differences for each invariant, relative; 0: it has none
-  std::vector<char> certain_;
+  std::vector<char> untested_;
   std::vector<int> sense_;
   bool any_one_sided_ = false, along_steps_ = false;
   std::int64_t derivative_calls_ = 0;

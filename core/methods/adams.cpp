@@ -1,6 +1,7 @@
 #include "methods/adams.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -122,6 +123,7 @@ std::size_t Adams::directions(const double** vectors) const {
 /// ψ, α, β, σ and g of the step to come ([SG], chapter 5). While h stays the same, the first ns of them do too.
 void Adams::update_coefficients() {
   const double h = signed_h_;
+  assert(h != 0 && order_ >= 1 && order_ <= max_order_);
   const auto k = static_cast<std::size_t>(order_);
   if (h != previous_h_) steps_at_h_ = 0;
   if (steps_at_h_ <= previous_order_) ++steps_at_h_;

@@ -3,6 +3,7 @@
 // divided differences (docs/algorithms.md, 'Adams'; Shampine & Gordon, Computer Solution of ODEs, 1975, chapter 10).
 
 #include <array>
+#include <cassert>
 #include <memory>
 #include <vector>
 
@@ -51,8 +52,13 @@ class Adams final : public Step {
 
   friend struct FixedOrder;  // a test of each order
 
-  double* phi(int i) { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
-  [[nodiscard]] const double* phi(int i) const { return phi_.data() + static_cast<std::size_t>(i - 1) * n(); }
+  double* phi(int i) { return phi_.data() + at(i); }
+  [[nodiscard]] const double* phi(int i) const { return phi_.data() + at(i); }
+  /// Where difference i begins; one past the last is the end.
+  [[nodiscard]] std::size_t at(int i) const {
+    assert(i >= 1 && static_cast<std::size_t>(i - 1) * n() <= phi_.size());
+    return static_cast<std::size_t>(i - 1) * n();
+  }
 
   void update_coefficients();
   void predict();

@@ -18,14 +18,14 @@ bool rows_and_steps(const double*, std::size_t size, std::size_t n) {
 }
 bool numbered(const double* data, std::size_t size, std::size_t n);
 
-constexpr Extension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n},
-                              {"Adams", integrate_polynomial, rows_and_steps},
-                              {"NDF", newton_backward, rows_of_n},
-                              {"TR-BDF2", two_hermite_cubics, two_cubics},
-                              {"numbered", numbered_extension, numbered}};
+constexpr NamedExtension list[] = {{"Runge-Kutta", runge_kutta::nested_polynomial, rows_of_n},
+                                   {"Adams", integrate_polynomial, rows_and_steps},
+                                   {"NDF", newton_backward, rows_of_n},
+                                   {"TR-BDF2", two_hermite_cubics, two_cubics},
+                                   {"numbered", numbered_extension, numbered}};
 
 /// The extension with that number; null if the number is unknown, or names a numbered extension.
-const Extension* of_number(double number) {
+const NamedExtension* of_number(double number) {
   for (std::size_t i = 0; i < std::size(list); ++i)
     if (number == static_cast<double>(i) && list[i].evaluate != numbered_extension) return &list[i];
   return nullptr;
@@ -33,21 +33,21 @@ const Extension* of_number(double number) {
 
 bool numbered(const double* data, std::size_t size, std::size_t n) {
   if (size < 1) return false;
-  const Extension* one = of_number(data[0]);
+  const NamedExtension* one = of_number(data[0]);
   return one != nullptr && one->fits(data + 1, size - 1, n);
 }
 
 }  // namespace
 
-std::span<const Extension> extensions() { return list; }
+std::span<const NamedExtension> extensions() { return list; }
 
-const Extension* find_extension(std::string_view name) {
-  const auto* found = std::ranges::find(list, name, &Extension::name);
+const NamedExtension* find_extension(std::string_view name) {
+  const auto* found = std::ranges::find(list, name, &NamedExtension::name);
   return found == std::end(list) ? nullptr : found;
 }
 
-const Extension& find_extension(Interpolate evaluate) {
-  return *std::ranges::find(list, evaluate, &Extension::evaluate);
+const NamedExtension& find_extension(Interpolate evaluate) {
+  return *std::ranges::find(list, evaluate, &NamedExtension::evaluate);
 }
 
 double number_of_extension(Interpolate evaluate) { return static_cast<double>(&find_extension(evaluate) - list); }

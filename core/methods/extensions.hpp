@@ -9,17 +9,17 @@
 
 namespace invariode {
 
-struct Extension {
+struct NamedExtension {
   const char* name;
   Interpolate evaluate;
   bool (*fits)(const double* data, std::size_t size, std::size_t n);  ///< whether it can read data of that size
 };
 
 /// All of them. Their order is that of the numbers in files: new ones go to the end.
-[[nodiscard]] std::span<const Extension> extensions();
+[[nodiscard]] std::span<const NamedExtension> extensions();
 /// Null where no extension has that name.
-[[nodiscard]] const Extension* find_extension(std::string_view name);
-[[nodiscard]] const Extension& find_extension(Interpolate evaluate);
+[[nodiscard]] const NamedExtension* find_extension(std::string_view name);
+[[nodiscard]] const NamedExtension& find_extension(Interpolate evaluate);
 
 /// That of a method whose steps are made by others: data = [number of the extension in the list | what that reads].
 void numbered_extension(const double* data, std::size_t size, std::size_t n, double theta, double* out);

@@ -7,6 +7,7 @@
 #include <limits>
 #include <vector>
 
+#include "implicit_step.hpp"
 #include "methods/newton.hpp"
 #include "step.hpp"
 
@@ -15,7 +16,7 @@ namespace invariode {
 /// A step of M y' = f(t, y) with the linear algebra of a solver: AgingJacobian, or what derives from it. The formula
 /// derives from this. The constants are those of the suite.
 template <class Solver>
-class ImplicitMethod : public Step {
+class ImplicitMethod : public Step, public ImplicitStep {
  public:
   bool errors(double* out) const override {
     std::copy(error_vector_.begin(), error_vector_.end(), out);

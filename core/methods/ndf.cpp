@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cassert>
 #include <cmath>
 
 namespace invariode {
@@ -91,6 +92,7 @@ Outcome Ndf::start(double t, const double* y, const Span& span) {
 /// D_1 … D_k of the present k, from one |h| to another: D ← D R(ρ) U, U = R(1).
 void Ndf::rescale_memory(double h) {
   const int k = order_;
+  assert(k >= 1 && k <= options_.max_order && memory_h_ > 0);
   const double rho = h / memory_h_;
   if (rho != 1) {
     const Small R = differences_at(rho, k), U = differences_at(1, k);

@@ -2,6 +2,7 @@
 // Numerical differentiation formulas of order 1 to 5 (and backward differentiation formulas) in backward differences at
 // a quasi-constant step (docs/algorithms.md, 'NDF'; Shampine & Reichelt, The MATLAB ODE Suite, 1997, section 2).
 
+#include <cassert>
 #include <vector>
 
 #include "methods/implicit_method.hpp"
@@ -45,8 +46,13 @@ class Ndf final : public ImplicitMethod<Newton> {
  private:
   friend struct FixedOrder;  // a test of each order
 
-  double* D(int j) { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
-  [[nodiscard]] const double* D(int j) const { return differences_.data() + static_cast<std::size_t>(j - 1) * n(); }
+  double* D(int j) { return differences_.data() + at(j); }
+  [[nodiscard]] const double* D(int j) const { return differences_.data() + at(j); }
+  /// Where difference j begins; one past the last is the end.
+  [[nodiscard]] std::size_t at(int j) const {
+    assert(j >= 1 && static_cast<std::size_t>(j - 1) * n() <= differences_.size());
+    return static_cast<std::size_t>(j - 1) * n();
+  }
   void rescale_memory(double h);
   void predict();
   double retry_order_and_h();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -318,7 +319,7 @@ LinearWork AgingJacobian::work() const {
     work.unsolved_t = free_->unsolved_t();
   }
   work.complex_calls = jacobian_.complex_calls();
-  work.left_complex_steps = jacobian_.left_complex_steps();
+  work.abandoned_complex_steps = jacobian_.abandoned_complex_steps();
   work.enlargements = jacobian_.enlargements();
   work.entries = static_cast<std::int64_t>(jacobian().rows.size());
   work.groups = static_cast<std::int64_t>(jacobian_.groups());
@@ -390,6 +391,7 @@ Outcome Newton::prepare(double c, double t1) {
 
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
                              double* y) {
+  assert(c != 0 && std::isfinite(c));
   const std::size_t n = weights_.size();
   const auto norm = [&](const double* v) { return max_norm(n, [v, w](std::size_t i) { return v[i] / w[i]; }); };
   std::fill(d, d + n, 0);
@@ -438,6 +440,7 @@ Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->
 Newton::Result Newton::solve_linear(double tolerance, double* b) {
   count_solve();
   if (!matrix_free()) {
+    assert(has_factors());
     lu_->solve(b);
     return Result::converged;
   }

@@ -78,6 +78,7 @@ class AgingJacobian {
   /// factor(c) of `state`, matrix-free.
   bool set_up_again(double c, Archive& archive);
 
+  [[nodiscard]] bool has_factors() const { return factored_.has_value(); }
   void forget_factors() { factored_.reset(); }
   /// factor(c) makes the factors again that were at hand, from the same matrices: true.
   template <class Factor>

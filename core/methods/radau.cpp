@@ -30,9 +30,9 @@ constexpr double least_growth = 1.6;  // of h, where the estimate is nothing but
 
 // The order: RADAU's constants, but for the last two, which were measured on the stiff set.
 constexpr double rate_to_raise = 0.002, rate_to_lower = 0.8;
-constexpr double least_change = 0.8;  // of h, with which the order may rise
-constexpr int patience = 10;          // steps at a lower order before it may rise again
-constexpr double most_growth = 1.5;   // of h, with which the order rises: where h grows faster, no error limits it
+constexpr double least_change = 0.8;    // of h, with which the order may rise
+constexpr int steps_before_raise = 10;  // steps at a lower order before it may rise again
+constexpr double most_growth = 1.5;     // of h, with which the order rises: where h grows faster, no error limits it
 constexpr double seven_stages_from = 1e-7;  // rtol: above it 7 stages cost more than they gain
 
 /// By how much the estimate magnifies errors of the increments.
@@ -340,7 +340,7 @@ bool Radau::may_raise_order() const {
 
 void Radau::lower_order() {
   use(formula_ - 1);
-  steps_until_raise_ = patience;
+  steps_until_raise_ = steps_before_raise;
 }
 
 void Radau::state(Archive& archive) {

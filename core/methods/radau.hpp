@@ -3,6 +3,7 @@
 // Equations II, 2nd ed., 1996, section IV.8, and Stiff differential equations solved by Radau methods, J. Comput. Appl.
 // Math. 111 (1999) 93-111).
 
+#include <cassert>
 #include <memory>
 #include <vector>
 
@@ -47,7 +48,10 @@ class Radau final : public ImplicitMethod<RadauSystems> {
 
  private:
   [[nodiscard]] std::size_t stages() const { return formula_->stages; }
-  double* Z(std::size_t stage) { return increments_.data() + stage * n(); }
+  double* Z(std::size_t stage) {
+    assert(stage < stages());
+    return increments_.data() + stage * n();
+  }
   [[nodiscard]] const double* last_increment() const { return increments_.data() + (stages() - 1) * n(); }
   friend struct FixedOrder;  // a test of each order
 

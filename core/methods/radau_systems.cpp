@@ -1,6 +1,7 @@
 #include "methods/radau_systems.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace invariode {
@@ -86,6 +87,7 @@ bool RadauSystems::factorize() {
 /// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
 Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, double* residuals,
                                    double* scratch, bool& negligible) {
+  assert(formula_ != nullptr && (!has_matrices() || has_factors()));
   tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
@@ -111,6 +113,7 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
 Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
   count_solve();
   if (has_matrices()) {
+    assert(has_factors());
     real_lu_->solve(b);
     return Newton::Result::converged;
   }

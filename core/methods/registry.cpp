@@ -15,29 +15,29 @@ namespace invariode {
 namespace {
 
 template <std::size_t I>
-std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& told,
+std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
                                 const LinearAlgebra&) {
   using namespace runge_kutta;
-  return (weights.size() <= few ? pairs_for_few : pairs_for_many)[I](f, weights, told.fsal);
+  return (weights.size() <= few ? pairs_for_few : pairs_for_many)[I](f, weights, given.fsal);
 }
 
-std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
+std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
                                  const LinearAlgebra&) {
-  return std::make_unique<Adams>(f, weights, told.max_order > 0 ? told.max_order : method.order);
+  return std::make_unique<Adams>(f, weights, given.max_order > 0 ? given.max_order : method.order);
 }
 
-std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
+std::unique_ptr<Step> make_ndf(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
                                const LinearAlgebra& linear) {
-  const Ndf::Options options{.max_order = told.max_order > 0 ? told.max_order : method.order,
-                             .bdf = told.bdf,
-                             .renew_on_error = told.projected};
+  const Ndf::Options options{.max_order = given.max_order > 0 ? given.max_order : method.order,
+                             .bdf = given.bdf,
+                             .renew_on_error = given.projected};
   return std::make_unique<Ndf>(f, weights, linear, options);
 }
 
-std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& told,
+std::unique_ptr<Step> make_radau(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,
                                  const LinearAlgebra& linear) {
   const int own = linear.krylov ? Radau::lowest_order : method.order;  // memory grows with the order
-  return std::make_unique<Radau>(f, weights, linear, told.max_order > 0 ? told.max_order : own);
+  return std::make_unique<Radau>(f, weights, linear, given.max_order > 0 ? given.max_order : own);
 }
 
 template <class Implicit>
@@ -59,10 +59,10 @@ double calls_per_jacobian(const Jacobian& jacobian) {
 }
 
 /// With a mass matrix the implicit member is alone, without linear algebra the explicit one.
-std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& told,
+std::unique_ptr<Step> make_switching(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
                                      const LinearAlgebra& linear) {
-  const auto [explicit_one, implicit_one] = members(told);
-  MethodOptions own = told;
+  const auto [explicit_one, implicit_one] = members(given);
+  MethodOptions own = given;
   own.max_order = 0;  // each goes up to its own
   Switching::Members two;
   if (linear.mass == nullptr) two.explicit_one = explicit_one.step(f, weights, own, linear);
@@ -115,8 +115,7 @@ constexpr Method others[] = {
      .min_order = 1,
      .order = Ndf::highest_order,
      .extension_order = Ndf::highest_order,
-     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate", "linear_solver",
-                 "krylov_dimension", "jac_product", "preconditioner"},
+     .options = {"max_order", "bdf", "jac", "jac_sparsity", "lband", "uband", "mass", "calibrate", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_ndf},
     {.name = "ode23s",
@@ -137,8 +136,7 @@ constexpr Method others[] = {
      .min_order = Trapezoidal::formula_order,
      .order = Trapezoidal::formula_order,
      .extension_order = Trapezoidal::formula_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension", "jac_product",
-                 "preconditioner"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_implicit<Trapezoidal>},
     {.name = "ode23tb",
@@ -149,8 +147,7 @@ constexpr Method others[] = {
      .min_order = TrBdf2::formula_order,
      .order = TrBdf2::formula_order,
      .extension_order = TrBdf2::formula_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension", "jac_product",
-                 "preconditioner"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_implicit<TrBdf2>},
     {.name = "radau",
@@ -162,8 +159,7 @@ constexpr Method others[] = {
      .min_order = Radau::lowest_order,
      .order = Radau::highest_order,
      .extension_order = Radau::highest_extension_order,
-     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver", "krylov_dimension",
-                 "jac_product", "preconditioner"},
+     .options = {"max_order", "jac", "jac_sparsity", "lband", "uband", "mass", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_radau},
     {.name = "auto",
@@ -175,8 +171,7 @@ constexpr Method others[] = {
      .min_order = 1,
      .order = Adams::highest_order,
      .extension_order = Adams::highest_order,
-     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer", "linear_solver", "krylov_dimension",
-                 "jac_product", "preconditioner"},
+     .options = {"jac", "jac_sparsity", "lband", "uband", "mass", "prefer", "linear_solver"},
      .mass = MassMatrices::any,
      .make = make_switching},
 };
@@ -198,9 +193,9 @@ bool Method::takes(std::string_view option) const {
   return std::ranges::any_of(options, [&](const char* one) { return one != nullptr && option == one; });
 }
 
-Members members(const MethodOptions& told) {
-  return {told.prefer_explicit ? *told.prefer_explicit : row_of("ode113"),
-          told.prefer_implicit ? *told.prefer_implicit : row_of("ode15s")};
+Members members(const MethodOptions& given) {
+  return {given.prefer_explicit ? *given.prefer_explicit : row_of("ode113"),
+          given.prefer_implicit ? *given.prefer_implicit : row_of("ode15s")};
 }
 
 std::span<const Method> methods() { return table; }

@@ -17,7 +17,7 @@ using runge_kutta::Fsal;
 
 struct Method;
 
-/// What a method may be told; one that cannot use an entry leaves it alone.
+/// The options of a method; one that cannot use an entry ignores it.
 struct MethodOptions {
   Fsal fsal = Fsal::reuse;
   int max_order = 0;                        ///< highest order of the formulas; 0: the method's own
@@ -52,9 +52,9 @@ struct Method {
   std::unique_ptr<Step> (*make)(const Method& method, Callback& f, const Weights& weights, const MethodOptions& options,
                                 const LinearAlgebra& linear);
 
-  [[nodiscard]] std::unique_ptr<Step> step(Callback& f, const Weights& weights, const MethodOptions& told = {},
+  [[nodiscard]] std::unique_ptr<Step> step(Callback& f, const Weights& weights, const MethodOptions& given = {},
                                            const LinearAlgebra& linear = {}) const {
-    return make(*this, f, weights, told, linear);
+    return make(*this, f, weights, given, linear);
   }
   [[nodiscard]] bool takes(std::string_view option) const;
   [[nodiscard]] bool implicit() const { return takes("jac"); }
@@ -69,7 +69,7 @@ struct Members {
   const Method& implicit_one;
 };
 /// Those preferred, else ode113 and ode15s, which evaluate f least often (benchmarks/auto.py).
-[[nodiscard]] Members members(const MethodOptions& told);
+[[nodiscard]] Members members(const MethodOptions& given);
 
 [[nodiscard]] std::span<const Method> methods();
 /// Null where no method has that name.

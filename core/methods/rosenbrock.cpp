@@ -1,6 +1,7 @@
 #include "methods/rosenbrock.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <numbers>
 
@@ -82,6 +83,7 @@ Outcome Rosenbrock::stages() {
 }
 
 void Rosenbrock::solve(std::vector<double>& b) {
+  assert(solver_.has_factors());
   solver_.count_solve();
   lu_->solve(b.data());
 }

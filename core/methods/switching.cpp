@@ -1,11 +1,12 @@
 #include "methods/switching.hpp"
 
+#include <cassert>
 #include <cmath>
 #include <utility>
 
+#include "detect/stiffness.hpp"
 #include "linear/matrix.hpp"
 #include "linear/scattered.hpp"
-#include "stiffness.hpp"
 
 namespace invariode {
 namespace {
@@ -23,8 +24,8 @@ constexpr double explicit_gain = 0.5;        // the explicit member's steps are 
 constexpr double overhead = 1;               // of an implicit step, in evaluations of f
 constexpr int favourable_steps = 10;         // after which the implicit member hands back
 constexpr double growing = 1.1;              // where |h| still grows so fast, it tells nothing of the cost
-constexpr double backoff = 4;                // of patience, after a trial that has failed
-constexpr double most_patience = 64;         // in units of the least: a problem may become stiff at last
+constexpr double backoff = 4;                // of the threshold, after a trial that has failed
+constexpr double highest_threshold = 64;     // in units of the least: a problem may become stiff at last
 constexpr double room = 100;                 // of the first |h| above hmin: it starts at a low order, with caution
 constexpr int most_failures = 8;             // attempts of a first step before the other member goes on
 constexpr double remembered = 0.9;           // of the average cost of a step
@@ -39,11 +40,13 @@ Switching::Switching(Callback& f, const Weights& weights, Members members)
     : Step(f, weights),
       explicit_(std::move(members.explicit_one)),
       implicit_(std::move(members.implicit_one)),
+      algebra_(dynamic_cast<ImplicitStep*>(implicit_.get())),
       active_(explicit_ ? explicit_.get() : implicit_.get()),
       matrix_free_(members.matrix_free),
       differences_(members.differences),
-      least_patience_(trial_cost + members.jacobian_cost),
-      patience_(least_patience_) {
+      least_trial_threshold_(trial_cost + members.jacobian_cost),
+      trial_threshold_(least_trial_threshold_) {
+  assert(active_ != nullptr && !implicit_ == (algebra_ == nullptr));
   if (!explicit_ || !implicit_) return;
   for (std::vector<double>* v : {&start_y_, &vector_, &product_}) v->resize(n());
   if (matrix_free_ && differences_) f_value_.resize(n());
@@ -79,7 +82,7 @@ Outcome Switching::start(double t, const double* y, const Span& span) {
 
 /// Evaluations of f so far, and products with J that take none.
 std::int64_t Switching::cost() const {
-  return f_.calls() + (matrix_free_ && !differences_ ? implicit_->linear_work().products : 0);
+  return f_.calls() + (matrix_free_ && !differences_ ? algebra_->linear_work().products : 0);
 }
 
 void Switching::begin_turn() {
@@ -100,7 +103,7 @@ Outcome Switching::hand_over(const Span& span) {
   Step& next = to_implicit ? *implicit_ : *explicit_;
   switch (next.start(t_, y(), span)) {
     case Outcome::stop: return Outcome::stop;
-    case Outcome::not_finite: gain_patience(); return Outcome::ok;
+    case Outcome::not_finite: raise_trial_threshold(); return Outcome::ok;
     case Outcome::ok: break;
   }
   if (next.h() < room * span.hmin) {
@@ -122,7 +125,7 @@ Outcome Switching::hand_over(const Span& span) {
 
 /// Would the explicit member spend more on the rest of the interval than on a trial?
 bool Switching::pays(double distance) const {
-  return active_ != explicit_.get() || distance / h_ * explicit_calls_ > patience_;
+  return active_ != explicit_.get() || distance / h_ * explicit_calls_ > trial_threshold_;
 }
 
 /// A first |h| is chosen with caution. Steps that were short for the sake of stability are accurate for the implicit
@@ -135,13 +138,15 @@ double Switching::first_h_after(const Step& next, double before) const {
 void Switching::judge_implicit_turn() {
   const double speed = std::abs(t_ - turn_.t) / static_cast<double>(cost() - turn_.calls);
   if (speed < turn_.speed_before)
-    gain_patience();
+    raise_trial_threshold();
   else
-    patience_ = least_patience_;
+    trial_threshold_ = least_trial_threshold_;
 }
 
 /// The next trial has to wait longer.
-void Switching::gain_patience() { patience_ = std::min(backoff * patience_, most_patience * least_patience_); }
+void Switching::raise_trial_threshold() {
+  trial_threshold_ = std::min(backoff * trial_threshold_, highest_threshold * least_trial_threshold_);
+}
 
 /// Where the first step after a hand-over fails again and again, the member before goes on.
 bool Switching::reject(Cause cause, double hmin) {
@@ -151,15 +156,14 @@ bool Switching::reject(Cause cause, double hmin) {
   if (more && ++turn_.failures < most_failures) return true;
   active_ = active_ == explicit_.get() ? implicit_.get() : explicit_.get();
   h_ = turn_.h_before;
-  gain_patience();
+  raise_trial_threshold();
   ++switches_;
   begin_turn();
   return true;
 }
 
 void Switching::end_attempts() {
-  for (Step* member : {explicit_.get(), implicit_.get()})
-    if (member != nullptr) member->end_attempts();
+  if (algebra_ != nullptr) algebra_->end_attempts();
 }
 
 /// Of both members: where the first step after a hand-over fails, the one before goes on.
@@ -168,8 +172,8 @@ void Switching::state(Archive& archive) {
   for (Step* member : {explicit_.get(), implicit_.get()})
     if (member != nullptr) member->state(archive);
   bool implicit_is_active = active_ == implicit_.get();
-  archive(implicit_is_active, wanted_, switches_, patience_, explicit_calls_, implicit_calls_, calls_, radius_, reach_,
-          jacobians_);
+  archive(implicit_is_active, wanted_, switches_, trial_threshold_, explicit_calls_, implicit_calls_, calls_, radius_,
+          reach_, jacobians_);
   archive(turn_.steps, turn_.calls, turn_.t, turn_.handed_over, turn_.h_before, turn_.speed_before, turn_.failures,
           turn_.last_h, turn_.spent, turn_.free, turn_.favourable);
   if (!archive.reading()) return;
@@ -211,12 +215,12 @@ void Switching::watch_explicit(double calls) {
   }
   turn_.free = 0;
   turn_.spent += calls * std::clamp(StepLook::slow / step.moved, 1.0, strongest);
-  wanted_ = turn_.spent >= patience_;
+  wanted_ = turn_.spent >= trial_threshold_;
 }
 
 void Switching::watch_implicit(double calls) {
   average(implicit_calls_, calls);
-  if (const std::int64_t taken = implicit_->linear_work().jacobians;
+  if (const std::int64_t taken = algebra_->linear_work().jacobians;
       !matrix_free_ && (taken != jacobians_ || turn_.steps == 1)) {
     jacobians_ = taken;
     static_cast<void>(find_radius());  // of a matrix, it calls nothing
@@ -258,8 +262,8 @@ Status Switching::find_radius() {
 
 /// The vector times J.
 Status Switching::multiply_vector() {
-  if (matrix_free_) return implicit_->multiply_jacobian(f_value_.data(), vector_.data(), product_.data());
-  implicit_->jacobian()->multiply(vector_.data(), product_.data());
+  if (matrix_free_) return algebra_->multiply_jacobian(f_value_.data(), vector_.data(), product_.data());
+  algebra_->jacobian()->multiply(vector_.data(), product_.data());
   return Status::ok;
 }
 

@@ -8,8 +8,9 @@
 #include <memory>
 #include <vector>
 
+#include "composite_step.hpp"
+#include "implicit_step.hpp"
 #include "methods/extensions.hpp"
-#include "step.hpp"
 
 namespace invariode {
 
@@ -20,7 +21,7 @@ namespace invariode {
 /// stability limits as a trial of the implicit one takes, so that waiting and trying cost about the same. The implicit
 /// member hands back when the explicit one, with the longest step that is stable for the Jacobian at hand, would be
 /// cheaper. A turn that was no faster than the steps before it makes the next one harder to begin.
-class Switching final : public Step {
+class Switching final : public Step, public ImplicitStep, public CompositeStep {
  public:
   /// One of them may be null: the other one is then alone. `jacobian_cost`: evaluations of f that a Jacobian takes.
   /// `matrix_free`: the implicit one knows the Jacobian by its products, which are differences of f or cost as much.
@@ -55,7 +56,7 @@ class Switching final : public Step {
   [[nodiscard]] double stability() const override { return implicit_ ? 0 : explicit_->stability(); }
   [[nodiscard]] const double* slope() const override { return active_->slope(); }
   [[nodiscard]] int undefined_component() const override { return active_->undefined_component(); }
-  [[nodiscard]] LinearWork linear_work() const override { return implicit_ ? implicit_->linear_work() : LinearWork(); }
+  [[nodiscard]] LinearWork linear_work() const override { return algebra_ ? algebra_->linear_work() : LinearWork(); }
   [[nodiscard]] int member() const override { return active_ == explicit_.get() ? 0 : 1; }
   [[nodiscard]] std::int64_t switches() const override { return switches_; }
 
@@ -86,7 +87,7 @@ class Switching final : public Step {
   void watch_explicit(double calls);
   void watch_implicit(double calls);
   void judge_implicit_turn();
-  void gain_patience();
+  void raise_trial_threshold();
   [[nodiscard]] bool pays(double distance) const;
   [[nodiscard]] double first_h_after(const Step& next, double before) const;
   [[nodiscard]] double stable_h() const;
@@ -94,12 +95,13 @@ class Switching final : public Step {
   Status multiply_vector();
 
   std::unique_ptr<Step> explicit_, implicit_;
+  ImplicitStep* algebra_;  // of the implicit member; null without one
   Step* active_;
   const bool matrix_free_, differences_;
   Turn turn_;
   bool wanted_ = false;  // the other member
   std::int64_t switches_ = 0;
-  double least_patience_, patience_;                // evaluations of f before a trial of the implicit member
+  double least_trial_threshold_, trial_threshold_;  // evaluations of f before a trial of the implicit member
   double explicit_calls_ = 0, implicit_calls_ = 0;  // per step, lately; 0: there was none
   std::int64_t calls_ = 0;                          // of f, and what costs as much, after the last step
   double radius_ = 0;                               // ρ(J)

@@ -1,6 +1,7 @@
 #include "output/chebyshev.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <numbers>
 #include <utility>
@@ -24,6 +25,7 @@ double point(std::size_t k, std::size_t degree) {
 
 /// c_j = 2 / N Σ″ v_k cos(jkπ / N), the terms of both ends halved, and c_0 and c_N too.
 void transform(const std::vector<double>& values, std::vector<double>& coefficients) {
+  assert(values.size() >= 2);
   const std::size_t degree = values.size() - 1;
   coefficients.assign(degree + 1, 0);
   for (std::size_t j = 0; j <= degree; ++j) {
@@ -55,6 +57,7 @@ bool is_monotonic(const std::vector<double>& c) {
 
 bool RootSeparator::separate(const Sample& sample, double a, double ea, bool zero_at_start, double b, double eb,
                              std::vector<double>& points) {
+  assert(a != b);
   samples_ = 0;
   std::vector<Interval> left{{a, ea, b, eb, 0}};
   while (!left.empty()) {

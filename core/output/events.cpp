@@ -1,6 +1,7 @@
 #include "output/events.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <utility>
 
@@ -130,6 +131,7 @@ void Events::state(Archive& archive) {
 Outcome Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
   step_ = {t0, t1, y1, &interpolant};
   intervals_ = intervals_of_step(static_cast<std::size_t>(degree));
+  assert(t0 != t1 && intervals_ < scan_.times.size());
   occurrences_.clear();
   terminal_ = acts_ = false;
   points_known_[0] = points_known_[1] = false;
@@ -249,6 +251,7 @@ void Events::find_brackets(std::size_t event, const Scan& scan) {
 
 Outcome Events::locate(std::size_t event, const Scan& scan, const Bracket& bracket, double& root) {
   const auto& [times, values] = scan;
+  assert(bracket.a <= bracket.b && bracket.b < times.size());
   if (values[bracket.b] == 0) return Outcome::ok;  // the scan hit it
   Outcome outcome = Outcome::ok;
   const auto e = [&](double t, double& value) {

@@ -1,7 +1,7 @@
 #pragma once
 // Location of events: zeros of functions of (t, y) along the solution (docs/algorithms.md, 'Events').
 
-#include <algorithm>
+#include <cassert>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -72,8 +72,12 @@ class Events {
     int sign;                  ///< where it was last not zero; 0: asleep
     std::int64_t occurrences;  ///< so far
   };
-  [[nodiscard]] Watch watch(std::size_t event) const { return {last_[event], sign_[event], times_seen_[event]}; }
+  [[nodiscard]] Watch watch(std::size_t event) const {
+    assert(event < count());
+    return {last_[event], sign_[event], times_seen_[event]};
+  }
   void go_on_from(std::size_t event, const Watch& watch) {
+    assert(event < count());
     last_[event] = watch.last;
     sign_[event] = watch.sign;
     times_seen_[event] = watch.occurrences;
@@ -96,7 +100,7 @@ class Events {
   [[nodiscard]] const Occurrence& undefined() const { return undefined_; }
 
  private:
-  struct Step {
+  struct SearchedStep {
     double t0, t1;
     const double* y1;
     StepInterpolant* interpolant;
@@ -135,7 +139,7 @@ class Events {
   std::vector<EventFunction> functions_;
   std::size_t n_;
   std::size_t intervals_;
-  Step step_{};
+  SearchedStep step_{};
   Scan scan_;        // at intervals + 1 times, the same for all events
   Scan close_scan_;  // of an event with samples of its own
   RootSeparator separator_;

@@ -1,6 +1,7 @@
 #include "output/interpolant.hpp"
 
 #include <algorithm>
+#include <cassert>
 
 #include "manifold/active_set.hpp"
 #include "manifold/one_sided.hpp"
@@ -15,6 +16,7 @@ constexpr std::size_t fewest_directions = 4;  // of corrections there: as many a
 }  // namespace
 
 void Interpolant::corrected(const Segment& segment, double t, double* y) const {
+  assert(segment.t0 != segment.t1 && segment.size >= overhead());
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
   const std::size_t raw_size = segment.size - overhead();
   raw_(segment.data, raw_size, n_, theta, y);
@@ -75,25 +77,16 @@ StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Projector* betw
       invariants_(between ? &between->invariants() : nullptr),
       projector_(steps),
       interpolant_(step.n(), invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between, bounds),
-      start_y_(step.n()),
       g_end_(interpolant_.m_) {}
-
-void StepInterpolant::start_at(double t, const double* y) {
-  start_t_ = t;
-  std::copy(y, y + start_y_.size(), start_y_.begin());
-}
-
-void StepInterpolant::accept() {
-  made_ = false;
-  end_t_ = step_.t();
-}
 
 Status StepInterpolant::make() {
   if (made_) return Status::ok;
+  assert(start_y_ != nullptr);  // a step was accepted
   const std::size_t n = interpolant_.n_;
   const std::size_t raw_size = step_.extension_size();
   size_ = raw_size + interpolant_.overhead();
   if (data_.empty()) data_.resize(max_size());
+  assert(size_ <= data_.size());
   if (step_.extension(data_.data()) == Status::stop) return Status::stop;
   if (interpolant_.mode_ != Interpolation::raw) {
     double* e0 = data_.data() + raw_size;
@@ -116,7 +109,7 @@ Status StepInterpolant::make() {
 Status StepInterpolant::residuals(double* g0, double* g1) {
   if (g_known_ && g_t_ == start_t_)
     std::copy(g_end_.begin(), g_end_.end(), g0);
-  else if (invariants_->evaluate(start_t_, start_y_.data(), g0) == Status::stop)
+  else if (invariants_->evaluate(start_t_, start_y_, g0) == Status::stop)
     return Status::stop;
   if (invariants_->evaluate(end_t_, step_.y(), g1) == Status::stop) return Status::stop;
   std::copy(g1, g1 + g_end_.size(), g_end_.begin());

@@ -77,14 +77,14 @@ class StepInterpolant {
   StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps,
                   const Bounds* bounds = nullptr);
 
-  /// The step that is to come starts at (t, y).
-  void start_at(double t, const double* y);
-  [[nodiscard]] double start_t() const { return start_t_; }
-  [[nodiscard]] const double* start_y() const { return start_y_.data(); }
-  /// To be moved before the step begins only: by a projection of the start, by actions of events.
-  [[nodiscard]] double* start_y() { return start_y_.data(); }
-  /// The step's present (t, y) was accepted.
-  void accept();
+  /// The step from (t0, y0), which stays where it is until the next one, to the method's present (t, y) was accepted.
+  void accept(double t0, const double* y0) {
+    made_ = false;
+    start_t_ = t0;
+    start_y_ = y0;
+    end_t_ = step_.t();
+  }
+  [[nodiscard]] const double* start_y() const { return start_y_; }
   /// The solution jumps: what is known at the end of the last step does not hold at the start of the next.
   void restart() { g_known_ = false; }
 
@@ -94,6 +94,8 @@ class StepInterpolant {
   Status value(double t, double* y);
   Status corrected(double t, double* y);
   [[nodiscard]] bool projects() const { return interpolant_.projects(); }
+  /// How many invariants there are between steps.
+  [[nodiscard]] std::size_t invariants() const { return invariants_ != nullptr ? invariants_->m() : 0; }
   /// Doubles in a segment, at most.
   [[nodiscard]] std::size_t max_size() const { return step_.max_extension_size() + interpolant_.overhead(); }
   /// The segment, made if it was not yet; data is null if a user function stopped the run meanwhile.
@@ -108,7 +110,7 @@ class StepInterpolant {
   const Projector* projector_;
   Interpolant interpolant_;
   double start_t_ = 0, end_t_ = 0;
-  std::vector<double> start_y_;
+  const double* start_y_ = nullptr;
   std::vector<double> data_;
   std::size_t size_ = 0;
   bool made_ = false;

@@ -1,6 +1,7 @@
 #include "output/output.hpp"
 
 #include <algorithm>
+#include <cassert>
 
 namespace invariode {
 
@@ -13,6 +14,7 @@ void DenseOutput::start(double t, const double* y) {
 }
 
 void DenseOutput::add(const Segment& segment, double t, const double* y) {
+  assert(knots_.t.size() == end_.size() + 1);  // a segment is from knot to knot
   end_.push_back(segment.t1);
   offset_.push_back(data_.size());
   data_.append(segment.data, segment.size);
@@ -26,6 +28,7 @@ DenseOutput DenseOutput::from(std::size_t first) const {
 }
 
 void DenseOutput::append(const DenseOutput& next, std::size_t first) {
+  assert(next.n_ == n_ && first < next.knots_.t.size());
   const Buffer<double>& t = next.knots_.t;
   const double* y = next.knots_.y.data();
   const double* start_y = y + first * n_;

@@ -1,6 +1,7 @@
 #pragma once
 // What a run keeps: points, the record of its steps, the continuous solution.
 
+#include <cassert>
 #include <cstddef>
 #include <optional>
 #include <utility>
@@ -23,6 +24,7 @@ struct Trajectory {
   [[nodiscard]] std::size_t bytes() const { return (t.size() + y.size()) * sizeof(double); }
   /// A copy of the points from number `first` on.
   [[nodiscard]] Trajectory from(std::size_t first, std::size_t n) const {
+    assert(first <= t.size() && y.size() == t.size() * n);
     Trajectory rest;
     rest.t.append(t.data() + first, t.size() - first);
     rest.y.append(y.data() + first * n, y.size() - first * n);
@@ -38,6 +40,13 @@ struct Trajectory {
 /// member of the method made it, where it has several.
 struct AcceptedStep {
   double t, h, order, error, correction, member;
+};
+
+/// A jump of the solution: the first row of the output after it, and the values of the invariants from there on.
+struct Jump {
+  std::size_t row;
+  double t;
+  std::vector<double> value;
 };
 
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
@@ -98,6 +107,15 @@ class DenseOutput {
   std::vector<double> end_;          // t1 of each segment
   std::vector<std::size_t> offset_;  // of its data
   Buffer<double> data_;
+};
+
+/// The results of a run that grow with its steps.
+struct Output {
+  Trajectory points;
+  std::vector<Trajectory> occurrences;  ///< of each event
+  Buffer<AcceptedStep> steps;
+  std::optional<DenseOutput> dense;
+  std::vector<Jump> jumps;
 };
 
 }  // namespace invariode

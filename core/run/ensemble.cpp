@@ -19,7 +19,7 @@ namespace invariode {
 namespace {
 
 /// About as long as it takes to start two threads and to wait for their end (measured: 60 µs).
-constexpr std::chrono::microseconds few(50);
+constexpr std::chrono::microseconds thread_start(50);
 
 constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
 
@@ -81,9 +81,9 @@ void integrate_until(const Solver& solver, const Ensemble& ensemble, std::size_t
 }
 
 /// The first trajectories, on this thread, until threads are worth their start. How many were done.
-std::size_t integrate_few(const Solver& solver, const Ensemble& ensemble, EnsembleResult& result) {
+std::size_t integrate_first(const Solver& solver, const Ensemble& ensemble, EnsembleResult& result) {
   using Clock = std::chrono::steady_clock;
-  const auto end = Clock::now() + few;
+  const auto end = Clock::now() + thread_start;
   bool late = false;
   const auto stopped = [&] { return late = Clock::now() >= end; };
   std::size_t done = 0;
@@ -194,7 +194,7 @@ void EnsembleResult::add_alone(const Left& left) {
 
 void EnsembleResult::keep_outputs(std::size_t i, const RunResult& run) {
   if (n_t == 0) return;
-  for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, &run.points.y[j * n], 1);
+  for (std::size_t j = 0; j < run.points.t.size(); ++j) put_out(i, j, run.points.y.data() + j * n, 1);
 }
 
 /// Residuals at the outputs and at the end, with the values that the invariants have there: jumps may change them.
@@ -260,9 +260,9 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
                          (form->g.function != nullptr && form->jacobian.function != nullptr)) &&
                         form->events.size() == solvers.front()->problem().events.size();
   const bool in_lanes = complete && obstacle_to_lanes(*solvers.front()) == nullptr;
-  const std::size_t first = in_lanes ? 0 : integrate_few(*solvers.front(), ensemble, *result);
-  const auto told = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
-  if (first == ensemble.size) return told(0) ? std::move(result) : nullptr;
+  const std::size_t first = in_lanes ? 0 : integrate_first(*solvers.front(), ensemble, *result);
+  const auto progress = [&](std::uint32_t done) { return watch(static_cast<std::uint32_t>(first) + done); };
+  if (first == ensemble.size) return progress(0) ? std::move(result) : nullptr;
   const auto work = [&](std::size_t worker, Queue& queue) {
     const Solver& solver = *solvers[worker];
     if (in_lanes) return LaneWorker(solver, ensemble, *form, queue, *result).run();
@@ -270,7 +270,7 @@ std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, 
       integrate_one(solver, ensemble, first + i, queue.cancelled(), *result);
   };
   const auto left = static_cast<std::uint32_t>(ensemble.size - first);
-  if (!on_workers(left, solvers.size(), patience, work, told)) return {};
+  if (!on_workers(left, solvers.size(), watch_interval, work, progress)) return {};
   return result;
 }
 

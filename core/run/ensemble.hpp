@@ -107,7 +107,7 @@ void integrate_one(const Solver& solver, const Ensemble& ensemble, std::size_t i
 
 /// Integrates from each row, on as many threads as there are solvers: one for each, all of the same problem, with
 /// functions that need no interpreter; in lanes, if f has a form for them and nothing speaks against it
-/// (`obstacle_to_lanes`). Every `patience`, and at the end, watch(done) is called on this thread; by
+/// (`obstacle_to_lanes`). Every `watch_interval`, and at the end, watch(done) is called on this thread; by
 /// returning false it cancels the rest, and there is no result. Throws std::invalid_argument where sizes do not match
 /// or where solvers share the place of their parameters.
 std::unique_ptr<EnsembleResult> integrate_all(std::span<Solver* const> solvers, const Ensemble& ensemble,

@@ -2,11 +2,11 @@
 
 #include <stdexcept>
 
-#include "confined.hpp"
+#include "functions/confined.hpp"
 #include "linear/groups.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
-#include "slope.hpp"
+#include "manifold/slope.hpp"
 
 namespace invariode {
 namespace {
@@ -81,16 +81,16 @@ std::optional<ConsistentStart> consistent_start(const Problem& problem, const We
   require_sizes(problem, weights);
   if (!problem.f || !problem.linear || !problem.linear->mass)
     throw std::invalid_argument("algebraic equations come from f and a mass matrix: the problem lacks one of them");
-  Problem seen = problem;
+  Problem bounded = problem;
   std::optional<Confined> confined;
   if (problem.bounds) {
     confined.emplace(*problem.bounds, weights);
-    seen.f = confined->seen(problem.f);
-    seen.linear->source = confined->seen(problem.linear->source);
+    bounded.f = confined->within(problem.f);
+    bounded.linear->source = confined->within(problem.linear->source);
   }
-  const LinearTerms& linear = *seen.linear;
-  Callback f = seen.f;
-  const Jacobian jacobian = make_jacobian(seen, weights);
+  const LinearTerms& linear = *bounded.linear;
+  Callback f = bounded.f;
+  const Jacobian jacobian = make_jacobian(bounded, weights);
   Mass mass = *linear.mass;
   ConsistentStart start{.y0 = std::vector<double>(y0, y0 + problem.n), .verdict = {}};
   const LinearAlgebra algebra{

@@ -30,7 +30,7 @@ std::array<std::int64_t, RunResult::count_size> RunResult::counted() const {
 
 /// In this order: each refers to what the ones before have made.
 Run::Run(const Solver& solver) : solver_(solver) {
-  see_functions();
+  wrap_functions();
   f_ = problem().f;
   copy_linear_terms();
   keep_within_bounds();
@@ -41,44 +41,44 @@ Run::Run(const Solver& solver) : solver_(solver) {
 
 /// What may jump at a breakpoint, f and g with their derivatives, is called by way of the piece. Events are not: their
 /// signs go on through breakpoints. Within bounds f and its derivatives are called there only.
-void Run::see_functions() {
+void Run::wrap_functions() {
   const Problem& all = solver_.problem();
-  if (!all.breakpoints.empty()) see_pieces(seen_.emplace(all));
-  if (all.bounds) see_bounds(seen_ ? *seen_ : seen_.emplace(all));
+  if (!all.breakpoints.empty()) wrap_in_pieces(wrapped_.emplace(all));
+  if (all.bounds) wrap_in_bounds(wrapped_ ? *wrapped_ : wrapped_.emplace(all));
 }
 
-void Run::see_pieces(Problem& problem) {
-  problem.f = piece_.seen(problem.f);
+void Run::wrap_in_pieces(Problem& problem) {
+  problem.f = piece_.within(problem.f);
   for (InvariantBlock& block : problem.invariants) {
-    block.g = piece_.seen(block.g);
-    block.jacobian = piece_.seen(block.jacobian);
-    block.complex_g = piece_.seen(block.complex_g);
+    block.g = piece_.within(block.g);
+    block.jacobian = piece_.within(block.jacobian);
+    block.complex_g = piece_.within(block.complex_g);
   }
   if (!problem.linear) return;
   Jacobian::Source& source = problem.linear->source;
-  source.function = piece_.seen(source.function);
-  source.complex_f = piece_.seen(source.complex_f);
+  source.function = piece_.within(source.function);
+  source.complex_f = piece_.within(source.complex_f);
   if (std::optional<KrylovTerms>& krylov = problem.linear->krylov) {
-    krylov->product = piece_.seen(krylov->product);
-    krylov->preconditioner = piece_.seen(krylov->preconditioner);
+    krylov->product = piece_.within(krylov->product);
+    krylov->preconditioner = piece_.within(krylov->preconditioner);
   }
-  if (problem.linear->mass) problem.linear->mass->see([this](const MatrixFunction& m) { return piece_.seen(m); });
+  if (problem.linear->mass) problem.linear->mass->wrap([this](const MatrixFunction& m) { return piece_.within(m); });
 }
 
-void Run::see_bounds(Problem& problem) {
+void Run::wrap_in_bounds(Problem& problem) {
   confined_.emplace(*solver_.problem().bounds, solver_.weights());
   users_f_ = problem.f;
-  problem.f = confined_->seen(problem.f);
+  problem.f = confined_->within(problem.f);
   if (!problem.linear) return;
-  problem.linear->source = confined_->seen(problem.linear->source);
+  problem.linear->source = confined_->within(problem.linear->source);
   if (problem.linear->krylov)
-    problem.linear->krylov->product = confined_->seen_product(problem.linear->krylov->product);
+    problem.linear->krylov->product = confined_->product_within(problem.linear->krylov->product);
 }
 
 void Run::copy_linear_terms() {
   if (!solver_.jacobian()) return;
-  if (seen_)
-    jacobian_.emplace(make_jacobian(*seen_, solver_.weights()));
+  if (wrapped_)
+    jacobian_.emplace(make_jacobian(*wrapped_, solver_.weights()));
   else
     jacobian_.emplace(*solver_.jacobian());
   mass_ = problem().linear->mass;
@@ -104,7 +104,6 @@ void Run::keep_within_bounds() {
   const double forward = solver_.settings().tf >= solver_.settings().t0 ? 1 : -1;
   const bool implicit = solver_.method().implicit();
   bounded_f_ = bounded_slope_.emplace(f_, *problem.bounds, forward, implicit, std::move(*mass)).callback();
-  manifold_.bounded_slope = &*bounded_slope_;
   method_f_ = &bounded_f_;
 }
 
@@ -147,7 +146,7 @@ Invariants Run::with_algebraic_equations() {
   block.g = algebraic_->residual();
   block.jacobian = algebraic_->jacobian();
   block.m = algebraic_->count();
-  block.certain = true;
+  block.untested = true;
   std::vector<InvariantBlock> blocks = problem.invariants;
   blocks.push_back(block);
   std::vector<double> value = problem.value;
@@ -165,14 +164,19 @@ Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> va
 void Run::start_loop() {
   std::unique_ptr<Step> step =
       solver_.method().step(*method_f_, solver_.weights(), solver_.options(), linear_algebra());
-  Integration::Breaks breaks{solver_.problem().breakpoints, &piece_, {}};
+  const Problem& all = solver_.problem();
+  LoopFunctions functions{.f = f_,
+                          .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
+                          .events = all.events,
+                          .breakpoints = all.breakpoints,
+                          .piece = &piece_,
+                          .callback = all.callback};
   if (mass_ && mass_->singular())
-    breaks.consistent = [this](double t, double* y) {
+    functions.consistent = [this](double t, double* y) {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
     };
-  integration_.emplace(std::move(step), solver_.weights(), f_, manifold_, solver_.problem().events, std::move(breaks),
-                       solver_.problem().callback, solver_.settings());
+  integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
 }
 
 Consistency Run::prepare(double t0, double* y0) {
@@ -211,21 +215,21 @@ void Run::count_evaluations(RunResult& result) const {
 void Run::describe_invariants(RunResult& result) const {
   if (!steps_) return;
   for (const InvariantBlock& block : steps_->blocks())
-    if (!block.certain) result.derivatives.push_back(block.derivative);
-  result.projected_start = integration_->guard()->projected_start();
-  const Projector& projector = *integration_->projector();
+    if (!block.untested) result.derivatives.push_back(block.derivative);
+  result.projected_start = integration_->manifold().guard()->projected_start();
+  const Projector& projector = *integration_->manifold().projector();
   const std::vector<char> dropped = projector.dropped();
   for (std::size_t i = 0; i < dropped.size(); ++i)
     if (dropped[i] != 0) result.dropped.push_back(static_cast<int>(i));
   result.dropped_at = projector.dropped_at();
-  result.harm = integration_->harm();
+  result.harm = integration_->manifold().harm();
 }
 
 /// All but the arrays.
 void Run::describe(RunResult& result) const {
   const Integration& loop = *integration_;
   result.n = loop.step().n();
-  result.drift = loop.drift;
+  result.drift = loop.manifold().drift;
   result.state = loop.state();
   result.report = loop.report();
   result.counts = loop.counts();
@@ -233,11 +237,11 @@ void Run::describe(RunResult& result) const {
   result.discontinuities = loop.discontinuities().found();
   result.sticks_since = loop.discontinuities().sticks_since();
   result.accumulation = loop.accumulation();
-  result.switches = loop.step().switches();
-  result.linear = loop.step().linear_work();
+  result.switches = loop.switches();
+  result.linear = linear_work(loop.step());
   count_evaluations(result);
   describe_invariants(result);
-  result.clipped = loop.clipped;
+  result.clipped = loop.manifold().clipped;
   result.t_end = loop.t();
   result.next_h = loop.step().h();
 }
@@ -246,11 +250,12 @@ RunResult Run::take_result() {
   Integration& loop = *integration_;
   RunResult result;
   describe(result);
-  result.points = std::move(loop.points);
-  result.occurrences = std::move(loop.occurrences);
-  result.record = std::move(loop.steps);
-  result.jumps = std::move(loop.jumps);
-  result.dense = std::move(loop.dense);
+  Output& output = loop.output();
+  result.points = std::move(output.points);
+  result.occurrences = std::move(output.occurrences);
+  result.record = std::move(output.steps);
+  result.jumps = std::move(output.jumps);
+  result.dense = std::move(output.dense);
   if (solver_.settings().output_at_times || result.points.t.empty())
     result.y_end.emplace(loop.y(), loop.y() + result.n);
   return result;
@@ -258,25 +263,26 @@ RunResult Run::take_result() {
 
 RunResult Run::result_since(Marks& marks) const {
   const Integration& loop = *integration_;
+  const Output& output = loop.output();
   RunResult result;
   describe(result);
   result.y_end.emplace(loop.y(), loop.y() + result.n);
-  if (solver_.settings().save_all) result.points = loop.points.from(marks.points, result.n);
-  result.record.append(loop.steps.data() + marks.steps, loop.steps.size() - marks.steps);
-  marks.occurrences.resize(loop.occurrences.size());
-  for (std::size_t e = 0; e < loop.occurrences.size(); ++e) {
-    result.occurrences.push_back(loop.occurrences[e].from(marks.occurrences[e], result.n));
-    marks.occurrences[e] = loop.occurrences[e].t.size();
+  if (solver_.settings().save_all) result.points = output.points.from(marks.points, result.n);
+  result.record.append(output.steps.data() + marks.steps, output.steps.size() - marks.steps);
+  marks.occurrences.resize(output.occurrences.size());
+  for (std::size_t e = 0; e < output.occurrences.size(); ++e) {
+    result.occurrences.push_back(output.occurrences[e].from(marks.occurrences[e], result.n));
+    marks.occurrences[e] = output.occurrences[e].t.size();
   }
-  for (; marks.jumps < loop.jumps.size(); ++marks.jumps) {
-    Jump& jump = result.jumps.emplace_back(loop.jumps[marks.jumps]);
+  for (; marks.jumps < output.jumps.size(); ++marks.jumps) {
+    Jump& jump = result.jumps.emplace_back(output.jumps[marks.jumps]);
     jump.row -= solver_.settings().save_all ? marks.points : 0;
   }
-  marks.points = loop.points.t.size();
-  marks.steps = loop.steps.size();
-  if (loop.dense) {
-    result.dense.emplace(loop.dense->from(marks.knots));
-    marks.knots = loop.dense->knots().size() - 1;
+  marks.points = output.points.t.size();
+  marks.steps = output.steps.size();
+  if (output.dense) {
+    result.dense.emplace(output.dense->from(marks.knots));
+    marks.knots = output.dense->knots().size() - 1;
   }
   return result;
 }
@@ -299,7 +305,7 @@ void Run::state(Archive& archive) {
   integration_->state(archive);
 }
 
-Memory Run::memory(std::size_t most_values) {
+RunMemory Run::memory(std::size_t most_values) {
   Archive archive(most_values);
   state(archive);
   return archive.take();

@@ -11,14 +11,14 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "confined.hpp"
+#include "functions/confined.hpp"
+#include "functions/piece.hpp"
 #include "integrate.hpp"
 #include "linear/jacobian.hpp"
 #include "linear/mass.hpp"
 #include "manifold/invariants.hpp"
-#include "piece.hpp"
+#include "manifold/slope.hpp"
 #include "run/problem.hpp"
-#include "slope.hpp"
 
 namespace invariode {
 
@@ -100,15 +100,15 @@ class Run {
 
   /// What the run remembers, between two steps or when it has ended, before the result is taken; without matrices of
   /// more entries than `most_values`.
-  [[nodiscard]] Memory memory(std::size_t most_values);
+  [[nodiscard]] RunMemory memory(std::size_t most_values);
   /// Instead of `Integration::start`: goes on from what another run of the same problem remembered. `anew`: see
   /// `Integration::resume`. Throws std::invalid_argument where the memory does not fit.
   State resume(std::span<const std::byte> memory, bool anew);
 
  private:
-  void see_functions();
-  void see_pieces(Problem& problem);
-  void see_bounds(Problem& problem);
+  void wrap_functions();
+  void wrap_in_pieces(Problem& problem);
+  void wrap_in_bounds(Problem& problem);
   void copy_linear_terms();
   void keep_within_bounds();
   void derive_slope();
@@ -125,12 +125,12 @@ class Run {
   LinearAlgebra linear_algebra();
 
   /// The functions of the run: the solver's, or what a piece between breakpoints sees of them, within bounds.
-  [[nodiscard]] const Problem& problem() const { return seen_ ? *seen_ : solver_.problem(); }
+  [[nodiscard]] const Problem& problem() const { return wrapped_ ? *wrapped_ : solver_.problem(); }
 
   const Solver& solver_;
   Piece piece_;
   std::optional<Confined> confined_;
-  std::optional<Problem> seen_;
+  std::optional<Problem> wrapped_;
   Callback users_f_;  // within bounds: f before it is confined to them
   Callback f_;
 
@@ -146,7 +146,7 @@ class Run {
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too
   std::optional<Invariants> between_;  // where those differ, the user's invariants alone
   Invariants* users_invariants_ = nullptr;
-  Integration::Manifold manifold_;
+  ManifoldTerms manifold_;
 
   std::optional<Integration> integration_;
   std::int64_t prepared_ = 0;  // evaluations of invariants by `prepare`,

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cassert>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -53,9 +54,9 @@ class alignas(64) Share {
 };
 
 /// Workers that share indices out among themselves, and how far they have come.
-class Crew {
+class WorkerPool {
  public:
-  Crew(std::uint32_t count, std::size_t workers) : shares_(workers), running_(workers) {
+  WorkerPool(std::uint32_t count, std::size_t workers) : shares_(workers), running_(workers) {
     for (std::size_t w = 0; w < workers; ++w)
       shares_[w].assign(static_cast<std::uint32_t>(std::uint64_t{count} * w / workers),
                         static_cast<std::uint32_t>(std::uint64_t{count} * (w + 1) / workers));
@@ -64,6 +65,7 @@ class Crew {
   /// The next index of worker number `own`: of its share, then of parts of the others'. False: there are no more, or
   /// the rest is cancelled.
   bool next(std::size_t own, std::uint32_t& index) {
+    assert(own < shares_.size());
     do {
       if (cancelled()) return false;
       if (shares_[own].take(index)) return true;
@@ -92,15 +94,16 @@ class Crew {
   [[nodiscard]] const std::atomic<bool>& cancellation() const { return cancelled_; }
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
   /// This many workers have ended, or never began.
-  void leave(std::size_t workers) {
+  void end_workers(std::size_t workers) {
     const std::scoped_lock lock(mutex_);
+    assert(workers <= running_);
     running_ -= workers;
     ended_.notify_one();
   }
-  /// Waits as long as that. True: all have left.
-  bool wait(std::chrono::milliseconds patience) {
+  /// Waits as long as that. True: all have ended.
+  bool wait(std::chrono::milliseconds interval) {
     std::unique_lock lock(mutex_);
-    return ended_.wait_for(lock, patience, [&] { return running_ == 0; });
+    return ended_.wait_for(lock, interval, [&] { return running_ == 0; });
   }
 
  private:
@@ -122,57 +125,57 @@ class Crew {
 /// The indices that one worker is to do, one after the other or several together.
 class Queue {
  public:
-  Queue(Crew& crew, std::size_t own) : crew_(crew), own_(own) {}
+  Queue(WorkerPool& pool, std::size_t own) : pool_(pool), own_(own) {}
 
   /// The next one; false: there are no more, or the rest is cancelled.
-  bool next(std::uint32_t& index) { return crew_.next(own_, index); }
+  bool next(std::uint32_t& index) { return pool_.next(own_, index); }
   /// One of those taken has been done.
-  void finish_one() { crew_.finish_one(); }
+  void finish_one() { pool_.finish_one(); }
   /// For work that takes long.
-  [[nodiscard]] const std::atomic<bool>& cancelled() const { return crew_.cancellation(); }
+  [[nodiscard]] const std::atomic<bool>& cancelled() const { return pool_.cancellation(); }
 
  private:
-  Crew& crew_;
+  WorkerPool& pool_;
   std::size_t own_;
 };
 
 /// Calls work(worker, queue) on each of `workers` threads, whose queues share out all indices < count; meanwhile, every
-/// `patience` and at the end, watch(done) on the calling thread, which cancels what is left by returning false. True:
+/// `interval` and at the end, watch(done) on the calling thread, which cancels what is left by returning false. True:
 /// all were done. What work or watch throws first cancels the rest, and is thrown again when all threads have ended.
 template <class Work, class Watch>
-bool on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work, Watch watch) {
-  Crew crew(count, workers);
-  const auto labour = [&](std::size_t w) {
-    Queue queue(crew, w);
-    crew.guarded([&] { work(w, queue); });
-    crew.leave(1);
+bool on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseconds interval, Work work, Watch watch) {
+  WorkerPool pool(count, workers);
+  const auto worker = [&](std::size_t w) {
+    Queue queue(pool, w);
+    pool.guarded([&] { work(w, queue); });
+    pool.end_workers(1);
   };
   std::vector<std::thread> threads;
   threads.reserve(workers);
   try {
-    for (std::size_t w = 0; w < workers; ++w) threads.emplace_back(labour, w);
+    for (std::size_t w = 0; w < workers; ++w) threads.emplace_back(worker, w);
   } catch (...) {  // the system gives no more threads: those that run take the others' shares
     if (threads.empty()) throw;
-    crew.leave(workers - threads.size());
+    pool.end_workers(workers - threads.size());
   }
   const auto look = [&] {
-    if (!watch(crew.done())) crew.cancel();
+    if (!watch(pool.done())) pool.cancel();
   };
-  while (!crew.wait(patience)) crew.guarded(look);
+  while (!pool.wait(interval)) pool.guarded(look);
   for (std::thread& thread : threads) thread.join();
-  crew.rethrow();
+  pool.rethrow();
   look();
-  return !crew.cancelled();
+  return !pool.cancelled();
 }
 
 /// The same with work(worker, index, cancelled) for each index.
 template <class Work, class Watch>
-bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds patience, Work work,
+bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds interval, Work work,
                     Watch watch) {
   const auto one_by_one = [&](std::size_t worker, Queue& queue) {
     for (std::uint32_t index; queue.next(index); queue.finish_one()) work(worker, index, queue.cancelled());
   };
-  return on_workers(count, workers, patience, one_by_one, watch);
+  return on_workers(count, workers, interval, one_by_one, watch);
 }
 
 }  // namespace invariode

@@ -9,11 +9,11 @@
 
 namespace invariode {
 
-/// How long native code runs before it is looked after.
-inline constexpr std::chrono::milliseconds patience(50);
+/// How long native code runs between two calls of watch().
+inline constexpr std::chrono::milliseconds watch_interval(50);
 
-/// Begins the integration by begin() and runs it to its end. Whenever `patience` has passed, watch() may stop it by
-/// returning false. True: it has ended by itself.
+/// Begins the integration by begin() and runs it to its end. Whenever `watch_interval` has passed, watch() may stop it
+/// by returning false. True: it has ended by itself.
 template <class Begin, class Watch>
 bool run_watched(Integration& integration, Begin begin, Watch watch) {
   using Clock = std::chrono::steady_clock;
@@ -26,8 +26,8 @@ bool run_watched(Integration& integration, Begin begin, Watch watch) {
     if (++step < steps) continue;
     step = 0;
     const auto now = Clock::now(), before = std::exchange(looked, now);
-    steps = now - before < patience / most ? std::min(2 * steps, most) : 1;
-    if (now - watched < patience) continue;
+    steps = now - before < watch_interval / most ? std::min(2 * steps, most) : 1;
+    if (now - watched < watch_interval) continue;
     if (!watch()) return false;
     watched = now;
   }

@@ -8,7 +8,6 @@ from importlib.metadata import version as _version
 from types import FunctionType as _FunctionType
 
 from ._base.failures import FailureWarning, InvariantError, SolveError
-from ._ensemble.ensemble import solve_ensemble
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compiled import CompiledFunction, compile
@@ -16,11 +15,14 @@ from ._laws.imposing import ImposeResult, impose
 from ._mechanics.system import MechanicalSystem
 from ._problem.dissipation import Dissipated
 from ._problem.events import Event
+from ._problem.grouped import GMRES, Banded, Checkpoint, Limits
 from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
-from ._results.solution import DenseSolution, DiscontinuityWarning, Drift, Solution, Stats, Steps, StiffnessWarning
+from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
+from ._results.solution import Solution
+from ._solve.ensemble import solve_ensemble
 from ._solve.ivp import solve_ivp
 from ._solve.loading import load
 from ._solve.ode_functions import *  # noqa: F403 - the registry says what is in it
@@ -32,9 +34,12 @@ from ._studies.search import PolynomialInvariant, find_invariants
 from ._studies.work_precision import plot_work_precision
 
 __all__ = [
+    "GMRES",
     "METHODS",
     "AccuracyWarning",
+    "Banded",
     "CheckReport",
+    "Checkpoint",
     "CompiledFunction",
     "DenseSolution",
     "DiscontinuityWarning",
@@ -50,6 +55,7 @@ __all__ = [
     "Input",
     "InvariantError",
     "Invariants",
+    "Limits",
     "MechanicalSystem",
     "Method",
     "PolynomialInvariant",
@@ -80,3 +86,8 @@ __version__ = _version("invariode")
 for _name in __all__:  # the rooms are private: pickles, tracebacks and documentation name what users import
     if isinstance(_public := globals()[_name], (type, _FunctionType)):
         _public.__module__ = __name__
+
+
+def __dir__() -> list[str]:
+    """The public names, for completion."""
+    return [name for name in globals() if not name.startswith("_") or name.endswith("__")]

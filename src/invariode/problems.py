@@ -68,11 +68,6 @@ def lotka_volterra(*, imposed: bool = True) -> Problem:
     ----------
     imposed : bool, default True
         Whether the invariant is imposed.
-
-    Returns
-    -------
-    Problem
-        The problem.
     """
     held = Invariants(_orbit, _orbit_jacobian, names="orbit")
     return Problem(
@@ -107,11 +102,6 @@ def pendulum(*, imposed: bool = True) -> Problem:
     ----------
     imposed : bool, default True
         Whether both constraints are imposed.
-
-    Returns
-    -------
-    Problem
-        The problem.
     """
     held = Invariants(_rod, _rod_jacobian, value=0, names=["length", "velocity"])
     return Problem(_swing, (0, 50), [1, 0, 0, 0], invariants=held if imposed else None, name="pendulum", labels=PLANE)
@@ -159,11 +149,6 @@ def three_body(*, imposed: bool = True) -> Problem:
     ----------
     imposed : bool, default True
         Whether the Jacobi integral is imposed.
-
-    Returns
-    -------
-    Problem
-        The problem.
     """
     held = Invariants(_jacobi, _jacobi_jacobian, names="Jacobi integral")
     name = "restricted three-body problem"
@@ -202,11 +187,6 @@ def kepler(e: float = 0.6, *, imposed: bool = True) -> Problem:
         The eccentricity of the orbit, from 0 to below 1.
     imposed : bool, default True
         Whether both invariants are imposed.
-
-    Returns
-    -------
-    Problem
-        The problem.
 
     Raises
     ------
@@ -250,11 +230,6 @@ def henon_heiles(energy: float = 1 / 12, y: float = 0.1, *, imposed: bool = True
     imposed : bool, default True
         Whether the energy is imposed.
 
-    Returns
-    -------
-    Problem
-        The problem.
-
     Raises
     ------
     ValueError
@@ -296,11 +271,6 @@ def rigid_body(*, imposed: bool = True) -> Problem:
     ----------
     imposed : bool, default True
         Whether both invariants are imposed.
-
-    Returns
-    -------
-    Problem
-        The problem.
     """
     held = Invariants(_quadrics, _quadrics_jacobian, names=["y1² + y2²", "0.51 y1² + y3²"])
     return Problem(

@@ -186,12 +186,24 @@ CALLS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], tuple[str, ...]]] 
             *("ixpr", "mxstep", "mxhnil", "mxordn", "mxords", "printmessg", "tfirst", "method", "invariants"),
         ),
     ),
+    "GMRES": (iv.GMRES, {}, ("dimension", "preconditioner", "jac_product")),
+    "Banded": (
+        lambda **given: iv.solve_ivp(**{**RUN, "method": "ode15s"}, jac=iv.Banded(**given)),
+        {"lower": 1, "upper": 1},
+        ("fun",),
+    ),
+    "Checkpoint": (iv.Checkpoint, {"path": "run"}, ("every",)),
+    "Limits": (
+        lambda **given: iv.solve_ivp(**RUN, limits=iv.Limits(**given)),
+        {},
+        ("steps", "time", "points", "bytes"),
+    ),
     "Input": (iv.Input, {"times": [0.0, 1.0], "values": [0.0, 1.0]}, ("kind", "breakpoints")),
     "sol": (lambda t: iv.solve_ivp(**RUN, dense_output=True).sol(t), {"t": 0.5}, ()),
     "extend": (
         lambda **given: iv.solve_ivp(**RUN).extend(**given),
         {"t_end": 2.0},
-        ("t_eval", "first_step", "max_step", "callback", "check", "progress"),
+        ("t_eval", "first_step", "max_step", "callback", "check", "progress", "max_steps", "limits"),
     ),
 }
 

@@ -147,7 +147,7 @@ class Case:
                 rtol=self.rtol,
                 atol=self.rtol * 1e-3,
                 invariants=held if project else None,
-                save="end",
+                keep="end",
             )
         except iv.InvariantError:
             return None

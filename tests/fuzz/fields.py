@@ -92,7 +92,7 @@ def _saved(method: str, kind: int, checkpoint: bool) -> tuple[dict[str, bytes], 
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         path = Path(folder) / "damaged"
-        more = {"checkpoint": path, "checkpoint_every": 1e-9} if checkpoint else {}
+        more = {"checkpoint": iv.Checkpoint(path, every=1e-9)} if checkpoint else {}
         sol = problem.solve(method, max_steps=7, dense_output=True, **functions, **more)
         if sol.status not in (-3, 0):
             return None
@@ -263,7 +263,7 @@ def _used(sol: iv.Solution, whole: bool) -> str | None:
     uses: dict[str, Callable[[], object]] = {
         "sol": lambda: sol.sol and sol.sol(np.linspace(-1, END + 1, 7)),
         "drift": sol.drift,
-        "extend": lambda: whole and sol.extend(END + 1, max_steps=STEPS, time_limit=5.0),
+        "extend": lambda: whole and sol.extend(END + 1, max_steps=STEPS, limits=iv.Limits(time=5.0)),
     }
     for name, use in uses.items():
         try:

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import campaign
 
-CASES = {"calls": 1000, "runs": 60, "files": 200, "fields": 200, "exceptions": 300, "networks": 20, "patterns": 60}
+CASES = {"calls": 500, "runs": 30, "files": 100, "fields": 50, "exceptions": 100, "networks": 10, "patterns": 30}
 SEED = 2026
 
 

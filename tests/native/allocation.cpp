@@ -103,10 +103,10 @@ TEST(watching_events_allocates_nothing) {
   for_runs([&](const Method& method, const Problem& problem, Options options) {
     options.events = {{as_callback(crosses)}, {as_callback(never), 1}};
     Run run(method, problem, options);
-    run->occurrences[0].t.reserve(100);
-    run->occurrences[0].y.reserve(400);
+    run->output().occurrences[0].t.reserve(100);
+    run->output().occurrences[0].y.reserve(400);
     CHECK(allocations_of(run) == 0);
-    CHECK(run->occurrences[0].t.size() == 16);
+    CHECK(run->output().occurrences[0].t.size() == 16);
   });
 }
 

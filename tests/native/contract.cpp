@@ -273,9 +273,9 @@ struct Stoppable {
     settings.refine = 2;
     settings.dense = true;
     ExplicitSlope slope(rhs);
-    Integration integration(make_step(method, rhs, weights, fsal), weights, rhs,
-                            {.steps = &invariants, .between = &invariants, .slope = &slope}, {{as_callback(event)}}, {},
-                            as_callback(callback), settings);
+    Integration integration(make_step(method, rhs, weights, fsal), weights,
+                            {.steps = &invariants, .between = &invariants, .slope = &slope},
+                            {.f = rhs, .events = {{as_callback(event)}}, .callback = as_callback(callback)}, settings);
     (void)integration.start(problem.y0.data());
     return integration.run();
   }

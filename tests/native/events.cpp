@@ -49,8 +49,8 @@ TEST(a_root_at_a_step_end_is_found_once_and_exactly) {
       Run run(method, clock(0), watching(watch, settings));
       CHECK(run.run() == State::reached_end);
       CHECK(run->counts().steps == 10);
-      CHECK(run->occurrences[0].t == std::vector<double>{3 * size});
-      CHECK(run->occurrences[1].t == std::vector<double>{7 * size});
+      CHECK(run->output().occurrences[0].t == std::vector<double>{3 * size});
+      CHECK(run->output().occurrences[1].t == std::vector<double>{7 * size});
     }
 }
 
@@ -60,8 +60,8 @@ TEST(a_root_at_the_very_end_is_found) {
     watch.at(10, 1);
     Run run(method, clock(10), watching(watch));
     CHECK(run.run() == State::terminal_event);
-    CHECK(run->occurrences[0].t == std::vector<double>{10});
-    CHECK(run->points.t.back() == 10);
+    CHECK(run->output().occurrences[0].t == std::vector<double>{10});
+    CHECK(run->output().points.t.back() == 10);
   }
 }
 
@@ -74,11 +74,11 @@ TEST(the_roots_of_a_step_are_found_in_order) {
     Run run(method, clock(1), watching(watch, {.hmax = infinity, .first_step = 1}));
     CHECK(run.run() == State::reached_end);
     CHECK(run->counts().steps == 1);
-    for (int k = 0; k < 3; ++k) CHECK(run->occurrences[k].t.size() == 1);
-    CHECK_CLOSE(run->occurrences[0].t.front(), 0.7, 2 * eps);
-    CHECK_CLOSE(run->occurrences[1].t.front(), 0.2, 2 * eps);
-    CHECK_CLOSE(run->occurrences[2].t.front(), 0.45, 2 * eps);
-    const std::vector<double> several = run->occurrences[3].t.copy();
+    for (int k = 0; k < 3; ++k) CHECK(run->output().occurrences[k].t.size() == 1);
+    CHECK_CLOSE(run->output().occurrences[0].t.front(), 0.7, 2 * eps);
+    CHECK_CLOSE(run->output().occurrences[1].t.front(), 0.2, 2 * eps);
+    CHECK_CLOSE(run->output().occurrences[2].t.front(), 0.45, 2 * eps);
+    const std::vector<double> several = run->output().occurrences[3].t.copy();
     const double expected[] = {0.1, 0.4, 0.9};
     CHECK(several.size() == 3 && std::is_sorted(several.begin(), several.end()));
     for (std::size_t i = 0; i < several.size(); ++i) CHECK_CLOSE(several[i], expected[i], 8 * eps);
@@ -93,11 +93,11 @@ TEST(an_event_that_is_zero_at_the_start_sleeps_until_it_has_left_zero) {
       watch.add(sine, 0).add([](double, const double*, double* e) { e[0] = 0; });
       Run run(method, without_invariants(harmonic()), watching(watch, {.tf = tf}, 1e-6));
       CHECK(run.run() == State::reached_end);
-      const std::vector<double> t = run->occurrences[0].t.copy();
+      const std::vector<double> t = run->output().occurrences[0].t.copy();
       CHECK(t.size() == 3);
       for (std::size_t k = 0; k < t.size(); ++k)
         CHECK_CLOSE(t[k], (tf > 0 ? pi : -pi) * static_cast<double>(k + 1), method.order == 2 ? 1e-3 : 1e-4);
-      CHECK(run->occurrences[1].t.empty());  // always zero: always asleep
+      CHECK(run->output().occurrences[1].t.empty());  // always zero: always asleep
     }
 }
 
@@ -108,7 +108,7 @@ TEST(a_tangency_without_a_sign_change_is_no_event) {
       watch.add([root](double t, const double*, double* e) { e[0] = (t - root) * (t - root); });
     Run run(method, clock(10), watching(watch, {.hmax = 1, .first_step = 1}));
     CHECK(run.run() == State::reached_end);
-    for (const Trajectory& found : run->occurrences) CHECK(found.t.empty());
+    for (const Trajectory& found : run->output().occurrences) CHECK(found.t.empty());
   }
 }
 
@@ -122,9 +122,9 @@ TEST(the_direction_is_that_of_the_integration) {
       watch.add(cosine, 0, 0).add(cosine, 0, 1).add(cosine, 0, -1);
       Run run(method, without_invariants(harmonic()), watching(watch, {.tf = 12 * forward}, 1e-6));
       CHECK(run.run() == State::reached_end);
-      const std::vector<double> all = run->occurrences[0].t.copy();
-      const std::vector<double> rising = run->occurrences[1].t.copy();
-      const std::vector<double> falling = run->occurrences[2].t.copy();
+      const std::vector<double> all = run->output().occurrences[0].t.copy();
+      const std::vector<double> rising = run->output().occurrences[1].t.copy();
+      const std::vector<double> falling = run->output().occurrences[2].t.copy();
       CHECK(all.size() == 4 && rising.size() == 2 && falling.size() == 2);
       for (std::size_t k = 0; k < 4; ++k) CHECK(all[k] == (k % 2 == 0 ? falling : rising)[k / 2]);
     }
@@ -138,12 +138,12 @@ TEST(a_terminal_event_ends_the_run_at_its_count) {
       watch.add(sine, count).at(2.5 * pi);
       Run run(method, harmonic(), watching(watch, {.dense = true}, 1e-6));
       CHECK(run.run() == State::terminal_event);
-      const Trajectory& found = run->occurrences[0];
+      const Trajectory& found = run->output().occurrences[0];
       CHECK(static_cast<std::int64_t>(found.t.size()) == count);
-      CHECK(run->occurrences[1].t.size() == (count == 3 ? 1u : 0u));
-      CHECK(run->points.t.back() == found.t.back());
-      CHECK(run->steps.back().t == found.t.back());
-      CHECK(run->dense->knots().back() == found.t.back());
+      CHECK(run->output().occurrences[1].t.size() == (count == 3 ? 1u : 0u));
+      CHECK(run->output().points.t.back() == found.t.back());
+      CHECK(run->output().steps.back().t == found.t.back());
+      CHECK(run->output().dense->knots().back() == found.t.back());
       CHECK(same_bits(run.last(), &found.y.end()[-2], 2));
       CHECK(run->advance() == State::terminal_event);  // and it stays ended
     }
@@ -164,10 +164,10 @@ TEST(ties_with_the_terminal_event_are_reported_and_later_events_are_dropped) {
         Run run(method, clock(forward), watching(watch, {.hmax = infinity, .first_step = 1}));
         CHECK(run.run() == State::terminal_event);
         std::size_t at_end = 0, before = 0;
-        for (const Trajectory& found : run->occurrences)
+        for (const Trajectory& found : run->output().occurrences)
           for (const double t : found.t) {
             CHECK_CLOSE(t, (std::abs(t) < 0.5 ? 0.3 : 0.6) * forward, 4 * eps);
-            CHECK(forward * t <= forward * run->points.t.back());
+            CHECK(forward * t <= forward * run->output().points.t.back());
             (std::abs(t) < 0.5 ? before : at_end) += 1;
           }
         CHECK(before == 1 && at_end == 3);
@@ -182,8 +182,9 @@ TEST(ties_are_ties_at_time_zero_too) {
       watch.add([rate](double t, const double*, double* e) { e[0] = std::expm1(rate * t); }, 1);
     Run run(method, clock(1), watching(watch, {.t0 = -0.9, .hmax = infinity, .first_step = 2}));
     CHECK(run.run() == State::terminal_event);
-    CHECK_CLOSE(run->points.t.back(), 0, 2 * eps);
-    for (const Trajectory& found : run->occurrences) CHECK(found.t == std::vector<double>{run->points.t.back()});
+    CHECK_CLOSE(run->output().points.t.back(), 0, 2 * eps);
+    for (const Trajectory& found : run->output().occurrences)
+      CHECK(found.t == std::vector<double>{run->output().points.t.back()});
   }
 }
 
@@ -226,7 +227,7 @@ TEST(roots_are_located_to_a_few_ulp_of_t) {
         watch.add(example.e, 1);
         Run run(method, clock(1.2), watching(watch, {.hmax = long_steps ? infinity : 0.1, .first_step = 1}));
         CHECK(run.run() == State::terminal_event);
-        CHECK_CLOSE(run->points.t.back(), example.root, 4 * ulp(example.root) + (long_steps ? 2 : 1) * eps);
+        CHECK_CLOSE(run->output().points.t.back(), example.root, 4 * ulp(example.root) + (long_steps ? 2 : 1) * eps);
       }
 }
 
@@ -251,11 +252,11 @@ TEST(an_event_is_where_the_values_returned_are_zero) {
       watch.add([](double, const double* y, double* e) { e[0] = y[0] - 0.25; });
       Run run(method, kepler(0.5), watching(watch, {.interpolation = interpolation, .dense = true}));
       CHECK(run.run() == State::reached_end);
-      const Trajectory& found = run->occurrences[0];
+      const Trajectory& found = run->output().occurrences[0];
       CHECK(found.t.size() >= 10);
       std::vector<double> y(found.y.size());
       Projector projector(*run.invariants, run.weights, 1);
-      CHECK(run->dense->evaluate(found.t.data(), found.t.size(), y.data(), &projector) == Status::ok);
+      CHECK(run->output().dense->evaluate(found.t.data(), found.t.size(), y.data(), &projector) == Status::ok);
       CHECK(same_bits(y, found.y));
       for (std::size_t k = 0; k < found.t.size(); ++k) {
         const double speed = std::abs(found.y[4 * k + 2]);
@@ -284,16 +285,16 @@ TEST(an_action_restarts_the_solution_with_both_values_at_one_time) {
     Run run(method, ball, options);
     // What is held is re-held: the block of the test has no demanded value.
     CHECK(run.run() == State::reached_end);
-    const std::vector<double> t = run->occurrences[0].t.copy();
+    const std::vector<double> t = run->output().occurrences[0].t.copy();
     const double expected[] = {1, 2.6, 3.88};
-    CHECK(t.size() == 3 && run->jumps.size() == 3);
+    CHECK(t.size() == 3 && run->output().jumps.size() == 3);
     for (std::size_t k = 0; k < std::min<std::size_t>(t.size(), 3); ++k) {
       CHECK_CLOSE(t[k], expected[k], 1e-4);
-      const std::size_t row = run->jumps[k].row;
-      CHECK(run->points.t[row] == t[k] && run->points.t[row - 1] == t[k]);
-      CHECK_CLOSE(run->points.y[2 * row + 1], -0.8 * run->points.y[2 * row - 1], 4 * eps);
+      const std::size_t row = run->output().jumps[k].row;
+      CHECK(run->output().points.t[row] == t[k] && run->output().points.t[row - 1] == t[k]);
+      CHECK_CLOSE(run->output().points.y[2 * row + 1], -0.8 * run->output().points.y[2 * row - 1], 4 * eps);
       double y[2];
-      CHECK(run->dense->evaluate(&t[k], 1, y, nullptr) == Status::ok);
+      CHECK(run->output().dense->evaluate(&t[k], 1, y, nullptr) == Status::ok);
       CHECK(y[1] > 0);  // the later value
     }
   }

@@ -73,7 +73,7 @@ TEST(a_wrong_invariant_is_found) {
         CHECK(accused(run.run()));
         CHECK(run->report().finding.kind == Finding::Kind::not_conserved);
         CHECK(run->report().finding.invariant == 0);
-        CHECK(run->points.t.back() < 1);
+        CHECK(run->output().points.t.back() < 1);
       }
 }
 
@@ -85,7 +85,7 @@ TEST(with_an_exact_jacobian_a_slow_drift_is_found_too) {
       const check::Case label(method.name, ", rtol ", rtol);
       Run run(method, problem, {.rtol = rtol, .atol = 1e-3 * rtol});
       CHECK(run.run() == State::invariant_convicted);
-      CHECK(run->points.t.back() < 1);
+      CHECK(run->output().points.t.back() < 1);
       const double rate = -1e-4 * run->step().y()[1] * run->step().y()[1];  // of the energy
       CHECK_CLOSE(run->report().finding.size, rate, 1e-3 * std::abs(rate));
     }
@@ -136,7 +136,7 @@ TEST(a_start_off_the_demanded_value_is_projected_within_rtol_and_refused_beyond)
     // At (1, 0) with w = 1 the distance to the energy level c is |1/2 − c| to first order.
     Run near(named("ode45"), harmonic(), {.rtol = rtol, .atol = rtol, .value = {0.5 + 0.9 * rtol}});
     CHECK(near.start() == State::running);
-    CHECK(near->guard()->projected_start());
+    CHECK(near->manifold().guard()->projected_start());
     const double* y = near->step().y();
     CHECK_CLOSE((y[0] * y[0] + y[1] * y[1]) / 2, 0.5 + 0.9 * rtol, 20 * eps);
     Run far(named("ode45"), harmonic(), {.rtol = rtol, .atol = rtol, .value = {0.5 - 1.2 * rtol}});
@@ -163,8 +163,8 @@ TEST(the_guard_looks_without_changing_the_run) {
       const check::Case label(method.name, ", ", problem.name);
       Run guarded(method, problem), alone(method, problem, {.settings = {.check = false}});
       CHECK(guarded.run() == State::reached_end && alone.run() == State::reached_end);
-      CHECK(same_bits(guarded->points.t, alone->points.t));
-      CHECK(same_bits(guarded->points.y, alone->points.y));
+      CHECK(same_bits(guarded->output().points.t, alone->output().points.t));
+      CHECK(same_bits(guarded->output().points.y, alone->output().points.y));
     }
 }
 
@@ -173,7 +173,7 @@ TEST(a_redundant_invariant_is_flagged_and_costs_nothing) {
     Run redundant(method, with_redundant_invariant(rigid_body())), plain(method, rigid_body());
     CHECK(redundant.run() == State::reached_end && plain.run() == State::reached_end);
     int dropped = 0;
-    for (const char d : redundant->projector()->dropped()) dropped += d;
+    for (const char d : redundant->manifold().projector()->dropped()) dropped += d;
     CHECK(dropped >= 1);
     CHECK(redundant->counts().steps == plain->counts().steps);
     CHECK_CLOSE(distance(redundant.last(), plain.last(), 3), 0, 1e-10);

@@ -17,9 +17,9 @@ TEST(the_end_is_reached_exactly) {
       const check::Case label(method.name, ", tf ", tf);
       Run run(method, scalar("decay", 1, tf, [](double t, const double*, double* out) { out[0] = std::cos(t); }));
       CHECK(run.run() == State::reached_end);
-      CHECK(run->points.t.back() == tf && run->steps.back().t == tf && run->step().t() == tf);
-      CHECK(run->points.t.front() == 0 && run->points.t.size() == run->steps.size() + 1);
-      CHECK(static_cast<std::int64_t>(run->steps.size()) == run->counts().steps);
+      CHECK(run->output().points.t.back() == tf && run->output().steps.back().t == tf && run->step().t() == tf);
+      CHECK(run->output().points.t.front() == 0 && run->output().points.t.size() == run->output().steps.size() + 1);
+      CHECK(static_cast<std::int64_t>(run->output().steps.size()) == run->counts().steps);
     }
 }
 
@@ -29,7 +29,7 @@ TEST(the_end_is_assigned_and_not_added) {
   for (const Method& method : methods()) {
     Run run(method, clock(0), {.settings = {.t0 = t0, .tf = tf, .hmax = infinity, .first_step = 1e6}});
     CHECK(run.run() == State::reached_end);
-    CHECK(run->points.t.back() == tf && run->step().t() == tf && run->counts().steps == 1);
+    CHECK(run->output().points.t.back() == tf && run->step().t() == tf && run->counts().steps == 1);
   }
 }
 
@@ -45,10 +45,10 @@ TEST(backwards_is_the_mirror_image_of_forwards) {
     };
     Run forwards(method, kepler(0.5, 10)), backwards(method, mirrored);
     CHECK(forwards.run() == State::reached_end && backwards.run() == State::reached_end);
-    CHECK(same_bits(forwards->points.y, backwards->points.y));
-    std::vector<double> t = backwards->points.t.copy();
+    CHECK(same_bits(forwards->output().points.y, backwards->output().points.y));
+    std::vector<double> t = backwards->output().points.t.copy();
     for (double& at : t) at = 0 - at;
-    CHECK(same_bits(forwards->points.t, t));
+    CHECK(same_bits(forwards->output().points.t, t));
   }
 }
 
@@ -58,7 +58,7 @@ TEST(no_step_is_longer_than_hmax_but_the_last_which_may_stretch) {
       Run run(method, harmonic(), {.settings = {.tf = 10.01, .hmax = hmax, .first_step = 100}});
       CHECK(run.run() == State::reached_end);
       std::vector<double> h;
-      for (const AcceptedStep& step : run->steps) h.push_back(step.h);
+      for (const AcceptedStep& step : run->output().steps) h.push_back(step.h);
       CHECK(h.back() <= 1.1 * hmax);
       h.pop_back();
       CHECK(*std::max_element(h.begin(), h.end()) <= hmax * (1 + 1e-12));  // as t₁ − t
@@ -117,7 +117,7 @@ TEST(a_failed_attempt_is_retried_inside_hmax_and_the_interval) {
     CHECK(run->state() == State::reached_end);
     CHECK(spoilt && run->counts().failed == 1);
     CHECK(latest <= 2);
-    for (const AcceptedStep& step : run->steps) CHECK(step.h <= 1.1 * 0.05);
+    for (const AcceptedStep& step : run->output().steps) CHECK(step.h <= 1.1 * 0.05);
   }
 }
 
@@ -125,7 +125,7 @@ TEST(a_first_step_that_is_given_is_taken) {
   for (const Method& method : methods()) {
     Run run(method, harmonic(), {.settings = {.first_step = 0.001}});
     CHECK(run.run() == State::reached_end);
-    CHECK(run->steps.front().h == 0.001);
+    CHECK(run->output().steps.front().h == 0.001);
   }
 }
 
@@ -141,7 +141,7 @@ TEST(a_blow_up_ends_at_hmin_where_the_suite_ends) {
     CHECK_CLOSE(run->report().t, pi / 4, 1e-3);
     CHECK(run->report().cause == Cause::error || run->report().cause == Cause::not_finite);
     CHECK(std::abs(run->report().h) <= 16 * ulp(run->report().t));
-    CHECK(run->points.t.back() == run->report().t);
+    CHECK(run->output().points.t.back() == run->report().t);
     if (method.order == 5) CHECK_CLOSE(run->report().t, 7.853789e-01, 0.5e-7);
     if (method.order == 5) CHECK_CLOSE(16 * ulp(run->report().t), 1.776357e-15, 0.5e-21);
   }
@@ -172,11 +172,12 @@ TEST(output_at_times_gives_those_times_and_no_others) {
       Run at_times(method, kepler(0.5), {.settings = settings});
       Run dense(method, kepler(0.5), {.settings = {.tf = 5 * forward, .dense = true}});
       CHECK(at_times.run() == State::reached_end && dense.run() == State::reached_end);
-      CHECK(at_times->points.t == settings.times);
+      CHECK(at_times->output().points.t == settings.times);
       Projector projector(*dense.invariants, dense.weights, 1);
-      std::vector<double> y(at_times->points.y.size());
-      CHECK(dense->dense->evaluate(settings.times.data(), settings.times.size(), y.data(), &projector) == Status::ok);
-      CHECK(same_bits(y, at_times->points.y));
+      std::vector<double> y(at_times->output().points.y.size());
+      CHECK(dense->output().dense->evaluate(settings.times.data(), settings.times.size(), y.data(), &projector) ==
+            Status::ok);
+      CHECK(same_bits(y, at_times->output().points.y));
       CHECK(at_times->counts().steps == dense->counts().steps);
     }
 }
@@ -186,12 +187,12 @@ TEST(output_does_not_change_the_integration) {
     Run plain(method, pendulum()), refined(method, pendulum(), {.settings = {.refine = 7}}),
         end(method, pendulum(), {.settings = {.save_all = false}});
     for (Run* run : {&plain, &refined, &end}) CHECK(run->run() == State::reached_end);
-    const std::size_t steps = plain->steps.size();
-    CHECK(plain->points.t.size() == steps + 1);
-    CHECK(refined->points.t.size() == 7 * steps + 1);
-    CHECK(std::is_sorted(refined->points.t.begin(), refined->points.t.end()));
-    for (std::size_t k = 0; k <= steps; ++k) CHECK(plain->points.t[k] == refined->points.t[7 * k]);
-    CHECK(end->points.t.size() == 1 && end->points.t[0] == 50 && end->steps.empty());
+    const std::size_t steps = plain->output().steps.size();
+    CHECK(plain->output().points.t.size() == steps + 1);
+    CHECK(refined->output().points.t.size() == 7 * steps + 1);
+    CHECK(std::is_sorted(refined->output().points.t.begin(), refined->output().points.t.end()));
+    for (std::size_t k = 0; k <= steps; ++k) CHECK(plain->output().points.t[k] == refined->output().points.t[7 * k]);
+    CHECK(end->output().points.t.size() == 1 && end->output().points.t[0] == 50 && end->output().steps.empty());
     for (Run* run : {&refined, &end}) CHECK(same_bits(plain.last(), run->last(), 4));
   }
 }
@@ -203,7 +204,7 @@ TEST(stepping_by_hand_is_running) {
     std::int64_t steps = 0;
     while (by_hand->advance() == State::running) CHECK(by_hand->counts().steps == ++steps);
     CHECK(at_once.run() == State::reached_end && by_hand->state() == State::reached_end);
-    CHECK(same_bits(by_hand->points.y, at_once->points.y));
+    CHECK(same_bits(by_hand->output().points.y, at_once->output().points.y));
   }
 }
 
@@ -216,9 +217,9 @@ TEST(the_callback_sees_every_step_and_can_stop) {
     };
     Run run(method, harmonic(), {.callback = as_callback(callback)});
     CHECK(run.run() == State::stopped_by_callback);
-    CHECK(seen.size() == 5 && run->steps.size() == 5);
-    for (std::size_t k = 0; k < seen.size(); ++k) CHECK(seen[k] == run->steps[k].t);
-    CHECK(run->points.t.back() == seen.back());
+    CHECK(seen.size() == 5 && run->output().steps.size() == 5);
+    for (std::size_t k = 0; k < seen.size(); ++k) CHECK(seen[k] == run->output().steps[k].t);
+    CHECK(run->output().points.t.back() == seen.back());
   }
 }
 
@@ -228,11 +229,11 @@ TEST(nothing_to_integrate_is_done_at_once) {
     here.tf = 0;
     Run still(method, here);
     CHECK(still.run() == State::reached_end);
-    CHECK((still->points.t == std::vector<double>{0, 0}));
+    CHECK((still->output().points.t == std::vector<double>{0, 0}));
     CHECK(same_bits(still.last(), here.y0.data(), 4));
     Run empty(method, {.name = "empty", .y0 = {}, .tf = 1, .f = [](double, const double*, double*) {}});
     CHECK(empty.run() == State::reached_end);
-    CHECK(empty->points.t.back() == 1);
+    CHECK(empty->output().points.t.back() == 1);
   }
 }
 
@@ -243,7 +244,7 @@ TEST(a_span_of_one_ulp_is_one_step) {
       Run run(method, harmonic(), {.settings = {.t0 = 1, .tf = tf}});  // hmax, a tenth of that, would not move t
       CHECK(run.start() == State::running);
       CHECK(run->advance() == State::reached_end);
-      CHECK(run->counts().steps == 1 && run->points.t.back() == tf);
+      CHECK(run->counts().steps == 1 && run->output().points.t.back() == tf);
     }
 }
 
@@ -364,8 +365,8 @@ TEST(the_papers_residuals_on_lotka_volterra_are_reproduced) {
   const auto residual = [&](Run& run) {
     double worst = 0, r = 0, r0 = 0;
     problem.g(0, problem.y0.data(), &r0);
-    for (std::size_t k = 0; k < run->points.t.size(); ++k) {
-      problem.g(0, &run->points.y[2 * k], &r);
+    for (std::size_t k = 0; k < run->output().points.t.size(); ++k) {
+      problem.g(0, &run->output().points.y[2 * k], &r);
       worst = std::max(worst, std::abs(r - r0));
     }
     return worst;

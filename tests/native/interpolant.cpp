@@ -17,7 +17,7 @@ constexpr Interpolation modes[] = {Interpolation::projected, Interpolation::corr
 struct Dense {
   explicit Dense(Run& r) : run(r), projector(*r.invariants, r.weights, 1), y(r.n()) {}
   const std::vector<double>& operator()(double t) {
-    CHECK(run->dense->evaluate(&t, 1, y.data(), &projector) == Status::ok);
+    CHECK(run->output().dense->evaluate(&t, 1, y.data(), &projector) == Status::ok);
     return y;
   }
   Run& run;
@@ -45,11 +45,11 @@ void for_runs(std::initializer_list<Interpolation> wanted, Look look) {
 TEST(at_the_steps_the_stored_values_are_returned) {
   for_runs({modes[0], modes[1], modes[2]}, [](Run& run) {
     Dense dense(run);
-    const std::vector<double> knots = run->dense->knots().copy();
-    CHECK(knots.size() == run->steps.size() + 1);
+    const std::vector<double> knots = run->output().dense->knots().copy();
+    CHECK(knots.size() == run->output().steps.size() + 1);
     for (std::size_t k = 0; k < knots.size(); ++k) {
-      CHECK(knots[k] == run->points.t[4 * k]);  // refine = 4
-      CHECK(same_bits(dense(knots[k]).data(), &run->points.y[4 * k * run.n()], run.n()));
+      CHECK(knots[k] == run->output().points.t[4 * k]);  // refine = 4
+      CHECK(same_bits(dense(knots[k]).data(), &run->output().points.y[4 * k * run.n()], run.n()));
     }
   });
 }
@@ -59,10 +59,10 @@ TEST(the_solution_is_continuous_across_steps) {
   // roundoff.
   for_runs({Interpolation::projected, Interpolation::corrected}, [](Run& run) {
     Dense dense(run);
-    const std::vector<double> knots = run->dense->knots().copy();
+    const std::vector<double> knots = run->output().dense->knots().copy();
     double slope[4];
     for (std::size_t k = 0; k < knots.size(); ++k) {
-      const double* stored = &run->points.y[4 * k * run.n()];
+      const double* stored = &run->output().points.y[4 * k * run.n()];
       run.problem.f(knots[k], stored, slope);
       for (const double beyond : {-infinity, infinity}) {
         const double t = std::nextafter(knots[k], beyond);
@@ -78,9 +78,9 @@ TEST(the_solution_is_continuous_across_steps) {
 TEST(dense_output_and_output_in_the_loop_are_the_same) {
   for_runs({modes[0], modes[1], modes[2]}, [](Run& run) {
     Projector projector(*run.invariants, run.weights, 1);
-    const Trajectory& points = run->points;
+    const Trajectory& points = run->output().points;
     std::vector<double> y(points.y.size());
-    CHECK(run->dense->evaluate(points.t.data(), points.t.size(), y.data(), &projector) == Status::ok);
+    CHECK(run->output().dense->evaluate(points.t.data(), points.t.size(), y.data(), &projector) == Status::ok);
     CHECK(same_bits(y, points.y));
   });
 }
@@ -88,11 +88,11 @@ TEST(dense_output_and_output_in_the_loop_are_the_same) {
 TEST(between_steps_the_residual_is_the_blend_of_those_at_the_ends) {
   for_runs({Interpolation::projected}, [](Run& run) {
     Dense dense(run);
-    const std::vector<double> knots = run->dense->knots().copy();
+    const std::vector<double> knots = run->output().dense->knots().copy();
     const std::size_t m = run.problem.m, n = run.n();
     std::vector<double> r0(m), r1(m), r(m), J(m * n);
     for (std::size_t k = 0; k + 1 < knots.size(); ++k) {
-      const double* y0 = &run->points.y[4 * k * n];
+      const double* y0 = &run->output().points.y[4 * k * n];
       CHECK(run.invariants->residual(knots[k], y0, r0.data()) == Status::ok);
       CHECK(run.invariants->residual(knots[k + 1], y0 + 4 * n, r1.data()) == Status::ok);
       for (const double theta : {0.1, 0.35, 0.5, 0.9}) {
@@ -133,7 +133,7 @@ TEST(without_invariants_projected_and_corrected_are_the_raw_extension) {
     for (int k = 0; k < 3; ++k) {
       Run run(method, without_invariants(kepler(0.5, 10)), {.settings = {.refine = 3, .interpolation = modes[k]}});
       CHECK(run.run() == State::reached_end);
-      results[k] = run->points.y.copy();
+      results[k] = run->output().points.y.copy();
     }
     CHECK(same_bits(results[0], results[1]));
     CHECK(results[0].size() == results[2].size());

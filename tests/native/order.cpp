@@ -54,12 +54,11 @@ Errors march(const Method& method, const Mode& mode, Problem problem, int count)
   CHECK(step->start(0, y0.data(), {problem.tf, infinity, 0}) == Outcome::ok);
   for (int k = 0; k < count; ++k) {
     const double t0 = step->t(), t1 = k + 1 == count ? problem.tf : t0 + h;
-    interpolant.start_at(t0, y0.data());
     const Step::Attempt proposal = step->attempt(t1 - t0, t1);
     std::copy(proposal.y, proposal.y + n, y1.begin());
     if (mode.project) CHECK(projector.project(t1, y0.data(), y1.data()).outcome == Outcome::ok);
     CHECK(step->accept(y1.data()) == Outcome::ok);
-    interpolant.accept();
+    interpolant.accept(t0, y0.data());
     for (const double theta : {0.3, 0.5, 0.8}) {
       const double t = t0 + theta * (t1 - t0);
       CHECK(interpolant.value(t, inside.data()) == Status::ok);

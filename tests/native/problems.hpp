@@ -300,9 +300,9 @@ class Run {
     settings.iterations = method.iterations;
     if (settings.hmax == 0) settings.hmax = std::abs(settings.tf - settings.t0) / 10;
     Invariants* g = invariants ? &*invariants : nullptr;
-    integration.emplace(make_step(method, f, weights, options.fsal), weights, f,
-                        Integration::Manifold{.steps = g, .between = g, .slope = &slope}, std::move(options.events),
-                        Integration::Breaks{}, options.callback, std::move(settings));
+    integration.emplace(
+        make_step(method, f, weights, options.fsal), weights, ManifoldTerms{.steps = g, .between = g, .slope = &slope},
+        LoopFunctions{.f = f, .events = std::move(options.events), .callback = options.callback}, std::move(settings));
   }
   Run(const Run&) = delete;
 
@@ -311,7 +311,9 @@ class Run {
   Integration* operator->() { return &*integration; }
 
   [[nodiscard]] std::size_t n() const { return problem.y0.size(); }
-  [[nodiscard]] const double* last() const { return &integration->points.y.end()[-static_cast<std::ptrdiff_t>(n())]; }
+  [[nodiscard]] const double* last() const {
+    return &integration->output().points.y.end()[-static_cast<std::ptrdiff_t>(n())];
+  }
 
   Problem problem;
   Weights weights;

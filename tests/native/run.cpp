@@ -139,8 +139,8 @@ TEST(a_run_goes_on_from_where_another_ended) {
     Run first(solver);
     first.integration().start(oscillator.y0.data());
     for (int step = 0; step < 7; ++step) CHECK(first.integration().advance() == State::running);
-    const Memory memory = first.memory(1000), light = first.memory(0);
-    const std::size_t seen = first.integration().occurrences[0].t.size();
+    const RunMemory memory = first.memory(1000), light = first.memory(0);
+    const std::size_t seen = first.integration().output().occurrences[0].t.size();
     const std::span<const std::byte> bytes(memory.data(), memory.size());
     Run then(solver);
     CHECK(then.resume(bytes, false) == State::running && then.integration().run() == State::terminal_event);

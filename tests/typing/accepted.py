@@ -100,7 +100,7 @@ again: iv.Solution = iv.load("orbit.npz", invariants=[energy, both], args=(1, 2)
 problem = iv.Problem(pendulum, (0, 10), [1, 0], invariants=energy, name="pendulum", labels=["angle", "speed"])
 sol = problem.solve("ode113", rtol=1e-6, dense_output=True)
 more = sol.extend(20, t_eval=None, max_step=0.1, progress=False).t_end + 1
-sol = problem.replace(y0=[2, 0], labels=None).solve(save="end")
+sol = problem.replace(y0=[2, 0], labels=None).solve(keep="end")
 sol = problem.solve(method="ode15s", t_eval=np.linspace(0, 10), max_order=2)
 
 # Projection, checks, discovery
@@ -115,8 +115,11 @@ found = iv.find_invariants(lambda t, w: [w[1], -w[0]], (0, 10), [0.3, 1.0], labe
 sol = iv.solve_ivp(pendulum, (0, 10), [1, 0], invariants=found)
 
 # Ensembles
+sol = problem.solve("ode15s", linear_solver=iv.GMRES(dimension=20), limits=iv.Limits(steps=9, time=1.5), max_steps=None)
+sol = problem.replace(jac=iv.Banded(1, 1)).solve(checkpoint=iv.Checkpoint("run", every=5))
+rows: iv.EnsembleSolution = problem.solve_ensemble(np.ones((10, 2)), "ode23", workers=1, retry={"method": "radau"})
 many = iv.solve_ensemble(with_arguments, (0, 1), [[1, 0], [2, 0]], args=(1, 0), workers=2, progress=True, rtol=1e-6)
-many = iv.solve_ensemble(with_arguments, (0, 1), [1, 0], "ode23", args=np.ones((10, 2)), t_eval=[0, 1], save="all")
+many = iv.solve_ensemble(with_arguments, (0, 1), [1, 0], "ode23", args=np.ones((10, 2)), t_eval=[0, 1], keep="all")
 ends: Vector = many.y_end[many.success, 0]
 print(many.stats.steps.sum(), many.messages.get(3), many.events[0].t)
 

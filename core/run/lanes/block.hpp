@@ -10,6 +10,7 @@
 #include <cstdint>
 
 #include "aim.hpp"
+#include "detect/step_look.hpp"
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
 #include "run/lanes/held.hpp"
@@ -18,7 +19,6 @@
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
 #include "run/lanes/power.hpp"
-#include "step_look.hpp"
 
 namespace invariode::lanes::INVARIODE_LANES {
 

@@ -7,7 +7,7 @@
 #include <span>
 #include <string_view>
 
-#include "failed_series.hpp"
+#include "detect/failed_series.hpp"
 
 namespace invariode::lanes {
 

@@ -10,10 +10,10 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "discontinuity.hpp"
+#include "detect/discontinuity.hpp"
 #include "run/ensemble.hpp"
+#include "run/event_search.hpp"
 #include "run/lanes/lanes.hpp"
-#include "run/lanes/search.hpp"
 #include "run/problem.hpp"
 #include "run/threads.hpp"
 

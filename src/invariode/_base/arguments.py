@@ -140,24 +140,21 @@ def path(name: str, value: object) -> str:
 
 
 def positive_integer(name: str, value: object) -> int:
-    try:
-        result = operator.index(value)  # type: ignore[arg-type]  # the same
-    except TypeError:
-        raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
-    if not 1 <= result <= LARGEST_INT:
-        what = "a positive integer" if result < 1 else f"at most {LARGEST_INT}"
-        raise ValueError(f"{name} must be {what}, got {shown(value)}")
-    return result
+    return _counted(name, value, LARGEST_INT)
 
 
 def count(name: str, value: object) -> int:
     """A positive integer that may be large."""
+    return _counted(name, value, LARGEST_COUNT, ": leave it out")
+
+
+def _counted(name: str, value: object, largest: int, instead: str = "") -> int:
     try:
         result = operator.index(value)  # type: ignore[arg-type]  # the same
     except TypeError:
         raise TypeError(f"{name} must be a positive integer, got {shown(value)}") from None
-    if not 1 <= result <= LARGEST_COUNT:
-        what = "a positive integer" if result < 1 else f"at most {LARGEST_COUNT}: leave it out"
+    if not 1 <= result <= largest:
+        what = "a positive integer" if result < 1 else f"at most {largest}{instead}"
         raise ValueError(f"{name} must be {what}, got {shown(value)}")
     return result
 
@@ -166,9 +163,14 @@ def choice(name: str, value: object, known: Iterable[str]) -> str:
     known = list(known)
     if isinstance(value, str) and value in known:
         return value
-    near = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {shown(value)}{hint}")
+    listed = ", ".join(map(repr, known))
+    raise ValueError(f"{name} must be one of {listed}, got {shown(value)}{meant(value, known)}")
+
+
+def meant(given: object, known: Iterable[str]) -> str:
+    """The known name that was probably meant, to end a message; empty if none is like the given one."""
+    near = difflib.get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def flag(name: str, value: object) -> bool:
@@ -327,8 +329,3 @@ def distinct_labels(labels: object, n: int) -> list[str]:
     if len(set(names)) < n:
         raise ValueError(f"labels must differ from each other, got {shown(labels)}")
     return names
-
-
-def unknown_option(name: str, known: Iterable[str]) -> TypeError:
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return TypeError(f"unknown option {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))

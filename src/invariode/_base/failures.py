@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["FailureWarning", "InvariantError", "SolveError"]
-
 
 class SolveError(RuntimeError):
     """A run failed, and was asked to raise: ``on_failure="raise"``. The text is the `message` of its solution.

@@ -21,9 +21,6 @@ from .arguments import Array
 if TYPE_CHECKING:  # needs a tenth of the time of our own import
     from zipfile import ZipFile, ZipInfo
 
-__all__ = ["ABOUT", "TEMPORARY", "PathLike", "arrays_in", "damage_of", "named"]
-__all__ += ["read_arrays", "take_mode", "unreadable", "write_arrays"]
-
 PathLike = str | os.PathLike[str]
 
 #: The only member of an archive that is text.

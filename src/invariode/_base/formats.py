@@ -18,9 +18,6 @@ import numpy as np
 from .arguments import shown
 from .files import ABOUT, PathLike, arrays_in, damage_of, read_arrays, unreadable, write_arrays
 
-__all__ = ["GROUP", "VERSION", "Field", "Kind", "header", "kind_of", "packed", "read", "read_values", "under"]
-__all__ += ["unpacked", "write"]
-
 #: The version of the format: raised whenever the fields of any kind change.
 VERSION = 5
 

@@ -16,8 +16,6 @@ from weakref import WeakSet
 
 from .arguments import warn
 
-__all__ = ["Lock"]
-
 #: What a system says of a lock that somebody holds.
 _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
 #: And on a file system that has no locks.

@@ -10,8 +10,6 @@ from typing import Any
 
 from .arguments import call_name
 
-__all__ = ["html_of_check", "html_of_ensemble", "html_of_problem", "html_of_solution", "latex_of_polynomial"]
-
 #: The most components and failures that are shown.
 _MOST = 12
 
@@ -69,16 +67,9 @@ def html_of_ensemble(ensemble: Any) -> str:
 def html_of_check(report: Any) -> str:
     """The table that the report prints, and its findings."""
     head = ("invariant", "value", "residual", "rate", "of its terms", "conserved")
-    verdicts = [report.verdict(i) for i in range(len(report.names))]
-    columns = (report.names, report.value, report.residual, report.rate, report.angle, verdicts)
-    rows = [
-        (name, f"{value:.6g}", f"{residual:.1e}", f"{rate:.1e}", f"{angle:.1e}", verdict)
-        for name, value, residual, rate, angle, verdict in zip(*columns, strict=True)
-    ]
     findings = "".join(f"<li>{html.escape(finding)}</li>" for finding in report.findings)
-    return _titled(
-        "All is well" if report.ok else "Findings", _table(rows, head) + f"<ul>{findings}</ul>" * bool(findings)
-    )
+    listed = f"<ul>{findings}</ul>" if findings else ""
+    return _titled("All is well" if report.ok else "Findings", _table(report.rows(), head) + listed)
 
 
 def latex_of_polynomial(coefficients: Any, labels: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ from time import perf_counter
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-__all__ = ["INTERVAL", "PATIENCE", "bar", "in_passing", "run_bar"]
+from .extras import extra
 
 #: Seconds between two updates, and before a transient bar appears.
 INTERVAL, PATIENCE = 0.1, 0.3
@@ -81,7 +81,7 @@ def _drawn(what: str, total: float | None, text: str = "", **fields: float) -> I
 @contextmanager
 def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, float]) -> Iterator[Callable[..., None]]:
     """A bar of rich on stderr, since the output of a script stays its own."""
-    rich = _rich()
+    rich = extra("rich.progress", "progress=True needs", "cli")
     from rich.console import Console
 
     passing = _in_passing.get()
@@ -151,11 +151,3 @@ class _Cell:
         if self._text:
             words.append(self._text.format(task=SimpleNamespace(fields=self._news)))
         return f'<div style="white-space: pre">{"  ".join(words)}</div>'
-
-
-def _rich() -> Any:
-    try:
-        import rich.progress
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError('progress=True needs rich: pip install "invariode[cli]"', name=error.name) from None
-    return rich.progress

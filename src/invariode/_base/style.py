@@ -4,25 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = [
-    "AXES",
-    "BLACK",
-    "COLOURS",
-    "DASHES",
-    "GRID",
-    "IMPOSED",
-    "INK",
-    "LEVELS",
-    "LOOK",
-    "MUTED",
-    "PAGE",
-    "PLAIN",
-    "PROJECTED",
-    "QUIET",
-    "SHADE",
-    "STYLE",
-]
-
 #: The palette of Okabe and Ito (https://jfly.uni-koeln.de/color), distinguishable with any colour vision, without its
 #: yellow, which is too faint for lines on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
@@ -40,21 +21,6 @@ QUIET, INK = "#8a8f98", "#20242c"
 AXES, GRID, SHADE = "#555b66", "#e4e7ec", "#eef0f3"
 #: A colour for one item beyond the palette.
 BLACK = "#000000"
-
-#: Background colours, one for each kind of item.
-MUTED = ("#8c8c8c", "#5f8f8f", "#b08f5f", "#9aa35a", "#9b8fc0", "#404040", "#c09090")
-
-#: Pages: background, behind code, text, secondary text, lines and heavier lines of tables, what agrees, what differs.
-PAGE = {
-    "paper": "#ffffff",
-    "tint": "#f3f5f8",
-    "ink": INK,
-    "quiet": "#626a76",
-    "line": "#dfe3e9",
-    "rule": "#aab1bc",
-    "good": "#1d7a55",
-    "bad": "#c02942",
-}
 
 LOOK: dict[Any, Any] = {  # rc parameters, which mypy knows by name; in force while figures of our own are made
     "axes.axisbelow": True,

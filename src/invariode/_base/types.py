@@ -9,25 +9,6 @@ import numpy as np
 
 from .arguments import Array
 
-__all__ = [
-    "BreakpointsLike",
-    "EventFunction",
-    "EventsLike",
-    "Fsal",
-    "Function",
-    "InputKind",
-    "Interpolation",
-    "JacobianKind",
-    "Keep",
-    "LinearSolver",
-    "LowLevelCallable",
-    "MethodName",
-    "Numbers",
-    "OnFailure",
-    "OnInterrupt",
-    "Span",
-]
-
 
 class LowLevelCallable(Protocol):
     """SciPy's, which is not callable in Python. The other native functions are, or are untyped."""
@@ -36,6 +17,15 @@ class LowLevelCallable(Protocol):
     def function(self) -> Any: ...
     @property
     def signature(self) -> Any: ...
+
+
+class Points(Protocol):
+    """The points of a result, a `Solution` or SciPy's."""
+
+    @property
+    def t(self) -> Any: ...
+    @property
+    def y(self) -> Any: ...
 
 
 Function: TypeAlias = Callable[..., Any] | LowLevelCallable
@@ -53,7 +43,6 @@ Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]
 JacobianKind: TypeAlias = Literal["complex-step", "3-point", "2-point"]
-LinearSolver: TypeAlias = Literal["direct", "gmres"]
 Keep: TypeAlias = Literal["all", "outputs", "end"]
 OnFailure: TypeAlias = Literal["return", "warn", "raise"]
 OnInterrupt: TypeAlias = Literal["raise", "return"]

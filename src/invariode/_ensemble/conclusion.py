@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, call_name, warn
+from .._base.arguments import Array, warn
 from .._base.failures import FailureWarning, SolveError
 from .._base.types import OnFailure
 from .._problem.invariants import AccuracyWarning
 from .._results.messages import harmful_projection
-from .._results.result import DiscontinuityWarning, StiffnessWarning, default_labels
+from .._results.result import DiscontinuityWarning, StiffnessWarning
 from .._run.plan import Plan
 from .outcomes import Outcomes, counts_by_name
 from .solution import EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .store import EnsembleStore
 from .task import Task
-
-__all__ = ["Remarks", "solution"]
 
 #: Of the counts, those that make warnings.
 _WARNINGS = slice(_core.COUNTS.index("dropped"), len(_core.COUNTS))
@@ -53,6 +51,7 @@ def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> 
         attempt=found.attempt,
         _trajectories=_trajectories(plan, task, found),
         _final=times is None,
+        _labels=plan.called.labels,
     )
     remarks.conclude(result, on_failure)
     return result
@@ -120,7 +119,7 @@ def _warn_harmed(plan: Plan, harmed: Array) -> None:
     """`harmed`: 1 + the component that projection harmed, of each trajectory with one that did not fail."""
     if not harmed.size:
         return
-    names = default_labels(len(plan.y0))
+    names = plan.called.components
     components = np.unique((harmed - 1) // (2 if plan.functions.complex else 1))
     much = f"much more than estimated errors in {harmed.size} trajectories"
     warn(harmful_projection(", ".join(names[i] for i in components), much), AccuracyWarning)
@@ -130,7 +129,7 @@ def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
     """What the results of single trajectories need to know."""
     acting = any(event.action is not None for event in plan.functions.events)
     return Trajectories(
-        call_name(task.described.fun, "problem"),
+        task.problem.name,
         plan.event_names,
         plan.names[: len(plan.bound)],
         None if acting else plan.bound,

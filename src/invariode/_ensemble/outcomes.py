@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
+import traceback
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,10 +12,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
-from .pickling import travelling
 from .solution import EnsembleEvents
-
-__all__ = ["ROWS", "Outcomes", "counts_by_name", "in_order", "joined"]
 
 
 def counts_by_name(counts: Array) -> dict[str, Any]:
@@ -122,3 +121,15 @@ def in_order(trajectory: Array, t: Array, y: Array) -> EnsembleEvents:
     """Occurrences as trajectories ended, by trajectory; those of each one are in order."""
     order = np.argsort(trajectory, kind="stable")
     return EnsembleEvents(trajectory[order], t[order], y[order])
+
+
+def travelling(error: BaseException | None) -> BaseException | None:
+    """An exception that can be pickled, with its traceback, which cannot, as a note."""
+    if error is None or error.__traceback__ is None:
+        return error
+    try:
+        alike: BaseException = pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever the user's class does
+        alike = RuntimeError(f"{type(error).__name__}: {error}")
+    alike.add_note(f"In the process that solved the trajectory:\n{''.join(traceback.format_exception(error))}")
+    return alike

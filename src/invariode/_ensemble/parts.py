@@ -13,9 +13,7 @@ import numpy as np
 
 from .._base.arguments import Array, positive_integer, quietly
 from .._base.progress import bar
-from .._problem.events import to_events
-from .._problem.options import DescribingOptions, EnsembleOptions, table_of
-from .._results.result import default_labels
+from .._problem.options import TABLE, ManyOptions, ProblemEnsembleOptions, table_of
 from .._run.identity import in_words
 from .._run.plan import Plan, solver
 from .conclusion import Remarks, solution
@@ -25,8 +23,6 @@ from .solution import EnsembleSolution
 from .sources import Part, Rows, on_executor, packed, places_of, rejoined, rows_of, shares_memory
 from .store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .task import Ensemble, first_plan
-
-__all__ = ["Means", "Place", "in_parts", "stored"]
 
 #: Seconds that a part should take, and the seconds that it may take to find that out.
 _PART, _PILOT = 1.0, 0.1
@@ -209,25 +205,28 @@ def _filled(writer: StoreWriter, run: _Parted, rows: Rows, means: Means) -> Rema
 
 
 def _layout(run: _Parted) -> Layout:
-    plan, described, attempts = run.plan, run.ensemble.described, run.ensemble.attempts
+    plan, problem, attempts = run.plan, run.ensemble.problem, run.ensemble.attempts
     y0, args = run.rows.first(1)
-    running = table_of(EnsembleOptions).keys() - table_of(DescribingOptions).keys() - {"on_failure"}
-    defaults = {name: row.default for name, row in table_of(EnsembleOptions).items() if name in running}
+    running = table_of(ProblemEnsembleOptions).keys() - ManyOptions.__annotations__.keys() - {"on_failure", "progress"}
+    defaults = {name: row.default for name, row in TABLE.items() if name in running}
     about = {
-        "fun": described.fun,
-        "t_span": described.t_span,
+        "fun": problem.fun,
+        "t_span": problem.t_span,
         "size of y": y0.shape[1],
         "method": attempts[0].method,
         "options": {**defaults, **attempts[0].options},
         "retry": [{"method": one.method, "options": one.options} for one in attempts[1:]],
-        "events": to_events(described.events),
-        **described.others,
+        "events": problem.events,
+        "invariants": problem.invariants,
+        "bounds": problem.bounds,
+        "inputs": problem.inputs,
+        **vars(problem.matrices),
         **({"args": args} if isinstance(args, tuple) else {}),
     }
     times = plan.settings.times
     names = {
-        "component": default_labels(y0.shape[1]),
-        "parameter": parameter_names(described.fun, args),
+        "component": plan.called.components,
+        "parameter": parameter_names(problem.fun, args, len(problem.inputs)),
         "invariant": plan.names[: len(plan.bound)],
         "event": plan.event_names,
     }

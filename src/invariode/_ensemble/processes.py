@@ -27,8 +27,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
-__all__ = ["may_start", "solve_rows"]
-
 T = TypeVar("T")
 
 #: Rows that a worker gets at once: few enough that each worker gets several chunks, and results do not pile up.

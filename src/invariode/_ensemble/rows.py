@@ -17,14 +17,11 @@ from .._functions.lanes import Lanes, choose_lanes
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._run.plan import Plan, solver
-from .outcomes import Outcomes, in_order
-from .pickling import travelling
+from .outcomes import Outcomes, in_order, travelling
 from .processes import may_start, solve_rows
 from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
-
-__all__ = ["attempted"]
 
 _STATUS = {
     "reached_end": 0,
@@ -123,7 +120,7 @@ def _parameters(task: Task, plan: Plan) -> Array:
     try:
         return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
     except ValueError:  # arguments of different shapes
-        return np.stack([native_parameters(row, [task.described.fun]) for row in task.args])
+        return np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
 
 
 def _messages(task: Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
@@ -154,29 +151,12 @@ def _as_text(error: BaseException) -> str:
 
 
 @dataclasses.dataclass
-class _Row:
-    """A row of the result."""
-
-    t_end: float
-    y_end: Array
-    y: Array
-    counts: Array
-    value: Array
-    before: Array
-    after: Array
-    correction: float
-    clipped_amount: float
-    stiff_since: float
-    discontinuity: float
-    events: list[tuple[Array, Array]]
-
-
-@dataclasses.dataclass
 class _Outcome:
     trajectory: int
     status: int
     message: str
-    run: _Row | None
+    row: dict[str, Any]  # of `Outcomes`, by the names of its arrays
+    events: list[tuple[Array, Array]]
     error: BaseException | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -191,14 +171,18 @@ def _solve_one(task: Task, i: int) -> _Outcome:
         run = solver(plan).integrate(plan.y0.view(float))
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
-        return _Outcome(i, status, message, _row(plan, run, task.y0.dtype))
+        row = _row(plan, run)
+        if status == _RAISED:
+            del row["y_end"]
+        events = [(times, points.view(task.y0.dtype)) for times, points in run.take_events()]
+        return _Outcome(i, status, message, row, events)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # sys.exit in a function too
-        return _Outcome(i, _RAISED, _as_text(error), None, error)
+        return _Outcome(i, _RAISED, _as_text(error), {}, [], error)
 
 
-def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
+def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     bound = plan.bound
     if jumps := run.take_jumps():
         bound = bound.jumped(jumps)
@@ -211,105 +195,83 @@ def _row(plan: Plan, run: _core.Run, dtype: np.dtype[Any]) -> _Row:
     if len(bound):
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
         after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
-    return _Row(
-        t_end=t_end,
-        y_end=y_end,
-        y=y if plan.settings.times is not None else y[:, :0],
-        counts=counts,
-        value=bound.value,
-        before=before[: len(bound)],
-        after=after,
-        correction=correction,
-        clipped_amount=run.clipped,
-        stiff_since=run.stiff_since if run.stiff else np.nan,
-        discontinuity=next(iter(run.discontinuities), np.nan),
-        events=[(times, points.view(dtype)) for times, points in run.take_events()],
+    at_times = np.full((len(y), 0 if plan.settings.times is None else len(plan.settings.times)), np.nan, y.dtype)
+    reached = min(len(t), at_times.shape[1])
+    at_times[:, :reached] = y[:, :reached]
+    return {
+        "t_end": t_end,
+        "y_end": y_end,
+        "y": at_times,
+        "counts": counts,
+        "value": bound.value,
+        "residual_before": before[: len(bound)],
+        "residual_after": after,
+        "correction": correction,
+        "clipped_amount": run.clipped,
+        "stiff_since": run.stiff_since if run.stiff else np.nan,
+        "discontinuity": next(iter(run.discontinuities), np.nan),
+    }
+
+
+def _unsolved(task: Task, plan: Plan) -> Outcomes:
+    """The rows before they are solved: what stays of those that cannot be."""
+    size, n = task.y0.shape
+    times, m = plan.settings.times, len(plan.bound)
+    return Outcomes(
+        y=np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype),
+        t_end=np.full(size, plan.settings.t0, dtype=float),
+        y_end=np.full_like(task.y0, np.nan),
+        status=np.full(size, _RAISED, dtype=np.int8),
+        counts=np.zeros((size, len(_core.COUNTS)), dtype=np.int64),
+        clipped_amount=np.zeros(size),
+        stiff_since=np.full(size, np.nan),
+        discontinuity=np.full(size, np.nan),
+        messages={},
+        events=[],
+        value=np.full((size, m), np.nan),
+        residual_before=np.zeros((size, m)),
+        residual_after=np.zeros((size, m)),
+        correction=np.zeros(size),
+        lanes=Lanes(reason="functions are in Python").described(),
     )
 
 
-class _Rows:
-    """The rows of the result, filled as trajectories end."""
+def _keep(found: Outcomes, one: _Outcome) -> None:
+    """Puts what one trajectory came to into its row."""
+    i = one.trajectory
+    found.status[i] = one.status
+    if one.status < 0:
+        found.messages[i] = one.message
+    if one.error is not None and (found.error is None or i < found.error[0]):
+        found.error = i, one.error
+    for name, value in one.row.items():
+        getattr(found, name)[i] = value
 
-    def __init__(self, task: Task, plan: Plan) -> None:
-        size, n = task.y0.shape
-        times, m = plan.settings.times, len(plan.bound)
-        self.task, self.plan = task, plan
-        self.y = np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype)
-        self.t_end, self.y_end = np.full(size, plan.settings.t0, dtype=float), np.full_like(task.y0, np.nan)
-        self.status = np.full(size, _RAISED, dtype=np.int8)
-        self.counts = np.zeros((size, len(_core.COUNTS)), dtype=np.int64)
-        self.value = np.full((size, m), np.nan)
-        self.before, self.after, self.correction = np.zeros((size, m)), np.zeros((size, m)), np.zeros(size)
-        self.clipped_amount = np.zeros(size)
-        self.stiff_since, self.discontinuity = np.full(size, np.nan), np.full(size, np.nan)
-        self.messages: dict[int, str] = {}
-        self.error: tuple[int, BaseException] | None = None
-        self.found: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
 
-    def keep(self, outcome: _Outcome) -> None:
-        """What one trajectory came to."""
-        i = outcome.trajectory
-        if outcome.status < 0:
-            self.messages[i] = outcome.message
-        self.status[i] = outcome.status
-        if outcome.error is not None and (self.error is None or i < self.error[0]):
-            self.error = i, outcome.error
-        if outcome.run is None:
-            return
-        one = outcome.run
-        self.t_end[i] = one.t_end
-        if outcome.status != _RAISED:
-            self.y_end[i] = one.y_end
-        self.y[i, :, : one.y.shape[1]] = one.y
-        self.counts[i] = one.counts
-        self.value[i], self.before[i], self.after[i] = one.value, one.before, one.after
-        self.correction[i] = one.correction
-        self.clipped_amount[i] = one.clipped_amount
-        self.stiff_since[i], self.discontinuity[i] = one.stiff_since, one.discontinuity
-        for found, (t, y) in zip(self.found, one.events, strict=True):
-            if len(t):
-                found.append((i, t, y))
-
-    def outcomes(self) -> Outcomes:
-        return Outcomes(
-            y=self.y,
-            t_end=self.t_end,
-            y_end=self.y_end,
-            status=self.status,
-            counts=self.counts,
-            clipped_amount=self.clipped_amount,
-            stiff_since=self.stiff_since,
-            discontinuity=self.discontinuity,
-            messages=dict(sorted(self.messages.items())),
-            events=[self._events(found) for found in self.found],
-            value=self.value,
-            residual_before=self.before,
-            residual_after=self.after,
-            correction=self.correction,
-            lanes=Lanes(reason="functions are in Python").described(),
-            error=self.error,
-        )
-
-    def _events(self, found: list[tuple[int, Array, Array]]) -> EnsembleEvents:
-        trajectory = np.repeat([i for i, _, _ in found], [len(t) for _, t, _ in found]).astype(np.int64)
-        t = np.concatenate([np.zeros(0), *(t for _, t, _ in found)])
-        y = np.concatenate([np.zeros((0, self.y_end.shape[1]), self.y_end.dtype), *(y for _, _, y in found)])
-        return in_order(trajectory, t, y)
+def _events(happened: list[tuple[int, Array, Array]], like: Array) -> EnsembleEvents:
+    trajectory = np.repeat([i for i, _, _ in happened], [len(t) for _, t, _ in happened]).astype(np.int64)
+    t = np.concatenate([np.zeros(0), *(t for _, t, _ in happened)])
+    return in_order(trajectory, t, np.concatenate([like[:0], *(y for _, _, y in happened)]))
 
 
 def _in_processes(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> Outcomes:
-    rows, done = _Rows(task, plan), 0
+    found, done = _unsolved(task, plan), 0
+    happened: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
     if workers > 1 and not may_start():
         warn("a daemonic process cannot start workers, and solves the ensemble alone: start it with daemon=False")
         workers = 1
     with closing(_here(task) if workers == 1 else _elsewhere(task, workers)) as chunks:
         for outcomes in chunks:
-            for outcome in outcomes:
-                rows.keep(outcome)
+            for one in outcomes:
+                _keep(found, one)
+                for these, (t, y) in zip(happened, one.events, strict=False):
+                    these.append((one.trajectory, t, y))
             done += len(outcomes)
             if report:
                 report(done)
-    return rows.outcomes()
+    found.messages = dict(sorted(found.messages.items()))
+    found.events = [_events(these, found.y_end) for these in happened]
+    return found
 
 
 def _here(task: Task) -> Generator[list[_Outcome]]:
@@ -322,4 +284,4 @@ def _elsewhere(task: Task, workers: int) -> Generator[list[_Outcome]]:
 
 
 def _died(i: int) -> _Outcome:
-    return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", None)
+    return _Outcome(i, _RAISED, "the worker process died: fun ended the process, or memory ran out", {}, [])

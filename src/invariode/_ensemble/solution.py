@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import numpy as np
 
-from .._base.arguments import Array, choice
+from .._base.arguments import Array, choice, distinct_labels
 from .._base.files import damage_of
 from .._base.formats import GROUP, Field, Kind, read, under, write
 from .._base.notebook import html_of_ensemble
@@ -21,7 +21,7 @@ from .._laws.bound import BoundInvariants
 from .._results.export import ensemble_to_dataframe, ensemble_to_xarray
 from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
-from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events
+from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events, default_labels
 from .._results.saving import OCCURRENCES, apart, together
 from .._results.solution import Solution
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:  # extras, imported when they are used
     import pandas
     import xarray
     from matplotlib.axes import Axes
-
-__all__ = ["EnsembleEvents", "EnsembleSolution", "EnsembleStats", "Trajectories", "final_states"]
 
 
 @dataclasses.dataclass
@@ -221,6 +219,7 @@ class EnsembleSolution:
     attempt: Array
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
     _final: bool = False  # whether y are the final states
+    _labels: list[str] | None = None  # None: the default ones
 
     def _repr_html_(self) -> str:
         return html_of_ensemble(self)
@@ -236,6 +235,11 @@ class EnsembleSolution:
             first = min(self.messages)
             text += f", {len(self.messages)} failed (the first, number {first}: {self.messages[first]})"
         return text
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the components."""
+        return default_labels(self.y.shape[1]) if self._labels is None else self._labels
 
     @property
     def failed(self) -> Array:
@@ -305,7 +309,7 @@ class EnsembleSolution:
             _rtol=about.rtol,
             _atol=about.atol,
             _drift=self._drift(i, about, stats, known=len(invariants) > 0),
-            _names=Names(f"{about.name} {i}", None, None, self.y.shape[1], about.events),
+            _names=Names(f"{about.name} {i}", None, self._labels, self.y.shape[1], about.events),
         )
 
     def _stats_of(self, i: int) -> Stats:
@@ -356,14 +360,10 @@ class EnsembleSolution:
             5, 25, 50, 75 and 95 %; or a thin line for each trajectory, of more than 500 for 500 of them.
         ax : matplotlib.axes.Axes, optional
             Where to draw. Default: a new figure.
-        components : int, or sequence of int, optional
+        components : int or str, or sequence of these, optional
             Default: all, of more than six the first six.
         **line
             Properties of the lines, as for ``Axes.plot``.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
 
         Raises
         ------
@@ -432,12 +432,15 @@ class EnsembleSolution:
         """
         _, found = read(path, _ENSEMBLE)
         with damage_of(path):
+            labels = found["labels"]
+            named = None if labels is None else distinct_labels(labels, found["y_end"].shape[1])
             return cls(**{
                 **{name: one for name, one in found.items() if name in cls.__annotations__},
                 "stats": EnsembleStats(**under("stats", found)),
                 "events": [EnsembleEvents(**one) for one in apart(under("events", found), found["events"])],
                 "messages": {int(i): text for i, text in found["messages"].items()},
                 "_final": found["final"],
+                "_labels": named,
             })  # fmt: skip
 
 
@@ -466,6 +469,7 @@ _ENSEMBLE = Kind(
     {
         "messages": Field(dict[str, str], of=lambda m: {str(i): text for i, text in m.messages.items()}),
         "final": Field(bool, of=attrgetter("_final")),
+        "labels": Field(list[str] | None, of=attrgetter("_labels")),
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
         **OF_TRAJECTORIES,

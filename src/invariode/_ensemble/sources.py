@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import pickle
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
@@ -14,21 +15,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from .._base.arguments import Array, shown
-
-__all__ = [
-    "GivenRows",
-    "Part",
-    "Rows",
-    "StreamedRows",
-    "digest",
-    "executor_of",
-    "on_executor",
-    "packed",
-    "places_of",
-    "rejoined",
-    "rows_of",
-    "shares_memory",
-]
+from .._functions.compiled import CompiledFunction
 
 T = TypeVar("T")
 
@@ -69,47 +56,56 @@ def rows_of(args: Any, chosen: Any) -> Any:
 # Where rows come from
 
 
-class Rows(Protocol):
-    """The rows of an ensemble."""
+class Rows:
+    """The rows of an ensemble, in blocks; `size`: how many there are, None if nobody knows yet."""
 
-    @property
-    def size(self) -> int | None:
-        """How many there are; None: nobody knows yet."""
+    def __init__(self, blocks: Iterator[tuple[Array, Any]], size: int | None = None) -> None:
+        self._blocks, self.size = blocks, size
 
     def first(self, count: int) -> tuple[Array, Any]:
         """So many of the first, or all; those are not taken away."""
+        taken: list[tuple[Array, Any]] = []
+        while sum(len(y0) for y0, _ in taken) < count and (block := next(self._blocks, None)) is not None:
+            taken.append(block)
+        self._blocks = chain(taken, self._blocks)
+        if not taken:
+            return np.zeros((0, 0)), ()
+        y0, args = _joined(taken)
+        return y0[:count], rows_of(args, slice(count))
 
     def parts(self, length: int) -> Iterator[Part]:
         """All rows, once, in parts of that length; the last may be shorter."""
+        left: list[tuple[Array, Any]] = []
+        number = start = waiting = 0
+        for block in self._blocks:
+            left.append(block)
+            waiting += len(block[0])
+            if waiting < length:
+                continue
+            y0, args = _joined(left)
+            for begin in range(0, waiting - length + 1, length):
+                here = slice(begin, begin + length)
+                yield Part(number, start, y0[here], rows_of(args, here))
+                number, start = number + 1, start + length
+            rest = slice(waiting - waiting % length, None)
+            left, waiting = [(y0[rest], rows_of(args, rest))], waiting % length
+        if waiting:
+            yield Part(number, start, *_joined(left))
 
 
-class GivenRows:
+class GivenRows(Rows):
     """Rows in arrays."""
 
     def __init__(self, y0: Array, args: Any) -> None:
-        self._y0, self._args = y0, args
-
-    @property
-    def size(self) -> int:
-        return len(self._y0)
-
-    def first(self, count: int) -> tuple[Array, Any]:
-        return self._y0[:count], rows_of(self._args, slice(count))
-
-    def parts(self, length: int) -> Iterator[Part]:
-        for number, start in enumerate(range(0, self.size, length)):
-            here = slice(start, start + length)
-            yield Part(number, start, self._y0[here], rows_of(self._args, here))
+        super().__init__(iter([(y0, args)]), len(y0))
 
 
-class StreamedRows:
+class StreamedRows(Rows):
     """Rows that an iterator makes, ``(y0, args)`` of one row or of several. `checked` makes (N, n) and args of those of
     an ensemble, and knows what is wrong with them."""
 
-    size = None
-
     def __init__(self, rows: Iterator[Any], checked: Callable[[Any, Any], tuple[Array, Any]]) -> None:
-        self._blocks = self._checked_blocks(rows, checked)
+        super().__init__(self._checked_blocks(rows, checked))
 
     @staticmethod
     def _checked_blocks(
@@ -136,36 +132,10 @@ class StreamedRows:
             yield y0, [args] * len(y0) if isinstance(args, tuple) and args else args
         yield from collected()
 
-    def first(self, count: int) -> tuple[Array, Any]:
-        taken: list[tuple[Array, Any]] = []
-        while sum(len(y0) for y0, _ in taken) < count and (block := next(self._blocks, None)) is not None:
-            taken.append(block)
-        self._blocks = chain(taken, self._blocks)
-        if not taken:
-            return np.zeros((0, 0)), ()
-        y0, args = _joined(taken)
-        return y0[:count], rows_of(args, slice(count))
-
-    def parts(self, length: int) -> Iterator[Part]:
-        left: list[tuple[Array, Any]] = []
-        number = start = waiting = 0
-        for block in self._blocks:
-            left.append(block)
-            waiting += len(block[0])
-            if waiting < length:
-                continue
-            y0, args = _joined(left)
-            for begin in range(0, waiting - length + 1, length):
-                here = slice(begin, begin + length)
-                yield Part(number, start, y0[here], rows_of(args, here))
-                number, start = number + 1, start + length
-            rest = slice(waiting - waiting % length, None)
-            left, waiting = [(y0[rest], rows_of(args, rest))], waiting % length
-        if waiting:
-            yield Part(number, start, *_joined(left))
-
 
 def _joined(blocks: list[tuple[Array, Any]]) -> tuple[Array, Any]:
+    if len(blocks) == 1:
+        return blocks[0]
     states, extras = [y0 for y0, _ in blocks], [args for _, args in blocks]
     if len({y0.shape[1] for y0 in states}) > 1:
         raise ValueError(f"the states of an ensemble must be of one size, got {sorted({y0.shape[1] for y0 in states})}")
@@ -273,9 +243,22 @@ def packed(value: Any) -> bytes:
                 f"the functions of this ensemble cannot be sent to other processes ({error}): install cloudpickle (pip "
                 "install invariode[cluster]), or define them in a module"
             ) from error
-    from .pickling import dumps
+    return _with_code(cloudpickle, value)
 
-    return dumps(cloudpickle, value)
+
+def _with_code(cloudpickle: Any, value: Any) -> bytes:
+    """A pickle by cloudpickle. Its own rule, that what `__main__` defines travels with its code, holds for compiled
+    functions too: they are compiled anew where they arrive."""
+
+    class Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # an extra, imported when it is used
+        def reducer_override(self, obj: Any) -> Any:
+            if isinstance(obj, CompiledFunction) and obj.__module__ == "__main__":
+                return CompiledFunction, (obj.fun, obj.inplace, obj.elementary)
+            return super().reducer_override(obj)
+
+    with io.BytesIO() as file:
+        Pickler(file).dump(value)
+        return file.getvalue()
 
 
 def on_executor(

@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array
+from .._base.extras import extra
 from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
@@ -23,8 +24,6 @@ from .sources import Part, digest
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import xarray
-
-__all__ = ["EnsembleStore", "Layout", "StoreWriter", "parameter_names"]
 
 #: What a store says that is being made.
 _UNFINISHED = "invariode store, unfinished"
@@ -329,11 +328,9 @@ class EnsembleStore:
         ModuleNotFoundError
             xarray, of the extra `data`, is not installed.
         """
-        try:
-            import xarray
-        except ModuleNotFoundError:
-            raise ModuleNotFoundError('this needs xarray: pip install "invariode[data]"', name="xarray") from None
-        whole = xarray.open_zarr(self.path, consolidated=False, drop_variables=["digest"])
+        whole = extra("xarray", "this needs", "data").open_zarr(
+            self.path, consolidated=False, drop_variables=["digest"]
+        )
         data: xarray.Dataset = whole.isel(trajectory=slice(len(self)))
         return data
 
@@ -365,7 +362,8 @@ class EnsembleStore:
         counts = counts_by_name(held.pop("counts"))
         stats = EnsembleStats(**counts, **of_stats)
         about = {"messages": self.messages, "events": self.events, "stats": stats, "success": held["status"] >= 0}
-        return EnsembleSolution(**{**held, **about, "t": group["t"][:], "y": y, "_final": not times})
+        of_y = {"t": group["t"][:], "y": y, "_final": not times, "_labels": group["component"][:].tolist()}
+        return EnsembleSolution(**{**held, **about, **of_y})
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -407,8 +405,9 @@ def _flat(about: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return leaves
 
 
-def parameter_names(fun: Any, args: Any) -> list[str]:
-    """Names of the numbers in args: those of the arguments of `fun`, if each is one. Empty: they are not numbers."""
+def parameter_names(fun: Any, args: Any, inputs: int) -> list[str]:
+    """Names of the numbers in args: those of the arguments of `fun` behind t, y and its inputs, if each is one. Empty:
+    they are not numbers."""
     try:
         numbers = np.asarray(args, dtype=float)
     except (TypeError, ValueError):
@@ -417,7 +416,7 @@ def parameter_names(fun: Any, args: Any) -> list[str]:
         return []
     size = numbers.shape[-1] if numbers.ndim <= 2 else 0
     try:
-        names = list(inspect.signature(fun).parameters)[2:]
+        names = list(inspect.signature(fun).parameters)[2 + inputs :]
     except (TypeError, ValueError):
         names = []
     return names if len(names) == size else [f"p{i}" for i in range(size)]
@@ -428,11 +427,7 @@ def parameter_names(fun: Any, args: Any) -> list[str]:
 
 
 def _zarr() -> Any:
-    try:
-        import zarr
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('store= needs zarr: pip install "invariode[cluster]"', name="zarr") from None
-    return zarr
+    return extra("zarr", "store= needs", "cluster")
 
 
 def _opened(path: Any, mode: str) -> Any:

@@ -8,29 +8,17 @@ from typing import Any
 import numpy as np
 
 from .._base.arguments import Array
-from .._base.types import EventsLike, MethodName, OnFailure
+from .._base.types import MethodName, OnFailure
 from .._problem.description import Description
-from .._problem.options import DescribingOptions, Options
+from .._problem.options import Options
 from .._run.plan import Plan, make_plan
-
-__all__ = ["Attempt", "Described", "Ensemble", "Task", "first_plan"]
-
-
-@dataclasses.dataclass
-class Described:
-    """What describes all trajectories."""
-
-    fun: Any
-    t_span: tuple[float, float]
-    events: EventsLike
-    others: DescribingOptions
 
 
 @dataclasses.dataclass
 class Task:
     """What is to be solved; picklable if the functions are."""
 
-    described: Described
+    problem: Description
     method: MethodName
     options: Options
     y0: Array
@@ -41,9 +29,7 @@ class Task:
         args = self.args if isinstance(self.args, tuple) else self.args[i]
         if isinstance(args, np.ndarray):
             args = tuple(args.tolist())
-        about = self.described
-        problem = Description(about.fun, about.t_span, self.y0[i], args=args, events=about.events, **about.others)
-        return make_plan(problem, self.method, self.options)
+        return make_plan(self.problem.replace(y0=self.y0[i], args=args), self.method, self.options)
 
 
 @dataclasses.dataclass
@@ -58,7 +44,7 @@ class Attempt:
 class Ensemble:
     """What is to be solved, but for the rows; picklable if the functions are."""
 
-    described: Described
+    problem: Description
     attempts: list[Attempt]  # the first, and those for rows that failed
     in_lanes: bool  # if they can be
     on_failure: OnFailure
@@ -66,7 +52,7 @@ class Ensemble:
     def task(self, y0: Array, args: Any, attempt: int = 0) -> Task:
         """These rows, by one of the attempts."""
         chosen = self.attempts[attempt]
-        return Task(self.described, chosen.method, chosen.options, y0, args, self.in_lanes)
+        return Task(self.problem, chosen.method, chosen.options, y0, args, self.in_lanes)
 
 
 def first_plan(task: Task) -> tuple[int, Plan]:

@@ -29,19 +29,7 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, call_name, choice, shown, warn
-
-__all__ = [
-    "Compiled",
-    "CompiledFunction",
-    "Shape",
-    "compile",
-    "complex_form",
-    "event_value",
-    "in_both_forms",
-    "is_native",
-    "made_by_compile",
-    "to_native",
-]
+from .._base.extras import extra
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -217,7 +205,7 @@ class CompiledFunction:
 
     def _code(self, shape: Shape, *, copies: bool) -> Any:
         """numba's code, whose arguments are read-only or copies."""
-        from .given_arrays import copied, read_only
+        from .numba_additions import copied, read_only
 
         numba = _numba()
         jitted = self._jit(shape.is_complex)
@@ -260,7 +248,7 @@ class CompiledFunction:
         numba = _numba()
         if is_complex:
             if self._jitted_complex is None:
-                from .complex_code import ComplexCompiler
+                from .numba_additions import ComplexCompiler
 
                 options = {"error_model": "numpy", "pipeline_class": ComplexCompiler}
                 self._jitted_complex = numba.njit(**options)(_with_complex_math(self.fun))
@@ -424,11 +412,7 @@ def _with_own_functions(code: Any) -> Any | None:
 
 
 def _numba() -> Any:
-    try:
-        import numba
-    except ImportError:
-        raise ModuleNotFoundError('invariode.compile needs numba: pip install "invariode[compiled]"') from None
-    return numba
+    return extra("numba", "invariode.compile needs", "compiled")
 
 
 def is_native(fun: object) -> bool:
@@ -552,12 +536,12 @@ def complex_form(fun: Any) -> _core.Native | None:
     return made
 
 
-def in_both_forms(fun: _core.Native, at_complex: _core.Native, size: int, p: Array) -> Callable[[float, Array], Array]:
-    """Machine code for real and for complex y as one Python function."""
-    signature = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.c_void_p] * 3)
-    codes = {"f": signature(fun.address), "c": signature(at_complex.address)}
+def as_python(fun: _core.Native, size: int, at_complex: _core.Native | None = None) -> Callable[..., Array]:
+    """Machine code as a Python function of (t, y, p) with `size` values; with other code for complex y."""
+    kind = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.c_void_p] * 3)
+    codes = {"f": kind(fun.address)} if at_complex is None else {"f": kind(fun.address), "c": kind(at_complex.address)}
 
-    def evaluate(t: float, y: Array) -> Array:
+    def evaluate(t: float, y: Array, p: Array) -> Array:
         values = np.empty(size, y.dtype)
         y = np.ascontiguousarray(y)
         codes[y.dtype.kind](t, y.ctypes.data, values.ctypes.data, p.ctypes.data if len(p) else None)

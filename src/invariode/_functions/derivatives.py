@@ -7,19 +7,21 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.exceptions import ComplexWarning
 
 from .. import _core
-from .._base.arguments import Array
+from .._base.arguments import EPS, Array
 from .compiled import CompiledFunction, is_native, native_parameters, to_native
-
-__all__ = ["Derivatives", "Forms", "Quiet", "compressed", "full_pattern", "sizes", "somewhere"]
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 _TINY = 1e-40
 #: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
 _SMALLEST_PART = 0.1
-#: What counts as agreement of a complex step with a difference of order 4.
-_SAME = 1e-6
+#: Relative increment of a central difference, and what counts as agreement with it.
+_INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
+
+#: Where complex steps are tried, in parts of the sizes of x: what is not analytic may not show at x itself.
+_BESIDE_START = (0.1, 0.0)
 #: From this many entries on it is worth knowing which of them are always zero.
 _LARGE = 500
 #: Distance from x at which the pattern is sought, in units of the sizes of the components.
@@ -155,28 +157,63 @@ class Derivatives:
         return compressed(entries)
 
     def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
-        """Whether complex steps give what differences give, along a direction in which everything moves, at a point
-        beside x: what is not analytic may not show at x itself."""
-        direction = somewhere(x)
-        dt = max(abs(t), 1.0)
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("error")  # a warning says that the imaginary part was discarded
-            for beside in (0.1, 0.0):
-                at = x + beside * direction
-                try:
-                    by_differences = self.slope(t, at, dt, direction)
-                    size_of_terms = np.abs(self.value(t, at)) + np.abs(by_differences)
-                except (ValueError, ArithmeticError, Warning):
-                    continue  # not defined there
-                if not np.isfinite(by_differences).all():
-                    continue
-                z = np.concatenate([[t + 1j * _TINY * dt], at + 1j * _TINY * direction])
-                try:
-                    by_step = form.complex_value(z.view(float)).view(complex).imag / _TINY
-                except Exception:  # the function is not made for this: the user need not know
-                    return False
-                return bool((np.abs(by_step - by_differences) <= _SAME * size_of_terms).all())
+        """Whether complex steps give what differences give, along a direction in which everything moves."""
+
+        def values(z: Array) -> Array:
+            if z.dtype.kind == "c":
+                return form.complex_value(z.view(float)).view(complex)
+            return self.value(z[0], z[1:])
+
+        direction = np.append(max(abs(t), 1.0), somewhere(x))
+        for part in _BESIDE_START:
+            at = np.append(t, x + part * direction[1:])
+            if (found := compared(values, at, direction)) is not None:
+                return bool(found.agree().all())
         return False
+
+
+class Comparison(NamedTuple):
+    """The derivative of a function along a direction, by a complex step and by a central difference."""
+
+    stepped: Array | Exception  # the values at a complex argument, or why there are none
+    by_difference: Array
+    size: Array  # of the values
+
+    @property
+    def by_step(self) -> Array:
+        return np.imag(np.asarray(self.stepped)) / _TINY
+
+    def agree(self, times: float = 1.0) -> Array:
+        """Which components are equal, up to `times` the errors that are expected."""
+        if isinstance(self.stepped, Exception) or self.stepped.shape != self.by_difference.shape:
+            return np.zeros(1, dtype=bool)
+        by_step, by_difference = self.by_step, self.by_difference
+        noise = 10 * EPS / _INCREMENT * self.size + np.finfo(float).tiny
+        error = _SAME * np.maximum(np.abs(by_step), np.abs(by_difference)) + noise
+        return np.asarray(np.abs(by_step - by_difference) <= times * error)
+
+
+def compared(function: Callable[[Array], Any], x: Array, direction: Array) -> Comparison | None:
+    """Both derivatives at x. None: the function is not defined around x."""
+    stepped: Array | Exception
+
+    def values(z: Array) -> Array:
+        return np.ravel(np.asarray(function(z), dtype=z.dtype))
+
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("error", ComplexWarning)  # an imaginary part was dropped
+        try:
+            up, down = (values(x + side * _INCREMENT * direction) for side in (1, -1))
+        except (ValueError, ArithmeticError, Warning):  # as from math.log(-1) and 1 / 0
+            return None
+        try:
+            stepped = values(x + 1j * _TINY * direction)
+        except Exception as error:  # the function is not made for this
+            stepped = error
+    if up.shape != down.shape or not (np.isfinite(up) & np.isfinite(down)).all():
+        return None
+    return Comparison(stepped, (up - down) / (2 * _INCREMENT), np.maximum(np.abs(up), np.abs(down)))
 
 
 def _count_values(
@@ -210,10 +247,11 @@ def compressed(entries: Array) -> tuple[Array, Array, Array]:
     return starts, rows.astype(np.int32), entries[rows, columns].astype(float)
 
 
-def somewhere(x: Array) -> Array:
+def somewhere(x: Array, size: Array | None = None) -> Array:
     """A direction in which every component moves by about its size."""
     golden = np.modf(_GOLDEN * np.arange(1, len(x) + 1))[0]
-    direction: Array = sizes(x) * (0.5 + golden) * np.where(np.arange(len(x)) % 2, -1, 1)
+    size = sizes(x) if size is None else size
+    direction: Array = size * (0.5 + golden) * np.where(np.arange(len(x)) % 2, -1, 1)
     return direction
 
 

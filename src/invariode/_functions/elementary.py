@@ -20,8 +20,6 @@ from typing import Any, NamedTuple
 
 from .llvm_values import Value, bits_of, looked_up
 
-__all__ = ["FORMULAS", "LARGEST", "LIBRARY", "POWERS", "Formula"]
-
 #: sin(r) = r + r³ p(r²) and cos(r) = 1 − r²/2 + r⁴ p(r²) for |r| ≤ π/4, with relative errors of 2^-57.8 and 2^-63.8.
 SINE = (
     -0.1666666666666663,

@@ -9,8 +9,6 @@ import numpy as np
 
 from .._base.arguments import LAMBDIFIED, call_name
 
-__all__ = ["unlambdified"]
-
 
 class _Flat:
     """A function of lambdify: a column becomes a vector, a matrix of SymPy an array."""

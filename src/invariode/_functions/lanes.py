@@ -29,8 +29,6 @@ from .graph.function import GraphFunction
 if TYPE_CHECKING:
     from .machine_code import MachineCode
 
-__all__ = ["Lanes", "choose_lanes"]
-
 #: With fewer trajectories the form, which takes about half a second to compile, is not made.
 FEWEST = 1000
 #: The name of the instruction set to use; None: the best that this processor has.
@@ -134,7 +132,7 @@ def _lane_code(made: Compiled, width: int, bits: int) -> MachineCode | str:
 
 def _loop(made: Compiled, width: int, by_tuples: bool) -> Any:
     """numba's compilation of the function in a loop over a number of lanes that it does not know."""
-    from .given_arrays import read_only
+    from .numba_additions import read_only
 
     compiled, n, size, parameters, event = made
     numba: Any = importlib.import_module("numba")

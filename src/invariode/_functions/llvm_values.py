@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
-
-__all__ = ["Value", "bits_of", "looked_up"]
-
 
 _WORD = ir.IntType(64)
 
 
 def bits_of(x: float) -> int:
     return int(struct.unpack("<Q", struct.pack("<d", x))[0])
+
+
+def _operator(of_numbers: str, of_integers: str) -> Callable[[Value, Value | float], Value]:
+    """An operator of two values, or of a value and a constant, by its instructions."""
+
+    def applied(one: Value, other: Value | float) -> Value:
+        return one._made(of_numbers if one._element == "double" else of_integers, one.ir, one._like(other))
+
+    return applied
 
 
 class Value:
@@ -40,42 +46,18 @@ class Value:
     def _made(self, instruction: str, *operands: Any) -> Value:
         return Value(self.builder, getattr(self.builder, instruction)(*operands))
 
-    def _arithmetic(self, of_numbers: str, of_integers: str, other: Value | float) -> Value:
-        return self._made(of_numbers if self._element == "double" else of_integers, self.ir, self._like(other))
-
-    def __add__(self, other: Value | float) -> Value:
-        return self._arithmetic("fadd", "add", other)
-
-    def __sub__(self, other: Value | float) -> Value:
-        return self._arithmetic("fsub", "sub", other)
+    __add__, __sub__, __mul__ = (_operator(*names) for names in (("fadd", "add"), ("fsub", "sub"), ("fmul", "mul")))
+    __and__, __or__, __xor__ = (_operator(name, name) for name in ("and_", "or_", "xor"))
+    __lshift__, __rshift__ = (_operator(name, name) for name in ("shl", "lshr"))  # zeros come in
 
     def __rsub__(self, other: float) -> Value:
         return Value(self.builder, self._like(other)) - self
-
-    def __mul__(self, other: Value | float) -> Value:
-        return self._arithmetic("fmul", "mul", other)
 
     def __truediv__(self, other: Value) -> Value:
         return self._made("fdiv", self.ir, other.ir)
 
     def __rtruediv__(self, other: float) -> Value:
         return Value(self.builder, self._like(other)) / self
-
-    def __and__(self, other: Value | int) -> Value:
-        return self._made("and_", self.ir, self._like(other))
-
-    def __or__(self, other: Value | int) -> Value:
-        return self._made("or_", self.ir, self._like(other))
-
-    def __xor__(self, other: Value | int) -> Value:
-        return self._made("xor", self.ir, self._like(other))
-
-    def __lshift__(self, other: Value | int) -> Value:
-        return self._made("shl", self.ir, self._like(other))
-
-    def __rshift__(self, other: Value | int) -> Value:
-        """Zeros come in."""
-        return self._made("lshr", self.ir, self._like(other))
 
     def __neg__(self) -> Value:
         return self._made("neg", self.ir)

@@ -17,19 +17,6 @@ from llvmlite import ir
 from .elementary import FORMULAS, LARGEST, LIBRARY, POWERS, Formula
 from .llvm_values import Value
 
-__all__ = [
-    "MachineCode",
-    "declarations",
-    "finished",
-    "hide",
-    "linked",
-    "machine",
-    "optimise",
-    "own",
-    "side_by_side",
-    "with_own",
-]
-
 #: More calls of our functions in one code are not inlined: they would take long to compile.
 MOST_INLINED = 32
 

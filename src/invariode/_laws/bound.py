@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -14,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from .._base.arguments import (
-    EPS,
     Array,
     as_array,
     call_name,
@@ -23,10 +21,9 @@ from .._base.arguments import (
     reals,
     tolerances,
 )
-from .._functions.compiled import CoreFunction, complex_form, in_both_forms, is_native, native_parameters, to_native
+from .._functions.compiled import CoreFunction, as_python, complex_form, is_native, native_parameters, to_native
+from .._functions.derivatives import compared, somewhere
 from .._problem.invariants import Invariants
-
-__all__ = ["BoundInvariants", "InvariantSpec", "Jump", "as_columns", "bind"]
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
 _NEGLIGIBLE = 0.01
@@ -261,7 +258,7 @@ def bind(
         forms = one.fun
         if kind in (None, "complex-step") and is_native(one.fun):
             code = None if np.iscomplexobj(y) else complex_form(fun)
-            forms = None if code is None else in_both_forms(fun, code, m, p)
+            forms = None if code is None else as_python(fun, m, code)
         if kind == "complex-step" and forms is None:
             raise ValueError(
                 f'invariant {name}: jac="complex-step" is not for native functions, which take real y, except those of '
@@ -270,9 +267,9 @@ def bind(
         if kind is None and forms is None:
             kind = "3-point"
         elif kind is None:
-            probe = _Probe(forms, t, y, () if is_native(one.fun) else args, threshold, at_start)
-            kind = "complex-step or 3-point" if probe.takes_complex() else "3-point"
-            evaluations += 0 if is_native(one.fun) else probe.evaluations
+            values_at = _Evaluations(forms, t, (p,) if is_native(one.fun) else args)
+            kind = "complex-step or 3-point" if _takes_complex(values_at, y, threshold) else "3-point"
+            evaluations += 0 if is_native(one.fun) else values_at.count
         kind = to_native(f"the Jacobian of invariant {name}", kind, n, m * n, p)
         if y.dtype.kind != "c":
             fun, kind = one._in_core(len(y)) or (fun, kind)
@@ -379,68 +376,39 @@ def _native_start(one: Invariants, name: str, t: float, y: Array, args: tuple[An
 _NEARER = (1e-2, 1e-4, 1e-6)
 
 
-class _Probe:
+class _Evaluations:
+    """g as a function of y, counting."""
+
+    def __init__(self, fun: Callable[..., Any], t: float, args: tuple[Any, ...]) -> None:
+        self._fun, self._t, self._args, self.count = fun, t, args, 0
+
+    def __call__(self, y: Array) -> Any:
+        self.count += 1
+        return self._fun(self._t, y, *self._args)
+
+
+def _takes_complex(values: Callable[[Array], Any], y: Array, threshold: float | Array) -> bool:
     """Does g take complex y, and does the derivative that this gives agree with differences?"""
+    if np.iscomplexobj(y):
+        return False
+    direction = somewhere(y, _sizes(y, threshold))
+    places = [(0.1, 1.0), (0.0, 1.0)]  # at y itself, that g is not analytic may not show
+    places += [(side * 0.1 * nearer, nearer) for nearer in _NEARER for side in (1, -1)]
+    for beside, part in places:
+        if (found := compared(values, y + beside * direction, part * direction)) is not None:
+            return bool(found.agree().all())
+    return False
 
-    def __init__(
-        self, fun: Callable[..., Any], t: float, y: Array, args: tuple[Any, ...], threshold: float | Array, at_y: Array
-    ) -> None:
-        self._fun, self._t, self._y, self._args, self._at_y = fun, t, y, args, at_y
-        self._threshold = threshold
-        self.evaluations = 0
 
-    def takes_complex(self) -> bool:
-        if np.iscomplexobj(self._y):
-            return False
-        golden = np.modf(0.6180339887498949 * np.arange(1, len(self._y) + 1))[0]
-        direction = self._sizes() * (0.5 + golden) * np.where(np.arange(len(self._y)) % 2, -1, 1)
-        verdict = self._agrees(self._y + 0.1 * direction, direction)  # at y itself, that g is not analytic may not show
-        if verdict is None:
-            verdict = self._agrees(self._y, direction)
-        for nearer in _NEARER:
-            if verdict is not None:
-                break
-            for side in (1, -1):
-                if verdict is None:
-                    verdict = self._agrees(self._y + side * 0.1 * nearer * direction, nearer * direction)
-        return bool(verdict)
-
-    def _sizes(self) -> Array:
-        """The sizes of the components, for increments, as in the core."""
-        size: Array = np.abs(self._y)
-        largest = size.max(initial=0)
-        if largest < 1e-300:
-            largest = 1.0
-        size = np.maximum(size, np.minimum(self._threshold, largest))
-        size[size < 1e-300] = largest  # pure relative control at 0
-        return size
-
-    def _agrees(self, y: Array, direction: Array) -> bool | None:
-        """Whether the two derivatives at y agree; None if g is not defined there."""
-        tiny, delta = 1e-40, EPS ** (1 / 3)
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("error")  # NumPy warns if the imaginary part is thrown away
-            try:
-                up, down = self._evaluate(y + delta * direction), self._evaluate(y - delta * direction)
-            except (ValueError, ArithmeticError, Warning):  # as from math.log(-1), 1 / 0 and np.log(-1)
-                return None
-            try:
-                by_step = self._evaluate(y + 1j * tiny * direction)
-            except Exception:  # g is not made for this: no reason to tell the user
-                return False
-        if not np.isfinite(up).all() or not np.isfinite(down).all():
-            return None
-        if by_step.shape != self._at_y.shape or not np.isfinite(by_step).all():
-            return False
-        by_step = by_step.imag / tiny
-        difference = (up - down) / (2 * delta)
-        noise = 10 * EPS / delta * np.maximum(np.abs(self._at_y), np.abs(up)) + np.finfo(float).tiny
-        agrees = np.abs(by_step - difference) <= 1e-6 * np.maximum(np.abs(by_step), np.abs(difference)) + noise
-        return bool(agrees.all())
-
-    def _evaluate(self, y: Array) -> Array:
-        self.evaluations += 1
-        return np.atleast_1d(np.asarray(self._fun(self._t, y, *self._args), dtype=y.dtype))
+def _sizes(y: Array, threshold: float | Array) -> Array:
+    """The sizes of the components, for increments, as in the core."""
+    size: Array = np.abs(y)
+    largest = size.max(initial=0)
+    if largest < 1e-300:
+        largest = 1.0
+    size = np.maximum(size, np.minimum(threshold, largest))
+    size[size < 1e-300] = largest  # pure relative control at 0
+    return size
 
 
 def at_complex(fun: Any, m: int) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,11 +18,9 @@ from .._base.arguments import (
     shown,
     tolerances,
 )
-from .._base.types import Numbers
+from .._base.types import Numbers, Points
 from .._problem.invariants import InvariantsLike, demanded_values, to_invariants
 from .bound import BoundInvariants, bind
-
-__all__ = ["ImposeResult", "impose"]
 
 
 @dataclass(frozen=True)
@@ -66,19 +64,10 @@ class ImposedDense:
         return imposed.y.reshape(y.shape)
 
 
-class _Points(Protocol):
-    """What `impose` needs of a result, a `Solution` or SciPy's."""
-
-    @property
-    def t(self) -> Any: ...
-    @property
-    def y(self) -> Any: ...
-
-
 @overload
 def impose(
     invariants: InvariantsLike,
-    t: _Points,
+    t: Points,
     y: None = None,
     *,
     value: Numbers | None = None,

@@ -10,11 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator
 
-from .._base.arguments import Array, as_array, function, shown, warn
+from .._base.arguments import Array, as_array, shown, warn
 from .._functions.compiled import is_native, to_native
+from .._problem.grouped import GMRES
 from .._problem.matrices import Matrices
-
-__all__ = ["Krylov", "is_operator", "krylov", "unused_without_krylov"]
 
 
 @dataclass(frozen=True)
@@ -26,39 +25,27 @@ class Krylov:
     dimension: int  # of the Krylov space; 0: the method's own
 
 
-def krylov(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array, dimension: int | None) -> Krylov:
-    """What a problem gives, checked.
+def krylov(given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: Array) -> Krylov:
+    """What a problem gives and its linear solver, checked.
 
     Raises
     ------
     TypeError, ValueError
         What cannot be used without a matrix; a mass matrix without a preconditioner.
     """
-    for name in ("jac_sparsity", "lband", "uband"):
-        if getattr(given, name) is not None:
-            warn(f"{name} has no effect with linear_solver='gmres'")
-    if given.mass is not None and given.preconditioner is None:
+    for name, value in (("jac_sparsity", given.jac_sparsity), ("the width of bands", given.bands)):
+        if value is not None:
+            warn(f"{name} has no effect with GMRES")
+    if given.mass is not None and chosen.preconditioner is None:
         raise ValueError(
-            "linear_solver='gmres' needs a preconditioner if there is a mass matrix: its rows may have any scale; give "
-            "preconditioner=, which solves (M - c J) x = b approximately"
+            "GMRES needs a preconditioner if there is a mass matrix: its rows may have any scale; give "
+            "linear_solver=GMRES(preconditioner=...), which solves (M - c J) x = b approximately"
         )
     return Krylov(
-        product=_product(given, y0, args, p),
-        preconditioner=None if given.preconditioner is None else _SetUp(given.preconditioner, args, y0),
-        dimension=dimension or 0,
+        product=_product(given.jac, chosen.jac_product, y0, args, p),
+        preconditioner=None if chosen.preconditioner is None else _SetUp(chosen.preconditioner, args, y0),
+        dimension=chosen.dimension or 0,
     )
-
-
-def unused_without_krylov(given: Matrices, dimension: int | None) -> None:
-    """A warning for what only GMRES uses."""
-    of_gmres = {
-        "jac_product": given.jac_product,
-        "preconditioner": given.preconditioner,
-        "krylov_dimension": dimension,
-    }
-    for name, value in of_gmres.items():
-        if value is not None:
-            warn(f"{name} has no effect without linear_solver='gmres'")
 
 
 def is_operator(given: object) -> bool:
@@ -66,29 +53,27 @@ def is_operator(given: object) -> bool:
     return isinstance(given, LinearOperator)
 
 
-def _product(given: Matrices, y0: Array, args: tuple[Any, ...], p: Array) -> Any:
-    if given.jac_product is not None:
-        if given.jac is not None:
-            raise ValueError("jac and jac_product say the same: give one of them")
-        if not is_native(given.jac_product):
-            function("jac_product", given.jac_product, "jac_product(t, y, v)")
+def _product(jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Array) -> Any:
+    if jac_product is not None:
+        if jac is not None:
+            raise ValueError("jac and GMRES(jac_product=) say the same: give one of them")
         n = y0.view(float).size
-        return to_native("jac_product", given.jac_product, 2 * n, n, p, second=n)
-    if given.jac is None or (isinstance(given.jac, str) and given.jac == "differences"):
+        return to_native("jac_product", jac_product, 2 * n, n, p, second=n)
+    if jac is None or (isinstance(jac, str) and jac == "differences"):
         return None
-    if isinstance(given.jac, str):
+    if isinstance(jac, str):
         raise ValueError(
-            f"jac={given.jac!r} is for matrices: with linear_solver='gmres' give jac_product, or jac='differences' for "
-            "differences of f"
+            f"jac={jac!r} is for matrices: with GMRES give GMRES(jac_product=), or jac='differences' for differences "
+            "of f"
         )
-    if is_native(given.jac):
+    if is_native(jac):
         raise TypeError(
-            "jac is native code that fills a matrix, which linear_solver='gmres' does without: give jac_product, "
+            "jac is native code that fills a matrix, which GMRES does without: give GMRES(jac_product=), "
             "void (double t, const double* yv, double* Jv, const double* p), with y and then v in yv"
         )
-    if callable(given.jac) and not is_operator(given.jac):
-        return _Evaluated(given.jac, len(y0))
-    constant = _operator("jac", given.jac, len(y0))
+    if callable(jac) and not is_operator(jac):
+        return _Evaluated(jac, len(y0))
+    constant = _operator("jac", jac, len(y0))
     return lambda t, y, v, *args: constant @ v
 
 
@@ -116,12 +101,7 @@ class _Evaluated:
 class _SetUp:
     """The user's preconditioner: called with (t, y, c), it returns a function that solves for arrays of floats."""
 
-    def __init__(self, preconditioner: Any, args: tuple[Any, ...], y0: Array) -> None:
-        if is_operator(preconditioner) or not callable(preconditioner):
-            raise TypeError(
-                "preconditioner must be a function preconditioner(t, y, c) that returns what solves (M - c J) x = b, "
-                f"got {shown(preconditioner)}; for the same at all c: lambda t, y, c: it"
-            )
+    def __init__(self, preconditioner: Callable[..., Any], args: tuple[Any, ...], y0: Array) -> None:
         self._preconditioner, self._args = preconditioner, args
         self._shape, self._dtype = y0.shape, complex if y0.dtype.kind == "c" else float
 

@@ -16,14 +16,12 @@ from scipy.sparse.linalg import splu
 from .. import _core
 from .._base.arguments import Array, warn
 from .._functions.compiled import is_native, to_native
-from .._problem.bounds import Limits
-from .._problem.matrices import Matrices, as_matrix, bandwidths, require_shape
+from .._problem.bounds import Bounds
+from .._problem.matrices import Matrices, as_matrix, require_shape
 from .complex_steps import compiled_at_complex, python_at_complex
 from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
 from .sparsity import find_pattern
-
-__all__ = ["Start", "prepare", "too_large_to_be_dense"]
 
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
@@ -71,7 +69,7 @@ class _Storage:
         row = self.upper + entries.row - entries.col
         if ((row < 0) | (row > self.lower + self.upper)).any():
             raise ValueError(
-                f"mass has entries outside the band of the Jacobian, lband = {self.lower}, uband = {self.upper}; "
+                f"mass has entries outside the band of the Jacobian, lower = {self.lower}, upper = {self.upper}; "
                 "give a band that holds both"
             )
         packed = np.zeros(self.given_shape, dtype=entries.dtype)
@@ -101,7 +99,7 @@ class Start:
     y: Array
     args: tuple[Any, ...]
     parameters: Array
-    limits: Limits | None = None
+    bounds: Bounds | None = None
     complex_by_default: bool = True
 
 
@@ -140,7 +138,7 @@ def _jacobian(given: Matrices, start: Start) -> _Jacobian:
     """How it is stored, of which kind it is, and its values or its function."""
     y0, args = start.y, start.args
     n, is_complex = len(y0), np.iscomplexobj(y0)
-    bands = bandwidths(given.lband, given.uband, n)
+    bands = given.bands
     if is_native(given.jac):
         return _Jacobian(*_native_jacobian(given, bands, y0, start.parameters))
     if given.jac is None or isinstance(given.jac, str):
@@ -168,7 +166,7 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     if bands is not None:
         held = storage("banded", lower=bands[0], upper=bands[1])
     elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
-        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters, start.limits)
+        searched = find_pattern(given, start.fun, start.t, y0, start.args, start.parameters, start.bounds)
         pattern, found = searched or (None, 0)
         held = storage("dense" if pattern is None else "sparse")
     else:
@@ -177,8 +175,8 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     if held.kind == "dense" and too_large_to_be_dense(given, y0):
         size = _dense_bytes(y0) / 2**30
         warn(
-            f"a dense Jacobian of {len(y0)} components takes {size:.1f} GiB: give jac_sparsity, or lband and uband, to "
-            "say which entries are zero"
+            f"a dense Jacobian of {len(y0)} components takes {size:.1f} GiB: give jac_sparsity, or "
+            "jac=Banded(lower, upper), to say which entries are zero"
         )
     at_complex = _complex_steps(given.jac, start)
     if at_complex is None:
@@ -203,7 +201,7 @@ def _complex_steps(jac: str | None, start: Start) -> Any:
 
 def too_large_to_be_dense(given: Matrices, y0: Array) -> bool:
     """Whether nothing is known of the Jacobian, and a dense one would fill the memory."""
-    known = (given.jac, given.jac_sparsity, given.lband, given.uband)
+    known = (given.jac, given.jac_sparsity, given.bands)
     return all(one is None or isinstance(one, str) for one in known) and _dense_bytes(y0) > _DENSE_LIMIT
 
 

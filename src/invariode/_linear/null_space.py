@@ -12,8 +12,6 @@ import numpy as np
 
 from .._base.arguments import EPS, Array
 
-__all__ = ["NullSpace", "echelon", "null_space", "roundoff", "whole"]
-
 _SPARSER = 0.5  # of the largest entry: a pivot this large is taken if its row has fewer entries
 _CANCELLED = 4 * EPS  # what a subtraction leaves, relative to its terms, that is roundoff
 _ROUNDOFF = 16  # of n ε: what elimination may make of zero

@@ -12,10 +12,8 @@ import scipy.sparse as sp
 from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import is_native, to_native
-from .._problem.bounds import Limits
+from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices
-
-__all__ = ["find_pattern"]
 
 #: From this n on a pattern is sought: below it dense factors take less time than f.
 _LARGE = 200
@@ -31,7 +29,7 @@ def find_pattern(
     y: Array,
     args: tuple[Any, ...],
     parameters: Array,
-    limits: Limits | None = None,
+    bounds: Bounds | None = None,
 ) -> tuple[tuple[Array, Array, Array], int] | None:
     """The pattern of ∂f/∂y as (starts, rows, values), and the evaluations of f that it took. None: the Jacobian is
     dense, or not large, or is not to be examined."""
@@ -41,7 +39,7 @@ def find_pattern(
     if way == "dense" or n == 0 or (way is None and (n < _LARGE or not _sparse(given.mass))):
         return None
     form = to_native("fun", fun, n, n, parameters) if is_native(fun) else _Anywhere(fun, y)
-    within = {} if limits is None else limits._asdict()
+    within = {} if bounds is None else bounds._asdict()
     problem = _core.Problem(n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters, **within)
     most = int(_PART_OF_DENSE * n) if way is None else 4 * n + 100
     found, evaluations, each = _core.sparsity(t, reals, problem, most, way is None)

@@ -9,10 +9,8 @@ import numpy as np
 from .. import _core
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
-from .._functions.derivatives import sizes
+from .._functions.derivatives import sizes, somewhere
 from .motion import DEPENDENT, Motion, Point
-
-__all__ = ["consistent_state", "nearby_state", "redundant_rows"]
 
 #: Gauss-Newton converges quadratically; where the multipliers matter, linearly.
 _ITERATIONS = 50
@@ -31,7 +29,6 @@ _LARGE = 100
 _SPARSE = 0.1
 #: The rest of a row above this is surely not roundoff, though the factors lose half of the digits.
 _FAR = 1e-4
-_GOLDEN = 0.6180339887498949
 
 
 def consistent_state(motion: Motion, start: Point, names: list[str]) -> Point:
@@ -145,8 +142,7 @@ def _sparse_least_change(weight: Array, rows: Array, right: Array) -> Array | No
 
 def nearby_state(motion: Motion, at: Point, names: list[str]) -> Point:
     """A consistent state beside a consistent one, where nothing is singular by chance; that one, if none is found."""
-    golden = np.modf(_GOLDEN * np.arange(1, motion.n_q + 1))[0]
-    direction = sizes(at.q) * (0.5 + golden) * np.where(np.arange(motion.n_q) % 2, -1, 1)
+    direction = somewhere(at.q)
     for part in _BESIDE:
         try:
             beside = at._replace(q=at.q + part * direction)

@@ -11,9 +11,7 @@ import numpy as np
 from .. import _core
 from .._base.arguments import Array
 from .._functions.compiled import CompiledFunction, CoreFunction, is_native, native_parameters, to_native
-from .._functions.derivatives import Derivatives, compressed, full_pattern
-
-__all__ = ["Accelerations", "FunctionOfState", "Functions", "Motion", "MotionFunction", "Point"]
+from .._functions.derivatives import Derivatives, compressed, full_pattern, somewhere
 
 #: Rows of the constraints that depend on others to within this part of their length are left out of a solve. Their
 #: derivatives are exact to roundoff, or from differences of order 4, good to 1e-11.
@@ -110,7 +108,7 @@ class Motion:
         if functions.jacobian is not None:
             self._take_jacobian(functions.jacobian, start, p)
         self.names = [f"constraint {i + 1}" for i in range(self.m)]
-        self._kept = np.ones(self.m, dtype=bool)
+        self.kept = np.ones(self.m, dtype=bool)
         self._sparse = True
         self._specs: dict[bytes, _core.Mechanics] = {}
         self._parts: dict[tuple[bytes, str], _core.MotionPart] = {}
@@ -188,14 +186,6 @@ class Motion:
     def m(self) -> int:
         """Number of all constraints."""
         return self.m_phi + self.m_psi
-
-    @property
-    def kept(self) -> Array:
-        return self._kept
-
-    @kept.setter
-    def kept(self, kept: Array) -> None:
-        self._kept = kept
 
     def spec(self, kept: Array | None = None) -> _core.Mechanics:
         """The system for the core; `kept`: which constraints it imposes."""
@@ -461,10 +451,8 @@ def _dense(columns: tuple[Any, Any, Any], rows: int) -> Array:
 
 def _beside(start: Point) -> Iterator[Array]:
     """Positions near the start, where nothing vanishes by chance."""
-    rng = np.random.default_rng(0)
-    scale = np.abs(start.q).max(initial=0.0) or 1.0
     for part in _BESIDE:
-        yield start.q + part * scale * rng.uniform(0.5, 1.5, len(start.q))
+        yield start.q + part * somewhere(start.q)
 
 
 def _common_pattern(function: Callable[..., Any], at_start: Any, shape: tuple[int, int], start: Point) -> Columns:

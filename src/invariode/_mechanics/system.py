@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, extra_arguments, function, interval, state, warn
 from .._base.failures import InvariantError
-from .._base.types import Span
+from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants
-from .._results.films import HasPoints
+from .._results.points import HasPoints
 from .._solve.problem import Problem
 from .consistent import consistent_state, nearby_state, redundant_rows
 from .motion import FunctionOfState, Functions, Motion, MotionFunction, Point
-
-__all__ = ["MechanicalSystem"]
 
 #: With correction="none" nothing else sees an inconsistent start: residuals above this part of their terms mean one.
 _INCONSISTENT = 1e-6
@@ -27,15 +25,6 @@ _INCONSISTENT = 1e-6
 _LINEAR = 1e-9
 #: The mass matrix must be symmetric to this fraction of its largest entry.
 _SYMMETRIC = 1e-12
-
-
-class _Points(Protocol):
-    """What multipliers are evaluated at: a `Solution` or SciPy's result."""
-
-    @property
-    def t(self) -> Any: ...
-    @property
-    def y(self) -> Any: ...
 
 
 class MechanicalSystem(HasPoints):
@@ -262,7 +251,7 @@ class MechanicalSystem(HasPoints):
         motion = self._motion(start)
         return consistent_state(motion, start, self._names(motion)).x
 
-    def multipliers(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
+    def multipliers(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
         """The multipliers λ at the points of a solution.
 
         Parameters
@@ -282,7 +271,7 @@ class MechanicalSystem(HasPoints):
         columns = [motion.accelerations(at, every=True).multipliers for motion, at in self._along(sol, args)]
         return np.array(columns).T
 
-    def reactions(self, sol: _Points, args: Iterable[Any] | None = None) -> Array:
+    def reactions(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
         """The forces of all constraints at the points of a solution: Aᵀ λ, where the rows of A are Φ and ∂ψ/∂v.
 
         Parameters
@@ -309,7 +298,7 @@ class MechanicalSystem(HasPoints):
         n, place, args = self._positions_of(sol.y), self.points, self.args
         return lambda t, y: place(t, y[:n], *args)
 
-    def _along(self, sol: _Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
+    def _along(self, sol: Points, args: Iterable[Any] | None) -> list[tuple[Motion, Point]]:
         n = self._positions_of(np.asarray(sol.y))
         source = getattr(getattr(sol, "_origin", None), "source", None)  # None: of a file or a pickle
         known = self.args if source is None else source.problem.args

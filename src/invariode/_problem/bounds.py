@@ -9,10 +9,8 @@ import numpy as np
 
 from .._base.arguments import Array, items, real_numbers, shown
 
-__all__ = ["Limits", "limits"]
 
-
-class Limits(NamedTuple):
+class Bounds(NamedTuple):
     """lower <= y <= upper, of shape (n,); infinite where there is no bound."""
 
     lower: Array
@@ -22,7 +20,7 @@ class Limits(NamedTuple):
         return np.clip(y, *self)
 
 
-def limits(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | None) -> Limits | None:
+def to_bounds(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | None) -> Bounds | None:
     """Both options as one pair of bounds. None: nothing is bounded.
 
     Raises
@@ -44,7 +42,7 @@ def limits(nonnegative: Any, bounds: Any, y0: Array, labels: Sequence[str] | Non
     if crossed.size:
         i = int(crossed[0])
         raise ValueError(f"bounds of component {i} leave it no value: {lower[i]} <= y[{i}] <= {upper[i]}. Correct them")
-    return Limits(lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
+    return Bounds(lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
 
 
 def _components(nonnegative: Any, n: int, labels: Sequence[str] | None) -> list[int]:

@@ -11,8 +11,6 @@ from .._base.arguments import function, items, number, shown
 from .._functions.compiled import is_native
 from .inputs import Input
 
-__all__ = ["Breakpoint", "of_inputs", "ordered", "to_breakpoints"]
-
 
 class Breakpoint(NamedTuple):
     """A time, and its action ``action(t, y, *args) -> y_new`` or None."""

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, call_name, distinct_labels, extra_arguments, function, interval, shown, state
+from .._base.arguments import (
+    Array,
+    call_name,
+    distinct_labels,
+    extra_arguments,
+    function,
+    interval,
+    shown,
+    state,
+)
 from .._base.notebook import html_of_problem
 from .._base.types import EventsLike, Function, Span
 from .._functions.compiled import is_native
 from .._functions.lambdified import unlambdified
-from .bounds import Limits, limits
+from .bounds import Bounds, to_bounds
 from .events import direction_sign, terminal_count, to_events
 from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
-from .matrices import Matrices
-from .options import ProblemArguments
+from .matrices import Matrices, to_matrices
+from .options import ProblemArguments, unknown_option
 from .slope import Slope
 
-__all__ = ["Description"]
+_ARGUMENTS = ProblemArguments.__annotations__.keys()
 
 
 class Description:
@@ -37,11 +45,11 @@ class Description:
     matrices: Matrices
     inputs: list[Input]
     name: str
-    limits: Limits | None
+    bounds: Bounds | None
     records_events: bool
     _title: str | None
     _labels: list[str] | None
-    _bounds_as_given: dict[str, Any]
+    _as_given: dict[str, Any]
 
     def __init__(
         self,
@@ -57,8 +65,6 @@ class Description:
         lband: int | None = None,
         uband: int | None = None,
         mass: Any = None,
-        jac_product: Any = None,
-        preconditioner: Any = None,
         nonnegative: Any = None,
         bounds: Any = None,
         inputs: InputsLike | None = None,
@@ -71,9 +77,8 @@ class Description:
         listed = to_events(events)
         for event in listed:
             terminal_count(event), direction_sign(event)
-        matrices = Matrices(jac, jac_sparsity, lband, uband, mass, jac_product, preconditioner)
-        if matrices.given:
-            matrices.check(len(start), is_complex=start.dtype.kind == "c")
+        is_complex = start.dtype.kind == "c"
+        matrices = to_matrices(jac, jac_sparsity, lband, uband, mass, len(start), is_complex=is_complex)
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of the problem must be a str, got {shown(name)}")
         named = None if labels is None else distinct_labels(labels, len(start))
@@ -87,16 +92,26 @@ class Description:
             matrices=matrices,
             inputs=to_inputs(inputs, span),
             name=call_name(called, "problem") if name is None else name,
-            limits=limits(nonnegative, bounds, start, named),
+            bounds=to_bounds(nonnegative, bounds, start, named),
             records_events=events is not None,
             _title=name,
             _labels=named,
-            _bounds_as_given={"nonnegative": nonnegative, "bounds": bounds},
+            _as_given={
+                "jac": jac,
+                "jac_sparsity": jac_sparsity,
+                "lband": lband,
+                "uband": uband,
+                "mass": mass,
+                "nonnegative": nonnegative,
+                "bounds": bounds,
+            },
         )
 
     if not TYPE_CHECKING:  # for whom `__init__` says it
 
         def __new__(cls, *by_position: Any, **by_name: Any) -> Self:
+            if not by_name.keys() <= _ARGUMENTS:
+                raise unknown_option(min(by_name.keys() - _ARGUMENTS), _ARGUMENTS, "Problem has no argument")
             if len(by_position) > 3:
                 raise TypeError(
                     "Problem takes fun, t_span and y0 by position and everything else by name, as in args=..., got "
@@ -125,10 +140,6 @@ class Description:
         **changes
             Arguments of `Problem` by name, `fun`, `t_span` and `y0` included.
 
-        Returns
-        -------
-        Problem
-
         Raises
         ------
         TypeError, ValueError
@@ -151,17 +162,11 @@ class Description:
             "args": self.args,
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,
-            **vars(self.matrices),
-            **self._bounds_as_given,
+            **self._as_given,
             "inputs": self.inputs,
             "name": self._title,
             "labels": self._labels,
         }
-        for given in changes:
-            if given not in now:
-                near = difflib.get_close_matches(given, now, n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else f"; choose from {', '.join(now)}"
-                raise TypeError(f"Problem has no argument {given!r}{hint}")
         return type(self)(**{**now, **changes})
 
     def _repr_html_(self) -> str:

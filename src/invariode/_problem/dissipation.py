@@ -11,8 +11,6 @@ from .._base.arguments import call_name, flag
 from .._base.types import Function, JacobianKind
 from .invariants import Invariants
 
-__all__ = ["Dissipated"]
-
 
 class Dissipated(Invariants):
     """Functions G of the solution that never rise as t grows, such as a dissipated energy; or never fall.

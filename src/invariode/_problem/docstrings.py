@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from itertools import chain
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 from .methods import METHODS
-from .options import TABLE
-
-__all__ = ["documented"]
+from .options import TABLE, TOPICS
 
 #: Columns of a docstring, as in the source.
 _WIDTH = 120
@@ -23,17 +22,21 @@ _Target = TypeVar("_Target", bound=Callable[..., Any])
 
 def documented(own: Mapping[str, Any] = _NOTHING, /, **places: Iterable[str]) -> Callable[[_Target], _Target]:
     """Writes the options named into the signature, in place of its ``**options``, and into the docstring, where a line
-    says ``{place}``. `own`: defaults that differ from those of the table."""
+    says ``{place}``, in the order of their topics; and where a line says ``{topics}``, which options there are on each.
+    `own`: defaults that differ from those of the table."""
+    ordered = {place: [name for name in TABLE if name in {*names}] for place, names in places.items()}
 
     def document(target: _Target) -> _Target:
         if target.__doc__ is not None:  # it is under python -OO
-            for place, names in places.items():
+            for place, names in ordered.items():
                 target.__doc__ = _filled(target.__doc__, place, _paragraphs(names, own))
+            if "{topics}" in target.__doc__:
+                target.__doc__ = _filled(target.__doc__, "topics", _topics({*chain(*ordered.values())}))
         signature = inspect.signature(target)
         spelled = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
         if len(spelled) < len(signature.parameters):
             there = {p.name for p in spelled}
-            defaults = {name: own.get(name, TABLE[name].default) for names in places.values() for name in names}
+            defaults = {name: own.get(name, TABLE[name].default) for names in ordered.values() for name in names}
             spelled += [
                 inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
                 for name, default in defaults.items()
@@ -60,6 +63,13 @@ def _filled(text: str, place: str, paragraphs: Iterable[tuple[str, str]]) -> str
     )
     filled = [f"{margin}{head}\n{wrapper.fill(body)}\n" for head, body in paragraphs]
     return before.removesuffix(margin) + "".join(filled) + after
+
+
+def _topics(names: Container[str]) -> Iterator[tuple[str, str]]:
+    """The topics, as a list of definitions."""
+    for topic, of_topic in TOPICS.items():
+        if there := [f"`{name}`" for name in of_topic if name in names]:
+            yield topic[0].upper() + topic[1:], ", ".join(there)
 
 
 def _paragraphs(names: Iterable[str], own: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -9,8 +9,6 @@ from .._base.arguments import Array, call_name, flag, function, number, positive
 from .._base.types import EventFunction, EventsLike, Function
 from .._functions.compiled import is_native, to_native
 
-__all__ = ["Event", "to_events"]
-
 
 class Event:
     """A function of the solution whose zeros are located.

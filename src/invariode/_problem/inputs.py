@@ -13,8 +13,6 @@ from .._base.arguments import Array, choice, flag, items, real_numbers, shown
 from .._base.types import InputKind
 from .._functions.compiled import NativeWithInputs, is_native
 
-__all__ = ["Input", "InputsLike", "fed", "to_inputs"]
-
 
 class Input:
     """A function u(t) from a table, as an argument of f: measured forces, schedules, driving currents.

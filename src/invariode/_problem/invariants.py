@@ -24,9 +24,6 @@ from .._base.types import Function, JacobianKind, Numbers
 from .._functions.compiled import is_native
 from .._functions.lambdified import unlambdified
 
-__all__ = ["AccuracyWarning", "Invariants", "InvariantsLike", "to_invariants"]
-
-
 #: How a Jacobian is computed without a function for it.
 _KINDS = ("complex-step", "3-point", "2-point")
 

@@ -15,8 +15,6 @@ from .. import _core
 from .._base.arguments import Array, as_array, items, shown
 from .invariants import Invariants
 
-__all__ = ["RotationMatrix", "UnitQuaternion", "UnitVector"]
-
 #: The entries of RᵀR that are prescribed: a symmetric matrix has six.
 _UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
 

@@ -4,7 +4,6 @@ SciPy's sparse matrices take longer to import than everything else, and are not 
 
 from __future__ import annotations
 
-import operator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,56 +11,59 @@ import numpy as np
 
 from .._base.arguments import Array, as_array, shown
 from .._functions.compiled import is_native
+from .grouped import JACOBIANS, Banded, bandwidth
 
-__all__ = ["Matrices", "as_matrix", "bandwidths", "require_shape"]
-
-#: How a Jacobian may be computed, and how its pattern is treated, in words.
-_JACOBIANS, _PATTERNS = ("complex-step", "differences"), ("detect", "dense")
+#: How a pattern is treated, in words.
+_PATTERNS = ("detect", "dense")
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure; products with
-    ∂f/∂y, and a preconditioner."""
+    """∂f/∂y and M as a problem gives them: functions, constants, or what is known of their structure."""
 
-    jac: Any
-    jac_sparsity: Any
-    lband: Any
-    uband: Any
-    mass: Any
-    jac_product: Any = None
-    preconditioner: Any = None
+    jac: Any = None  # whole, or its bands
+    jac_sparsity: Any = None
+    bands: tuple[int, int] | None = None  # below and above the diagonal
+    mass: Any = None
 
-    @property
-    def given(self) -> bool:
-        """Whether there is anything to check."""
-        structure = self.jac_sparsity is None and self.lband is None and self.uband is None
-        return not (structure and self.jac is None and self.mass is None)
 
-    def check(self, n: int, *, is_complex: bool) -> None:
-        """That constants are matrices of n components, and words known ones, whatever the method will use.
+def to_matrices(
+    jac: Any, jac_sparsity: Any, lband: Any, uband: Any, mass: Any, n: int, *, is_complex: bool
+) -> Matrices:
+    """What a problem of n components gives. Constants are seen to be matrices of n components, and words known ones,
+    whatever the method will use.
 
-        Raises
-        ------
-        TypeError, ValueError
-            The one that is wrong.
-        """
-        whole = (n, n)
-        bands = bandwidths(self.lband, self.uband, n)
-        if bands is not None and self.jac_sparsity is not None:
-            raise ValueError("give either jac_sparsity or lband and uband, not both")
-        if isinstance(self.jac, str):
-            _word("jac", self.jac, _JACOBIANS, "a function, a matrix, ")
-        elif _is_constant(self.jac):
-            jac = as_matrix("jac", self.jac, is_complex)
-            if bands is None or jac.shape != (bands[0] + bands[1] + 1, n):  # GMRES takes it whole, without its bands
-                require_shape("jac", jac, whole)
-        if isinstance(self.jac_sparsity, str):
-            _word("jac_sparsity", self.jac_sparsity, _PATTERNS, "a matrix, ")
-        elif self.jac_sparsity is not None:
-            require_shape("jac_sparsity", as_matrix("jac_sparsity", self.jac_sparsity, is_complex), whole)
-        if _is_constant(self.mass):
-            require_shape("mass", as_matrix("mass", self.mass, is_complex), whole)
+    Raises
+    ------
+    TypeError, ValueError
+        The one that is wrong.
+    """
+    if jac is None and jac_sparsity is None and lband is None and uband is None and mass is None:
+        return Matrices()
+    whole, names, bands = (n, n), ("lband", "uband"), None
+    if isinstance(jac, Banded):
+        if lband is not None or uband is not None:
+            raise ValueError("give either jac=Banded(lower, upper) or lband and uband, not both")
+        names = ("lower of Banded", "upper of Banded")
+        lband, uband, jac = jac.lower, jac.upper, jac.fun
+    if lband is not None or uband is not None:
+        lower, upper = (0 if width is None else width for width in (lband, uband))
+        bands = bandwidth(names[0], lower, n), bandwidth(names[1], upper, n)
+    if bands is not None and jac_sparsity is not None:
+        raise ValueError("give either jac_sparsity or lband and uband (or Banded), not both")
+    if isinstance(jac, str):
+        _word("jac", jac, JACOBIANS, "a function, a matrix, ")
+    elif _is_constant(jac):
+        matrix = as_matrix("jac", jac, is_complex)
+        if bands is None or matrix.shape != (bands[0] + bands[1] + 1, n):  # GMRES takes it whole, without its bands
+            require_shape("jac", matrix, whole)
+    if isinstance(jac_sparsity, str):
+        _word("jac_sparsity", jac_sparsity, _PATTERNS, "a matrix, ")
+    elif jac_sparsity is not None:
+        require_shape("jac_sparsity", as_matrix("jac_sparsity", jac_sparsity, is_complex), whole)
+    if _is_constant(mass):
+        require_shape("mass", as_matrix("mass", mass, is_complex), whole)
+    return Matrices(jac, jac_sparsity, bands, mass)
 
 
 def _is_constant(given: Any) -> bool:
@@ -140,20 +142,3 @@ def _sound(name: str, given: Any) -> Any:
 
 def _within(indices: Array, size: int) -> bool:
     return len(indices) == 0 or bool(indices.min() >= 0 and indices.max() < size)
-
-
-def bandwidths(lband: Any, uband: Any, n: int) -> tuple[int, int] | None:
-    if lband is None and uband is None:
-        return None
-    widths = []
-    for name, width in (("lband", lband), ("uband", uband)):
-        try:
-            value = 0 if width is None else operator.index(width)
-        except TypeError:
-            raise TypeError(
-                f"{name} must be a bandwidth, an integer from 0 to {max(n - 1, 0)}, got {shown(width)}"
-            ) from None
-        if not 0 <= value < max(n, 1):
-            raise ValueError(f"{name} must be a bandwidth, an integer from 0 to {max(n - 1, 0)}, got {shown(width)}")
-        widths.append(value)
-    return widths[0], widths[1]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
 from .. import _core
-from .._base.arguments import shown
-
-__all__ = ["METHODS", "Method", "find_method"]
+from .._base.arguments import meant, shown
 
 
 @dataclass(frozen=True)
@@ -94,9 +91,7 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
         if name == candidate.scipy_name:
             return candidate, candidate.scipy_options
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise ValueError(f"unknown method {name!r}{hint} Methods: {_names()}")
+    raise ValueError(f"unknown method {name!r}{meant(name, known)} Methods: {_names()}")
 
 
 def _names() -> str:

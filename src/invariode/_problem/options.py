@@ -5,11 +5,11 @@ holds the rest. The classes say which function takes a row: an entry point takes
 Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
-import os
+import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from numpy.typing import ArrayLike
 
@@ -19,11 +19,9 @@ from .._base.arguments import (
     count,
     flag,
     function,
-    path,
     positive,
     positive_integer,
     shown,
-    unknown_option,
     warn,
 )
 from .._base.types import (
@@ -33,7 +31,6 @@ from .._base.types import (
     Function,
     Interpolation,
     Keep,
-    LinearSolver,
     MethodName,
     Numbers,
     OnFailure,
@@ -41,27 +38,32 @@ from .._base.types import (
     Span,
 )
 from .breakpoints import to_breakpoints
+from .grouped import CheckpointLike, Limits, LinearSolver, to_checkpoint, to_limits, to_linear_solver
 from .inputs import InputsLike
 from .invariants import InvariantsLike
 from .methods import Method, find_method
 
 __all__ = [
     "TABLE",
+    "TOPICS",
     "AllOptions",
     "DescribingOptions",
     "EnsembleOptions",
     "ExtensionOptions",
+    "ManyOptions",
     "Option",
     "Options",
     "ProblemArguments",
+    "ProblemEnsembleOptions",
     "RunOptions",
     "SolveOptions",
     "StepperOptions",
-    "SteppingOptions",
+    "changed",
     "checked",
     "parted",
     "refused",
     "table_of",
+    "unknown_option",
     "unused",
 ]
 
@@ -183,26 +185,10 @@ class MethodOptions(TypedDict, total=False):
         LinearSolver,
         Option(
             "direct",
-            "{'direct', 'gmres'}",
-            "How the linear systems of Newton's iteration are solved: by LU factors of M - c J, or by restarted GMRES, "
-            "which needs products with J only and a few vectors of memory, for systems too large for a matrix. "
-            "Products are those of `jac_product` or of `jac` (which may be, or return, a "
-            "`scipy.sparse.linalg.LinearOperator`), else differences of f. It stops where what it leaves does not "
-            "matter to Newton's iteration. Without a `preconditioner` it may need many iterations. For ode15s, ode23t, "
-            "ode23tb, radau (of order 5, unless `max_order` allows more) and auto; not for ode23s, whose order needs "
-            "exact solutions.",
-            partial(choice, known=get_args(LinearSolver)),
-            every_method=False,
-        ),
-    ]
-    krylov_dimension: Annotated[
-        int | None,
-        Option(
-            None,
-            "int",
-            "Iterations after which GMRES starts anew; it keeps one vector more, and gives up after six such cycles. "
-            "Default: 10; in radau, whose complex vectors take twice the memory, 5.",
-            count,
+            "{'direct', 'gmres'} or GMRES",
+            "How the linear systems of Newton's iteration are solved: by LU factors of M - c J, or by `GMRES`, without "
+            "a matrix, for systems too large for one; 'gmres' is short for ``GMRES()``.",
+            to_linear_solver,
             every_method=False,
         ),
     ]
@@ -236,18 +222,9 @@ class SteppingOptions(StepSizeOptions, MethodOptions, total=False):
     """The options of every kind of run."""
 
 
-class KeepingOptions(TypedDict, total=False):
-    """What a run keeps, and what it calls after each step."""
+class RunningOptions(TypedDict, total=False):
+    """What a run keeps, what it calls, and what may end it, alone or in an ensemble."""
 
-    callback: Annotated[
-        Callable[[float, Array], object] | None,
-        Option(
-            None,
-            "callable",
-            "``callback(t, y)`` after each accepted step; returning True stops.",
-            partial(function, signature="callback(t, y)"),
-        ),
-    ]
     keep: Annotated[
         Keep | None,
         Option(
@@ -259,74 +236,46 @@ class KeepingOptions(TypedDict, total=False):
             partial(choice, known=get_args(Keep)),
         ),
     ]
-    save: Annotated[
-        Keep | None,
-        Option(None, "{'all', 'outputs', 'end'}", "Another name for `keep`.", partial(choice, known=get_args(Keep))),
+    callback: Annotated[
+        Callable[[float, Array], object] | None,
+        Option(
+            None,
+            "callable",
+            "``callback(t, y)`` after each accepted step; returning True stops.",
+            partial(function, signature="callback(t, y)"),
+        ),
     ]
-
-
-class LimitOptions(TypedDict, total=False):
-    """What may end a run early, with status -3 and all results so far."""
-
     max_steps: Annotated[
         int | None,
         Option(
             None,
             "int",
-            "Largest number of accepted steps. A run that reaches this or one of the next two limits ends with status "
-            "-3, a message that says how far it got and how fast, and all results so far; ``Solution.extend`` "
-            "continues it. Default: no limit.",
+            "Maximum number of accepted steps: short for ``limits=Limits(steps=...)``. Default: no limit.",
             count,
             command=True,
         ),
     ]
-    time_limit: Annotated[
-        float | None,
+    limits: Annotated[
+        Limits | None,
         Option(
             None,
-            "float",
-            "Most seconds that the run may take, checked after each attempted step. Default: no limit.",
-            positive,
-            command=True,
+            "Limits",
+            "Limits of the steps, the time, or the points and bytes kept. A run that reaches one ends with status -3, "
+            "a message that says how far it got and how fast, and all results so far; ``Solution.extend`` continues "
+            "it. See `Limits`.",
+            to_limits,
         ),
     ]
-    max_points: Annotated[
-        int | None,
+    progress: Annotated[
+        bool,
         Option(
-            None,
-            "int",
-            "Most points that are kept: outputs (or steps of the continuous solution, if there are more) and "
-            "occurrences of events. Default: 10 million or the number that fills 4 GiB, whichever is less, beyond "
-            "those of `t_eval`: no run fills the memory by accident.",
-            count,
+            False,
+            "bool",
+            "Whether a bar shows t, h and the time left, or the trajectories of an ensemble, at most ten times a "
+            "second: under the cell in notebooks, else on standard error (with rich).",
+            flag,
         ),
     ]
-
-
-class CheckpointOptions(TypedDict, total=False):
-    """What a run writes while it goes on."""
-
-    checkpoint: Annotated[
-        str | os.PathLike[str] | None,
-        Option(
-            None,
-            "str or path-like",
-            "A file from which ``load(path, problem).extend(tf)`` goes on, to the last bit, if the process dies: the "
-            "state of the run, replaced whole every `checkpoint_every` seconds; its output is appended to a file "
-            "PATH.output-TOKEN beside it. A run that has not ended is not overwritten, and a second one that is given "
-            "the same file meanwhile is refused before it computes. An extension goes on writing.",
-            path,
-            command=True,
-        ),
-    ]
-    checkpoint_every: Annotated[
-        float, Option(60.0, "float", "Least time between two checkpoints, in seconds.", positive, command=True)
-    ]
-
-
-class BreakingOptions(TypedDict, total=False):
-    """Where a run starts anew."""
-
     breakpoints: Annotated[
         BreakpointsLike | None,
         Option(
@@ -340,11 +289,6 @@ class BreakingOptions(TypedDict, total=False):
             to_breakpoints,
         ),
     ]
-
-
-class FailureOptions(TypedDict, total=False):
-    """What a failed run does."""
-
     on_failure: Annotated[
         OnFailure,
         Option(
@@ -358,14 +302,23 @@ class FailureOptions(TypedDict, total=False):
     ]
 
 
-class RunOptions(
-    SteppingOptions, KeepingOptions, LimitOptions, CheckpointOptions, BreakingOptions, FailureOptions, total=False
-):
+class RunOptions(SteppingOptions, RunningOptions, total=False):
     """The options of one run that are not parameters of `scipy.integrate.solve_ivp`."""
 
     refine: Annotated[
         int,
         Option(1, "int", "Points per step in the output; those inside the step are interpolated.", positive_integer),
+    ]
+    checkpoint: Annotated[
+        CheckpointLike | None,
+        Option(
+            None,
+            "str, path-like or Checkpoint",
+            "A file from which ``load(path, problem).extend(tf)`` continues the run, bit for bit, if the process dies. "
+            "It is replaced every minute, or as often as `Checkpoint` says. An extension continues to write it.",
+            to_checkpoint,
+            command=True,
+        ),
     ]
     on_interrupt: Annotated[
         OnInterrupt,
@@ -375,16 +328,6 @@ class RunOptions(
             "What Ctrl-C does: raise KeyboardInterrupt, or end the run after the current step and return the results "
             "so far, with status 2. A second Ctrl-C always raises.",
             partial(choice, known=get_args(OnInterrupt)),
-        ),
-    ]
-    progress: Annotated[
-        bool,
-        Option(
-            False,
-            "bool",
-            "Whether a bar shows t, h and the time left, at most ten times a second: under the cell in notebooks, else "
-            "on standard error (with rich).",
-            flag,
         ),
     ]
 
@@ -420,11 +363,12 @@ class DescribingOptions(TypedDict, total=False):
         Any,
         Option(
             None,
-            "callable, (n, n) array_like, sparse matrix, 'complex-step' or 'differences'",
+            "callable, Banded, (n, n) array_like, sparse matrix, 'complex-step' or 'differences'",
             "The Jacobian of f: ``jac(t, y, *args)``, or a constant. If it is (or returns) a sparse matrix, the "
-            "linear algebra is sparse. Or how to compute it: by complex steps, Im f(t, y + i h e_j) / h, exact to "
-            "roundoff, if f takes complex y; or by differences. Default: complex steps for functions of "
-            "`invariode.compile` that numba compiles for complex y, else differences. ``stats.jacobian`` tells.",
+            "linear algebra is sparse; with `Banded` it is banded. Or how to compute it: by complex steps, "
+            "Im f(t, y + i h e_j) / h, exact to roundoff, if f takes complex y; or by differences. Default: complex "
+            "steps for functions of `invariode.compile` that numba compiles for complex y, else differences. "
+            "``stats.jacobian`` tells.",
             every_method=False,
         ),
     ]
@@ -446,8 +390,8 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "int",
-            "The Jacobian is zero except for ``i - lband <= j <= i + uband``. `jac` then is, or returns, the array of "
-            "its bands (lband + uband + 1, n), with entry (i, j) at ``[uband + i - j, j]``.",
+            "SciPy's form of ``jac=Banded(lband, uband, jac)``: the Jacobian is zero except for "
+            "``i - lband <= j <= i + uband``, and `jac`, if given, is or returns its bands. See `Banded`.",
             every_method=False,
         ),
     ]
@@ -461,28 +405,16 @@ class DescribingOptions(TypedDict, total=False):
             every_method=False,
         ),
     ]
-    jac_product: Annotated[
+    bounds: Annotated[
         Any,
         Option(
             None,
-            "callable",
-            "``jac_product(t, y, v, *args)``, the product of the Jacobian of f with v, of shape (n,), for "
-            "``linear_solver='gmres'``.",
-            every_method=False,
-        ),
-    ]
-    preconditioner: Annotated[
-        Any,
-        Option(
-            None,
-            "callable",
-            "``preconditioner(t, y, c, *args)`` for ``linear_solver='gmres'``: returns what solves ``(M - c J) x = b`` "
-            "approximately, with J at (t, y), M the mass matrix or the identity, and a real c (also in radau, "
-            "which applies it to both parts of its complex systems): an object with ``solve(b)``, such as "
-            "`scipy.sparse.linalg.spilu` returns, a `scipy.sparse.linalg.LinearOperator` that maps b to x, or a "
-            "function of b. It is called again where c has changed by more than 30 %, after 20 steps, and where "
-            "GMRES or Newton's iteration has failed.",
-            every_method=False,
+            "(lower, upper) or scipy.optimize.Bounds",
+            "Bounds on y: numbers or arrays of shape (n,); infinite or None for no bound. A step that takes a "
+            "component beyond one by more than its tolerance is repeated with half the size; by less, the component is "
+            "moved to its bound before the method commits the step. Output between steps is within the bounds too; the "
+            "arguments at which explicit methods evaluate f within a step may not be. With `invariants` the result is "
+            "the nearest point that satisfies both.",
         ),
     ]
     nonnegative: Annotated[
@@ -490,20 +422,9 @@ class DescribingOptions(TypedDict, total=False):
         Option(
             None,
             "bool, indices or labels",
-            "Components that must not become negative, such as concentrations; True means all. A step that takes one "
-            "below 0 by more than its tolerance is repeated with half the size; by less, the component is moved to 0 "
-            "before the method commits the step. Output between steps is not negative either; the arguments at which "
-            "explicit methods evaluate f within a step may be. With `invariants` the result is the nearest point that "
-            "satisfies both.",
+            "Components that must not become negative, such as concentrations: short for `bounds` of 0 below. True "
+            "means all.",
             command=True,
-        ),
-    ]
-    bounds: Annotated[
-        Any,
-        Option(
-            None,
-            "(lower, upper) or scipy.optimize.Bounds",
-            "The same for other bounds: numbers or arrays of shape (n,); infinite or None for no bound.",
         ),
     ]
 
@@ -542,9 +463,80 @@ class AllOptions(SolveOptions, OutputOptions, CallingOptions, total=False):
     ]
 
 
-class EnsembleOptions(
-    SteppingOptions, KeepingOptions, LimitOptions, BreakingOptions, FailureOptions, DescribingOptions, total=False
-):
+class ManyOptions(TypedDict, total=False):
+    """How the trajectories of an ensemble are solved."""
+
+    workers: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Threads or processes. Default: the processors that this process may use. With an executor: threads that "
+            "each of its places uses at once; default: 1.",
+        ),
+    ]
+    lanes: Annotated[
+        Literal["auto", 1],
+        Option(
+            "auto",
+            "{'auto', 1}",
+            "With 'auto', explicit Runge-Kutta pairs integrate trajectories of compiled functions side by side in "
+            "vector registers where they can, with the same result; 1: one at a time. ``stats.lanes`` says which it "
+            "was, and why.",
+        ),
+    ]
+    retry: Annotated[
+        Mapping[str, Any] | Sequence[Mapping[str, Any]] | None,
+        Option(
+            None,
+            "dict or list of dict",
+            "Options with which trajectories that failed are solved again, ``{'method': 'radau', 'rtol': 1e-9}``, one "
+            "after the other until one attempt succeeds; options that it leaves out keep their values.",
+        ),
+    ]
+    executor: Annotated[
+        Any,
+        Option(
+            None,
+            "concurrent.futures.Executor or distributed.Client",
+            "Where trajectories are solved: an executor that receives `chunk` of them at a time, such as processes of "
+            "this machine, or a cluster by way of Dask. Functions travel: compiled ones are compiled again where they "
+            "arrive; with cloudpickle, of the extra `cluster`, functions of the script itself travel too.",
+        ),
+    ]
+    chunk: Annotated[
+        int | None,
+        Option(
+            None,
+            "int",
+            "Trajectories in a part. Default: as many as take a second, judged by the first ones, on executors of more "
+            "than 50 places a fiftieth of a second for each of them; at most 32 MiB.",
+        ),
+    ]
+    resume: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "True continues a store that exists; trajectories that it holds are not solved again.",
+            flag,
+        ),
+    ]
+    seed: Annotated[
+        Any,
+        Option(
+            None,
+            "int, list of int or str",
+            "What made the random rows, for the record: it is kept in the attributes of the store.",
+        ),
+    ]
+
+
+class ProblemEnsembleOptions(SteppingOptions, RunningOptions, ManyOptions, total=False):
+    """Those of `Problem.solve_ensemble` that its signature does not spell out."""
+
+
+class EnsembleOptions(ProblemEnsembleOptions, DescribingOptions, total=False):
     """Those of `solve_ensemble` that its signature does not spell out."""
 
 
@@ -561,8 +553,7 @@ class ExtensionOptions(TypedDict, total=False):
     callback: Callable[[float, Array], object] | None
     check: bool
     max_steps: int | None
-    time_limit: float | None
-    max_points: int | None
+    limits: Limits | None
     on_failure: OnFailure
     on_interrupt: OnInterrupt
     progress: bool
@@ -588,8 +579,39 @@ def table_of(kind: type) -> dict[str, Option]:
     return rows
 
 
+#: The options by topic, in the order in which they are documented.
+TOPICS: Mapping[str, tuple[str, ...]] = {
+    "the problem": ("args", "vectorized", "events", "invariants", "bounds", "nonnegative", "mass", "breakpoints"),
+    "its Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
+    "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
+    "the method": ("max_order", "bdf", "prefer", "fsal"),
+    "output": ("t_eval", "dense_output", "interpolation", "refine", "keep"),
+    "the course of the run": (
+        "callback",
+        "progress",
+        "max_steps",
+        "limits",
+        "checkpoint",
+        "on_interrupt",
+        "on_failure",
+    ),
+    "an ensemble": ("workers", "lanes", "retry", "executor", "chunk", "resume", "seed"),
+}
+
+_ROWS = {**table_of(AllOptions), **table_of(ManyOptions)}
 #: All rows by name.
-TABLE: Mapping[str, Option] = table_of(AllOptions)
+TABLE: Mapping[str, Option] = {name: _ROWS[name] for topic in TOPICS.values() for name in topic}
+
+#: Flat names of earlier versions, and what replaces them.
+_REPLACED: Mapping[str, str] = {
+    "save": "keep=",
+    "time_limit": "limits=invariode.Limits(time=)",
+    "max_points": "limits=invariode.Limits(points=)",
+    "checkpoint_every": "checkpoint=invariode.Checkpoint(path, every=)",
+    "krylov_dimension": "linear_solver=invariode.GMRES(dimension=)",
+    "preconditioner": "linear_solver=invariode.GMRES(preconditioner=)",
+    "jac_product": "linear_solver=invariode.GMRES(jac_product=)",
+}
 
 _OF_A_RUN = table_of(Options)
 _DEFAULTS = {name: row.default for name, row in _OF_A_RUN.items()}
@@ -615,13 +637,6 @@ def checked(given: Options, method: Method) -> Options:
         complete[name] = row.check(name, value) if value is not None or row.default is not None else None
         if name in _OF_SOME_METHODS:
             warn_unused(method, name, value)
-    keep, save = complete["keep"], complete["save"]
-    if save is not None:
-        if keep is not None and keep != save:
-            raise TypeError(
-                f"keep and save are two names for one option, got keep={keep!r} and save={save!r}: give keep"
-            )
-        complete["keep"] = save
     return cast("Options", complete)
 
 
@@ -630,7 +645,27 @@ def refused(name: str) -> TypeError:
     if name in ProblemArguments.__annotations__:
         where = "Problem or solve_ivp" if name in TABLE else "Problem"
         return TypeError(f"{name} describes the problem: it is an argument of {where}, not an option")
+    if name in TABLE:
+        where = "solve_ensemble" if name in ManyOptions.__annotations__ else "solve_ivp"
+        return TypeError(f"{name} is an option of {where}, not of a run")
     return unknown_option(name, TABLE)
+
+
+def unknown_option(name: str, known: Iterable[str], text: str = "unknown option") -> TypeError:
+    """The error for a name that nothing has; one of an earlier version is told what replaces it."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return TypeError(f"{text} {name!r}" + (f": give {_REPLACED[name]}" if name in _REPLACED else hint))
+
+
+def changed(options: Options, changes: Mapping[str, Any]) -> Options:
+    """The options with changes. New limits replace `max_steps`, their short form, and the other way round."""
+    kept: dict[str, Any] = dict(options)
+    if changes.get("limits") is not None:
+        kept.pop("max_steps", None)
+    elif "max_steps" in changes and kept.get("limits") is not None:
+        kept["limits"] = replace(kept["limits"], steps=None)
+    return cast("Options", {**kept, **changes})
 
 
 def warn_unused(method: Method, name: str, given: object) -> None:

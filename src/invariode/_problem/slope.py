@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._base.arguments import Array, reals
-from .._functions.compiled import CoreFunction, NativeWithInputs, is_native, native_parameters, to_native
+from .._functions.compiled import CoreFunction, NativeWithInputs, as_python, is_native, native_parameters, to_native
 from .inputs import Input, fed
-
-__all__ = ["Slope"]
 
 
 class Slope(NamedTuple):
@@ -43,11 +40,9 @@ class Slope(NamedTuple):
             return values.T
         n = rows.view(float).shape[1]
         p = native_parameters(self.args, [fun])
-        vector = ctypes.c_void_p
-        address = to_native("fun", fun, n, n, p).address
-        call = ctypes.CFUNCTYPE(None, ctypes.c_double, vector, vector, vector)(address)
+        call = as_python(to_native("fun", fun, n, n, p), n)
         fed_by = fun.inputs if isinstance(fun, NativeWithInputs) else []
         for value, at, state in zip(values, t.tolist(), rows, strict=True):
             now = np.concatenate([*(one.evaluate(np.array([at]))[0] for one in fed_by), p]) if fed_by else p
-            call(at, state.ctypes.data, value.ctypes.data, now.ctypes.data if len(now) else None)
+            value[:] = call(at, state.view(float), now).view(value.dtype)
         return values.T

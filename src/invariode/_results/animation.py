@@ -17,10 +17,9 @@ from matplotlib.ticker import MaxNLocator
 
 from .._base.arguments import Array, positive, shown
 from .._base.style import COLOURS
+from .pictures.canvas import component, new
 from .pictures.curves import curve
 from .result import Result
-
-__all__ = ["Film", "Motion", "film_size", "motion", "polylines"]
 
 #: Seconds of a film without a given length: those of the motion, within these bounds.
 _SHORTEST, _LONGEST = 4.0, 8.0
@@ -34,6 +33,9 @@ _PARTS = 5
 
 #: Inches: the width of a new figure, its least and largest height, and the room for titles and labels.
 _WIDTH, _LOWEST, _HIGHEST, _WORDS = 5.6, 2.6, 6.2, 0.9
+
+#: Points between a film and its title, for the clock, which narrow axes would not hold beside the title.
+_TITLE = 22
 
 #: Room around the motion, in units of its extent.
 _MARGIN = 0.06
@@ -64,10 +66,48 @@ class Motion(NamedTuple):
     finer: int
 
 
-def motion(
+def animated(
+    sol: Result,
+    points: Any,
+    links: Iterable[Any],
+    trace: Iterable[int],
+    duration: float | None,
+    fps: float,
+    ax: Any,
+    line: dict[str, Any],
+) -> Film:
+    """See `Solution.animate`."""
+    motion = _motion(sol, points if callable(points) else _coordinates(sol, points), trace, duration, fps)
+    joined = _polylines("links", links, motion.points.shape[1])
+    space = motion.points.shape[2] == 3
+    if ax is not None:
+        if (ax.name == "3d") != space:
+            wanted = 'axes with projection="3d"' if space else "axes of the plane"
+            raise ValueError(f"the points have {motion.points.shape[2]} coordinates: give {wanted}")
+        return Film(ax, motion, joined, fps, line)
+    projection = {"subplot_kw": {"projection": "3d"}} if space else {}
+    ax = new(sol._names.title, figsize=_film_size(motion.points), **projection)
+    ax.set(xlabel="$x$", ylabel="$y$", **({"zlabel": "$z$"} if space else {}))
+    ax.set_title(ax.get_title(), pad=_TITLE)
+    film = Film(ax, motion, joined, fps, line)
+    film.show(0)
+    film.figure.draw_without_rendering()  # laid out once: the frames stand still
+    film.figure.set_layout_engine("none")
+    return film
+
+
+def _coordinates(sol: Result, points: Any) -> Array:
+    """Indices of components, (k, 2 or 3), from indices or labels."""
+    rows = [points] if len(points) and (isinstance(points[0], str) or not np.iterable(points[0])) else list(points)
+    sizes = {len(row) for row in rows}
+    if sizes not in ({2}, {3}):
+        raise ValueError(f"points must be points(t, y), or rows of two or three components, got {shown(points)}")
+    return np.array([[component(sol._names.components, one) for one in row] for row in rows])
+
+
+def _motion(
     sol: Result,
     points: Callable[[float, Array], Any] | Array,
-    *,
     trace: Iterable[int],
     duration: float | None,
     fps: float,
@@ -76,7 +116,7 @@ def motion(
     times = _frame_times(sol, duration, fps)
     states = _states(sol)
     shown = _positions(states, points, times)
-    (traced,) = polylines("trace", [trace], shown.shape[1])
+    (traced,) = _polylines("trace", [trace], shown.shape[1])
     if not traced:
         return Motion(times, shown, shown[:, traced], 1)
     length = min(max(_PATH, _PATH_PER_STEP * len(sol.t)), _LONGEST_PATH)
@@ -85,7 +125,7 @@ def motion(
     return Motion(times, shown, _positions(states, points, between)[:, traced], finer)
 
 
-def film_size(points: Array) -> tuple[float, float]:
+def _film_size(points: Array) -> tuple[float, float]:
     """Inches of a new figure that has the shape of the motion."""
     if points.shape[2] == 3:
         return _WIDTH, _WIDTH
@@ -148,7 +188,7 @@ def _checked(shown: Array) -> Array:
     return shown
 
 
-def polylines(name: str, groups: Iterable[Any], count: int) -> list[list[int]]:
+def _polylines(name: str, groups: Iterable[Any], count: int) -> list[list[int]]:
     """Groups of points as lists of indices; a single index is a group too."""
     listed = [list(one) if np.iterable(one) else [one] for one in groups]
     for group in listed:
@@ -253,10 +293,6 @@ class Film(FuncAnimation):
         ----------
         fps, embed_frames, default_mode
             As in matplotlib. Frames of any size are embedded.
-
-        Returns
-        -------
-        str
         """
         with matplotlib.rc_context({"animation.embed_limit": math.inf}):
             found: str = super().to_jshtml(fps, embed_frames, default_mode)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 from importlib.metadata import version
@@ -12,15 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
+from .._base.extras import extra
 from .._base.formats import write
-from .result import Result, default_labels
+from .result import Result
 from .saving import SOLUTION
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import pandas
     import xarray
-
-__all__ = ["Exports", "ensemble_to_dataframe", "ensemble_to_xarray", "to_dataframe", "to_xarray"]
 
 
 class Exports(Result):
@@ -90,7 +88,7 @@ class Exports(Result):
 
 def to_xarray(solution: Result) -> xarray.Dataset:
     """See `Solution.to_xarray`."""
-    xr = _extra("xarray")
+    xr = extra("xarray", "this needs", "data")
     variables: dict[str, Any] = {"y": (("component", "t"), solution.y)}
     coordinates: dict[str, Any] = {"component": _labels(solution), "t": solution.t}
     g = solution._invariants
@@ -118,7 +116,7 @@ def to_xarray(solution: Result) -> xarray.Dataset:
 
 def to_dataframe(solution: Result) -> pandas.DataFrame:
     """See `Solution.to_dataframe`."""
-    pd = _extra("pandas")
+    pd = extra("pandas", "this needs", "data")
     columns: list[tuple[str, Array]] = []
     for label, values in zip(_labels(solution), solution.y, strict=True):
         if np.iscomplexobj(values):
@@ -140,7 +138,7 @@ def to_dataframe(solution: Result) -> pandas.DataFrame:
 
 def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
     """See `EnsembleSolution.to_xarray`."""
-    xr = _extra("xarray")
+    xr = extra("xarray", "this needs", "data")
     whole = ("trajectory", "component", "t")
     variables: dict[str, Any] = {
         "y": (whole, ensemble.y),
@@ -153,7 +151,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         variables |= {name: (("trajectory", "invariant"), ensemble[name]) for name in laws}
     coordinates = {
         "trajectory": np.arange(len(ensemble)),
-        "component": default_labels(ensemble.y.shape[1]),
+        "component": ensemble.labels,
         "t": ensemble.t,
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version("invariode")})
@@ -162,23 +160,13 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
 
 def ensemble_to_dataframe(ensemble: Any) -> pandas.DataFrame:
     """See `EnsembleSolution.to_dataframe`."""
-    pd = _extra("pandas")
+    pd = extra("pandas", "this needs", "data")
     size, n, times = ensemble.y.shape
     t = ensemble.t_end if ensemble._final else np.tile(ensemble.t, size)
     index = pd.MultiIndex.from_arrays([np.repeat(np.arange(size), times), t], names=["trajectory", "t"])
     rows = ensemble.y.transpose(0, 2, 1).reshape(size * times, n)
-    table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=default_labels(n))
+    table: pandas.DataFrame = pd.DataFrame(rows, index=index, columns=ensemble.labels)
     return table[np.isfinite(rows).all(axis=1)]
-
-
-def _extra(module: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as missing:
-        if missing.name != module:
-            raise
-        message = f'this needs {module}: pip install "invariode[data]"'
-        raise ModuleNotFoundError(message, name=module) from None
 
 
 def _labels(solution: Result) -> list[str]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from .._base.arguments import EPS
 from .._core import Linear, Run, Stepper
-from .._problem.bounds import Limits
+from .._problem.bounds import Bounds
 
 #: The most times that a message lists.
 _TIMES = 4
@@ -23,14 +23,14 @@ MESSAGES = {
 
 _LIMITS = {
     "steps": ("max_steps = {0} is reached", "give a larger max_steps, or looser tolerances"),
-    "time": ("time_limit = {0:g} s is over", "give a larger time_limit, or looser tolerances"),
+    "time": ("The limit of {0:g} s is over", "give a larger Limits(time=), or looser tolerances"),
     "points": (
-        "{0} points are kept, the most that max_points allows",
-        "give a larger max_points, or keep fewer: t_eval or keep='end'",
+        "{0} points are kept, the most that the limits allow",
+        "give a larger Limits(points=), or keep fewer: t_eval or keep='end'",
     ),
     "memory": (
-        "What is kept fills {0} bytes, the most without max_points",
-        "give max_points, or keep less: t_eval or keep='end'",
+        "What is kept fills {0} bytes, the most that the limits allow",
+        "give a larger Limits(bytes=), or keep less: t_eval or keep='end'",
     ),
 }
 
@@ -140,9 +140,9 @@ def _ended(run: Run, laws: Laws, pairs: bool) -> tuple[int, str]:
     return -1, _step_failed(run, laws.names, pairs)
 
 
-def out_of_bounds(what: str, component: int, limits: Limits | None) -> str:
+def out_of_bounds(what: str, component: int, bounds: Bounds | None) -> str:
     """The text of the ValueError for a start that is outside its bounds."""
-    within = "" if limits is None else f", {limits.lower[component]} to {limits.upper[component]},"
+    within = "" if bounds is None else f", {bounds.lower[component]} to {bounds.upper[component]},"
     return f"{what}[{component}] is outside its bounds{within} by more than the tolerance: correct it, or the bounds"
 
 
@@ -216,7 +216,7 @@ _UNDEFINED = {
     ),
     "difference": (
         "Differences of fun for products of its Jacobian with vectors are NaN or infinite at t = {0!r}, and with "
-        "shorter steps too: fun is not defined all around the solution. Give jac_product, or jac."
+        "shorter steps too: fun is not defined all around the solution. Give GMRES(jac_product=), or jac."
     ),
     "preconditioner": (
         "The preconditioner set up at t = {0!r} returns NaN or infinity, and with shorter steps too. Correct it, or "
@@ -242,7 +242,7 @@ def _newton_failed(run: Run, pairs: bool) -> str:
     if run.unsolved == "slow":
         return (
             "GMRES does not solve the linear systems of Newton's iteration even with the smallest step (give a better "
-            "preconditioner, or a larger krylov_dimension),"
+            "preconditioner, or a larger GMRES(dimension=)),"
         )
     if run.component >= 0:
         return f"{_component(run, pairs)} of fun is NaN or infinite in Newton's iteration even with the smallest step,"
@@ -392,8 +392,9 @@ def misfit(found: tuple[str, float, int, int, int, int, float, float], pairs: bo
     if kind == "pattern":
         return f"jac_sparsity misses the entry ({i}, {j}): {entry}. It is used with what was found; add the entry"
     return (
-        f"lband and uband miss the entry ({i}, {j}): {entry}. The entries in the bands are right, but take more "
-        f"evaluations of fun, and steps may be short; give lband={-(-lower // reals)}, uband={-(-upper // reals)}"
+        f"the bands of the Jacobian miss the entry ({i}, {j}): {entry}. The entries in the bands are right, but take "
+        "more evaluations of fun, and steps may be short; give "
+        f"jac=Banded({-(-lower // reals)}, {-(-upper // reals)}), or these as lband and uband"
     )
 
 

@@ -14,22 +14,6 @@ from .._base.arguments import Array, real_numbers
 from .._core import Dense
 from .._laws.bound import BoundInvariants, as_columns
 
-__all__ = [
-    "LIMIT_REACHED",
-    "NOT_CONSERVED",
-    "BeforeProjection",
-    "DenseSolution",
-    "DiscontinuityWarning",
-    "Drift",
-    "Names",
-    "Record",
-    "Result",
-    "Stats",
-    "Steps",
-    "StiffnessWarning",
-    "at_events",
-]
-
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
 #: invariant which f does not conserve.
 LIMIT_REACHED, NOT_CONSERVED = -3, -2
@@ -44,7 +28,7 @@ class Record(Mapping[str, Any]):
     """A dataclass whose fields are also items, as in SciPy's results: ``sol.t`` is ``sol["t"]``."""
 
     def __getitem__(self, key: str) -> Any:
-        if key in self.keys():
+        if key in list(self):
             return getattr(self, key)
         raise KeyError(key)
 
@@ -53,9 +37,6 @@ class Record(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
-
-    def __contains__(self, key: object) -> bool:
-        return key in list(self)
 
     __eq__ = object.__eq__  # arrays do not compare to one truth
     __hash__ = object.__hash__
@@ -78,7 +59,7 @@ class Stats(Record):
     njev : int
         Evaluations of the Jacobian of f.
     nlu : int
-        Factorisations; with ``linear_solver="gmres"`` set-ups of the preconditioner.
+        Factorisations; with `GMRES` set-ups of the preconditioner.
     nsolve : int
         Solutions of linear systems.
     projections : int
@@ -96,7 +77,7 @@ class Stats(Record):
     switches : int
         How often ``method="auto"`` continued with its other method.
     products : int
-        Products of the Jacobian of f with a vector, with ``linear_solver="gmres"``. By differences each of them is one
+        Products of the Jacobian of f with a vector, with `GMRES`. By differences each of them is one
         of `nfev`.
     linear_iterations : int
         Iterations of GMRES.
@@ -118,7 +99,7 @@ class Stats(Record):
     jacobian : str or None
         How the Jacobian of f was computed: 'given', 'constant', 'differences' or 'complex step', from which t on
         differences replaced complex steps, and the sparsity pattern if it was detected; 'products' with
-        ``linear_solver="gmres"``; None for explicit methods.
+        `GMRES`; None for explicit methods.
     discontinuities : tuple of float
         Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
         value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
@@ -383,42 +364,21 @@ class Result(dict[str, Any]):
     _atol: ArrayLike
     _drift: BeforeProjection
     _names: Names
-    _origin: Any  # with the functions, where there are any: see `Solution`
+    _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
     def __init__(
         self,
         *,
-        t: Array,
-        y: Array,
-        sol: DenseSolution | None,
-        t_events: list[Array] | None,
-        y_events: list[Array] | None,
-        nfev: int,
-        njev: int,
-        nlu: int,
-        status: int,
-        message: str,
-        success: bool,
-        stats: Stats,
-        steps: Steps | None,
-        t_end: float,
         _invariants: BoundInvariants,
         _rtol: ArrayLike,
         _atol: ArrayLike,
         _drift: BeforeProjection,
         _names: Names,
         _origin: Any = None,
-        **more: Any,
+        **fields: Any,
     ) -> None:
-        # One by one, and past __setattr__: a short solve takes 30 µs, to which this must not add.
-        self["t"], self["y"], self["sol"] = t, y, sol
-        self["t_events"], self["y_events"] = t_events, y_events
-        self["nfev"], self["njev"], self["nlu"] = nfev, njev, nlu
-        self["status"], self["message"], self["success"] = status, message, success
-        self["stats"], self["steps"], self["t_end"] = stats, steps, t_end
-        if more:
-            self.update(more)
-        own = self.__dict__
+        super().__init__(fields)
+        own = self.__dict__  # past __setattr__: a short solve takes 30 µs, to which this must not add
         own["_invariants"], own["_rtol"], own["_atol"] = _invariants, _rtol, _atol
         own["_drift"], own["_names"], own["_origin"] = _drift, _names, _origin
 

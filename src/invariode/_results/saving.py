@@ -14,8 +14,6 @@ from .._base.arguments import Array, shown, warn
 from .._base.formats import GROUP, Field, Kind
 from .result import Names, Result, Stats
 
-__all__ = ["END", "OCCURRENCES", "OUTCOME", "OUTPUT", "RUN", "SOLUTION", "apart", "together"]
-
 #: How deep lists and dicts may be nested in fields that the user adds.
 _DEEPEST = 50
 
@@ -31,6 +29,7 @@ class _Identity(TypedDict):
     arrays: list[str]
     functions: list[str]
     bdf: bool
+    every: float | None
     problem: dict[str, Any]
     code: dict[str, str]
 

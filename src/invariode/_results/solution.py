@@ -3,60 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol, Unpack
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Unpack
 
-from .._base.arguments import Array, unknown_option, warn
+from .._base.arguments import Array, flag, warn
 from .._base.notebook import html_of_solution
-from .._problem.options import TABLE, ExtensionOptions
+from .._problem.accepted import extension_options
+from .._problem.invariants import InvariantsLike
+from .._problem.options import TABLE, ExtensionOptions, unknown_option
 from .export import Exports
+from .pictures import drift, over_time, phase, steps
+from .pictures.canvas import require_matplotlib
 from .pictures.thumbnail import thumbnail
-from .plots import Plots
-from .result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 
-__all__ = ["DenseSolution", "DiscontinuityWarning", "Drift", "Origin", "Solution", "Stats", "Steps", "StiffnessWarning"]
+if TYPE_CHECKING:  # an extra, imported when a picture is drawn
+    from matplotlib.axes import Axes
 
-
-class Origin(Protocol):
-    """What a solution was made from: what is needed to continue it."""
-
-    @property
-    def imposed(self) -> bool:
-        """Whether its extension will be projected to roundoff."""
-
-    @property
-    def y(self) -> Array:
-        """Where it ended."""
-
-    @property
-    def next_h(self) -> float | None:
-        """The step to go on with; None: the method chooses one."""
-
-    @property
-    def memory(self) -> bytes:
-        """What the method remembers,"""
-
-    @property
-    def memory_version(self) -> int:
-        """in this version."""
-
-    def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution: ...
-
-    def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
-        """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
-        equation."""
-
-    def field(self, y: Array) -> Array | None:
-        """f at the start of the run, in other states (n, k)."""
-
-    def identity(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """What tells its run from another, in JSON's types, and arrays by name."""
-
-    def imposing(self) -> Origin:
-        """The same for the projected solution: its extension will be projected too."""
+    from .animation import Film
 
 
 @dataclasses.dataclass(eq=False, repr=False, init=False)
-class Solution(Plots, Exports):
+class Solution(Exports):
     """Result of a solve, a dict. The fields up to `success` are those of `scipy.integrate.solve_ivp`.
 
     Fields are attributes and items, as in SciPy: ``sol.t`` is ``sol["t"]``. So is whatever the user adds.
@@ -81,7 +48,7 @@ class Solution(Plots, Exports):
         Factorisations.
     status : int
         0 reached the end, 1 a terminal event, 2 stopped by `callback` or by Ctrl-C, -1 the step failed, -2 a given
-        invariant is not conserved, -3 a limit was reached (`max_steps`, `time_limit`, `max_points`).
+        invariant is not conserved, -3 a limit was reached (see `Limits`).
     message : str
         Why the integration ended.
     success : bool
@@ -100,8 +67,6 @@ class Solution(Plots, Exports):
     defined in a module, no lambdas; `save` needs none. Other functions are left out: a copy from a pickle cannot be
     extended.
     """
-
-    _origin: Origin | None = None  # None: there are no functions
 
     def impose(self) -> Solution:
         """This solution with y, the event states and ``sol(t)`` projected to roundoff onto the run's own invariants.
@@ -162,8 +127,8 @@ class Solution(Plots, Exports):
             Default: the run's, or a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
-        max_steps, time_limit, max_points : optional
-            Likewise, for the extension alone. Default: the run's.
+        max_steps, limits : optional
+            Likewise, for the extension alone; of these two one replaces the other. Default: the run's.
 
         Returns
         -------
@@ -195,7 +160,204 @@ class Solution(Plots, Exports):
                 "this solution comes from a file or a pickle, without the functions of its problem: it cannot be "
                 "extended. Solve from its final state"
             )
-        return self._origin.extend(self, t_end, options)
+        extended: Solution = self._origin.extend(self, t_end, extension_options(**options))
+        return extended
+
+    def plot(self, *, ax: Axes | None = None, components: Any = None, **line: Any) -> Axes:
+        """Draws components of the solution over t.
+
+        The curves are continuous: those of ``sol.sol`` with dense output, else cubics through the steps with the slopes
+        of f, which is evaluated for them once per point (with implicit methods, monotone cubics). Output at `t_eval`,
+        which says nothing about the solution in between, is joined by straight lines, and marked if it is sparse. A
+        long run is drawn by its extremes in each column of the page, and as a range if it fills the page. The real part
+        of a complex component is solid, the imaginary part dashed. Curves are interrupted at jumps; occurrences of
+        events are open marks, at the state before the action.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw everything. Default: a new figure, with a panel for each group of components whose sizes
+            differ from those of the others by a factor of more than 1000.
+        components : int, str, or sequence of these, optional
+            Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
+        **line
+            Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes;
+            a `marker` marks the points of the output.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The first of several panels; all are in ``ax.figure.axes``.
+
+        Raises
+        ------
+        ValueError
+            There is no such component; the run kept its final state only.
+
+        Notes
+        -----
+        The value at t = 0 stays in the data: ``ax.set_xscale("log")`` shows all later ones.
+        """
+        return over_time.draw(self, ax, components, line)
+
+    def plot_phase(
+        self,
+        i: int | str,
+        j: int | str | None = None,
+        k: int | str | None = None,
+        *,
+        ax: Axes | None = None,
+        field: bool = False,
+        **line: Any,
+    ) -> Axes:
+        """Draws two or three components of the solution against each other, with marks at start (dot) and end (square).
+
+        Both axes have the same scale if their extents are similar, as for orbits. Curves, jumps and events are as in
+        `plot`.
+
+        Parameters
+        ----------
+        i, j : int or str
+            Components for the horizontal and the vertical axis, indices or labels. If the solution is complex, only `i`
+            is drawn, in the complex plane.
+        k : int or str, optional
+            A third component: the curve is drawn in space.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; in space, axes with ``projection="3d"``. Default: a new figure.
+        field : bool, default False
+            Whether to draw arrows in the direction of f, at the initial time, behind the curve. Only for problems of
+            two real components.
+        **line
+            Properties of the line, as for ``Axes.plot``. A `marker` marks the points of the output.
+
+        Raises
+        ------
+        ValueError
+            There is no such component; two components of a complex solution, or one of a real one; a field for another
+            kind of problem; the run kept only its final state.
+        """
+        return phase.draw(self, (i, j, k), ax, flag("field", field), line)
+
+    def plot_drift(
+        self,
+        *,
+        ax: Axes | None = None,
+        invariants: InvariantsLike | None = None,
+        relative: bool = False,
+        **line: Any,
+    ) -> Axes:
+        """Draws how far the invariants are from their values, on a logarithmic axis.
+
+        Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection
+        (`invariode.Solution.drift`).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. Default: a new figure.
+        invariants : callable, Invariants, or list of these, optional
+            What to draw instead of the run's own invariants, to see how a run that did not impose them drifts. They are
+            compared with their demanded values, else with their values at the first output and after each jump. They
+            get the arguments of the run.
+        relative : bool, default False
+            Whether residuals are drawn in units of the values: ``|g - value| / |value|``.
+        **line
+            Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes.
+
+        Raises
+        ------
+        ValueError
+            There are no invariants; the output is empty; the value of one is 0, with `relative`.
+
+        Notes
+        -----
+        Zeros have no logarithm. They are drawn at half the smallest residual that is not zero; nothing is drawn below
+        ε/2 times the larger of ``|value|`` and the largest residual. Zeros at points that define a value are left out.
+        If there are more than twelve invariants, the first twelve are drawn, or the largest of each level. Lines of
+        level 0 are solid, of level 1 dashed, of level 2 dash-dotted; a constraint and its rate share a colour.
+        """
+        return drift.draw(self, ax, invariants, flag("relative", relative), line)
+
+    def plot_steps(self, *, axes: Any = None, **line: Any) -> Array:
+        """Draws the accepted steps over t: their size ``|h|``, their order, and their estimated error in units of rtol.
+
+        If invariants were imposed, the corrections by projection are drawn with the errors, in the same unit.
+
+        Parameters
+        ----------
+        axes : sequence of one to three matplotlib.axes.Axes, optional
+            Where to draw, beginning with the size. Default: three on a new figure.
+        **line
+            Properties of the lines, as for ``Axes.plot``.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            The steps were not kept, as with `t_eval`: ``keep="all"`` keeps them; or there are not one to three axes.
+
+        Notes
+        -----
+        Failed attempts are not kept. Errors and corrections below 1e-6, as in the first steps, are cut off.
+        """
+        return steps.draw(self, axes, line)
+
+    def animate(
+        self,
+        points: Any,
+        *,
+        links: Iterable[Sequence[int]] = (),
+        trace: Iterable[int] = (),
+        duration: float | None = None,
+        fps: float = 25,
+        ax: Axes | None = None,
+        **line: Any,
+    ) -> Film:
+        """Shows the motion of points in the plane or in space as a film.
+
+        Parameters
+        ----------
+        points : callable or array_like of shape (k, 2) or (k, 3)
+            ``points(t, y)`` returns where the points are, an array of shape (k, 2) or (k, 3); y has shape (n,). Fixed
+            points, such as the pivot of a pendulum, are points too. Or the components that are coordinates, a row of
+            indices or labels for each point.
+        links : sequence of sequences of int, optional
+            Points to be joined by lines: ``[(0, 1), (1, 2, 3)]``. Default: none.
+        trace : sequence of int, optional
+            Points whose path so far is drawn. Default: none.
+        duration : float, optional
+            Seconds that the film takes. Default: as long as the motion, from 4 to 8.
+        fps : float, default 25
+            Frames per second.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; for points in space, axes with ``projection="3d"``. Default: a new figure.
+        **line
+            Properties of the links, as for ``Axes.plot``.
+
+        Returns
+        -------
+        Film
+            A ``matplotlib.animation.FuncAnimation``. ``film.save("motion.gif")`` makes a file: a GIF, a page with
+            controls (``.html``), or, if ffmpeg is installed, a video (``.mp4``). In a notebook it shows itself.
+
+        Raises
+        ------
+        ValueError
+            `points` returns the wrong shape, or values that are not finite; `links` or `trace` name points that do not
+            exist; the axes have the wrong number of dimensions.
+
+        Notes
+        -----
+        Frames are equally spaced in t, at states of ``sol.sol``, or without dense output on the curves of `plot`.
+        Output at `t_eval` says nothing about the solution in between: each frame shows the nearest point, so give many.
+        """
+        require_matplotlib()
+        from .animation import animated
+
+        return animated(self, points, links, trace, duration, fps, ax, line)
 
     def _repr_html_(self) -> str:
         return html_of_solution(self, thumbnail(self))

@@ -22,8 +22,6 @@ from .._base.locks import Lock
 from .._results.result import Result
 from .._results.saving import END, OUTPUT, RUN, SOLUTION
 
-__all__ = ["CHECKPOINT", "Checkpoint", "Stored", "read_checkpoint"]
-
 #: Between the name of a checkpoint and the token of its run, in the name of the file of the output,
 _OUTPUT = ".output-"
 #: and before that token at the start of the file.

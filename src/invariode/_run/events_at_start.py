@@ -10,8 +10,6 @@ from .._problem.description import Description
 from .._results.solution import Solution
 from .plan import Plan, solver
 
-__all__ = ["ended_at_start", "found_at_start", "with_start", "without_start"]
-
 
 def found_at_start(problem: Description, plan: Plan) -> list[int]:
     """Which events occur at the start. Those with a direction take a step, which shows it."""

@@ -19,10 +19,9 @@ from .._functions.compiled import CompiledFunction, CoreFunction
 from .._functions.graph.python import Formula
 from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
+from .._problem.grouped import GMRES, Checkpoint, Limits
 from .._problem.methods import find_method
 from .._problem.options import Options, table_of
-
-__all__ = ["Identity", "identity_of_run", "in_words", "known_identity", "options_of", "require_same"]
 
 #: The most numbers of an array that are written out; a larger one becomes a digest.
 _FEW = 8
@@ -67,7 +66,7 @@ def in_words(value: Any, *, code: bool = True) -> Any:
     if digest is not None:
         libm = isinstance(value, CompiledFunction) and value.elementary == "libm"
         return f"{call_name(value, 'function')} ({digest}{', libm' * libm})"
-    if type(value).__module__.startswith("invariode.") and own is not None:
+    if type(value).__module__.partition(".")[0] == "invariode" and own is not None:
         about = {name: in_words(one, code=code) for name, one in own.items() if not name.startswith("_")}
         return {"type": type(value).__name__, **about}
     return call_name(value, type(value).__qualname__)
@@ -192,6 +191,10 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
             about["functions" if acts else "arrays"].append(name)
         elif callable(value):
             about["functions"].append(name)
+        elif isinstance(value, (Limits, GMRES)):
+            about["options"][name] = _fields(value)
+            if not all(isinstance(one, (int, float)) for one in vars(value).values() if one is not None):
+                about["functions"].append(name)
         elif isinstance(value, (bool, int, float, str)):
             about["options"][name] = value
         elif name == "prefer":
@@ -199,9 +202,10 @@ def identity_of_run(problem: Description, method: MethodName, options: Mapping[s
         else:
             about["arrays"].append(name)
             arrays[name] = np.asarray(value)
+    about["every"] = options["checkpoint"].every if isinstance(options.get("checkpoint"), Checkpoint) else None
     about["bdf"] = bool(find_method(method)[1].get("bdf"))  # which a name of SciPy's implies
     about["problem"] = _described(problem)
-    about["code"] = _codes(problem, options.get("breakpoints"))
+    about["code"] = _codes(problem, options)
     return Identity(about, arrays)
 
 
@@ -211,6 +215,7 @@ def known_identity(about: dict[str, Any], arrays: dict[str, Array]) -> Identity:
     for name in (*about["options"], *about["arrays"], *about["functions"]):
         if name not in known:
             raise ValueError(f"{shown(name)} is no option of a run")
+    _plain_options(about)
     for name in ("y0", "f0", *about["arrays"], *{"breakpoints"}.intersection(about["functions"])):
         arrays[name]
     return Identity(about, arrays)
@@ -220,7 +225,7 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
     """The options of the run of a file. `given`: those with functions, which are not in the file, and others, which
     must agree with those in it."""
     about, arrays = stored
-    options: dict[str, Any] = {**about["options"], **{name: arrays[name] for name in about["arrays"]}}
+    options: dict[str, Any] = {**_plain_options(about), **{name: arrays[name] for name in about["arrays"]}}
     if about["bdf"]:
         options["bdf"] = True
     for name, value in given.items():
@@ -232,6 +237,10 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
     for name in about["functions"]:
         if name not in given:
             raise ValueError(f"the run has {name} with functions, which are not in the file: give {name}=... too")
+    if "linear_solver" in about["functions"]:
+        now, was = _fields(given["linear_solver"]), about["options"]["linear_solver"]
+        if now != was:
+            raise ValueError(f"linear_solver has {now} here, and {was} in the file: give that of the run")
     if "breakpoints" in about["functions"]:
         here, there = _times(given["breakpoints"]), arrays["breakpoints"]
         if not _equal(there, here):
@@ -239,6 +248,21 @@ def options_of(stored: Identity, given: Mapping[str, Any]) -> Options:
                 f"breakpoints are at {in_words(here)} here, and at {in_words(there)} in the file: give those of the run"
             )
     return cast("Options", options)
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    """What an option of several fields says, in JSON's types."""
+    return {name: in_words(one, code=False) for name, one in getattr(value, "__dict__", {}).items() if one is not None}
+
+
+def _plain_options(about: dict[str, Any]) -> dict[str, Any]:
+    """The options of a file that are neither functions nor arrays."""
+    several: dict[str, Any] = {"limits": Limits, "linear_solver": GMRES}
+    return {
+        name: several[name](**value) if isinstance(value, dict) else value
+        for name, value in about["options"].items()
+        if name not in about["functions"]
+    }
 
 
 def require_same(stored: Identity, problem: Description, given: Mapping[str, Any], trust: str | None) -> None:
@@ -257,7 +281,7 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
         raise ValueError(
             f"the file belongs to another problem: {what}: {value} here, {was} in the file. Give the problem of the run"
         )
-    codes = _codes(problem, given.get("breakpoints"))
+    codes = _codes(problem, given)
     was_code = stored.about["code"]
     edited = [name for name, code in codes.items() if name in was_code and was_code[name] != code]
     if edited and trust is None:
@@ -267,9 +291,10 @@ def require_same(stored: Identity, problem: Description, given: Mapping[str, Any
         )
 
 
-def _codes(problem: Description, breakpoints: Any) -> dict[str, str]:
+def _codes(problem: Description, options: Mapping[str, Any]) -> dict[str, str]:
     """The code of each of the user's functions, by what messages call it."""
-    functions = {"fun": problem.fun, **vars(problem.matrices)}
+    breakpoints, solver = options.get("breakpoints"), options.get("linear_solver")
+    functions = {"fun": problem.fun, **vars(problem.matrices), **getattr(solver, "__dict__", {})}
     for i, law in enumerate(problem.invariants):
         functions |= {f"invariant {i} ({name})": one for name, one in vars(law).items()}
     for i, event in enumerate(problem.events):
@@ -292,7 +317,7 @@ def _described(problem: Description) -> Any:
         ],
         "invariants": [vars(law) for law in problem.invariants],
         "args": problem.args,
-        "bounds": problem.limits,
+        "bounds": problem.bounds,
         "inputs": [vars(one) for one in problem.inputs],
         **vars(problem.matrices),
     }

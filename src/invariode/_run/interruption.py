@@ -10,8 +10,6 @@ from typing import Any
 
 from .. import _core
 
-__all__ = ["stopped_by_interrupt"]
-
 
 @contextmanager
 def stopped_by_interrupt() -> Iterator[_core.StopRequest | None]:

@@ -8,19 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from .. import _core
 from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
 from .._base.failures import InvariantError
-from .._base.files import PathLike
 from .._base.types import MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compiled import native_parameters, to_native
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
-from .._problem.bounds import Limits
+from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
 from .._problem.description import Description
 from .._problem.events import EventSpec, event_spec
+from .._problem.grouped import GMRES, Checkpoint, Limits, LinearSolver
 from .._problem.inputs import fed
 from .._problem.matrices import Matrices
 from .._problem.methods import METHODS, Method, find_method
@@ -39,8 +39,6 @@ from .._results.result import LIMIT_REACHED, Names
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
-
-__all__ = ["Functions", "Plan", "Settings", "Tolerances", "make_plan", "ordered_breakpoints", "solver"]
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -106,7 +104,7 @@ class Functions(NamedTuple):
     callback: Any
     invariants: list[InvariantSpec]
     value: Array  # at which they are held
-    limits: Limits | None  # of y
+    bounds: Bounds | None  # of y
 
     def in_lanes(self) -> dict[str, Any]:
         """What is evaluated in each step, as messages call it: f, the first invariant and its Jacobian, events."""
@@ -127,8 +125,6 @@ class Plan(NamedTuple):
     moved: bool
     bound: BoundInvariants
     names: list[str]  # of the invariants, algebraic equations last
-    demanded: list[bool]  # of the invariants, whether their values were
-    senses: list[int]  # of the invariants, whether they may only fall (-1) or rise (1)
     event_names: list[str]
     records_events: bool  # also none at all, where a list of none was given
     called: Names  # the names in tables and pictures
@@ -137,13 +133,12 @@ class Plan(NamedTuple):
     progress: bool
     on_interrupt: OnInterrupt
     on_failure: OnFailure
-    checkpoint: PathLike | None
-    checkpoint_every: float  # seconds
+    checkpoint: Checkpoint | None
 
     @property
     def laws(self) -> Laws:
         """What messages say of the invariants."""
-        return Laws(self.names, self.demanded, self.senses)
+        return Laws(self.names, self.bound.demanded, self.bound.senses)
 
     def holding(self, value: Array) -> Plan:
         """The same with the invariants held at these values."""
@@ -175,7 +170,7 @@ class Plan(NamedTuple):
                 "Widen the bounds, or correct the values"
             )
         if state == "start_out_of_bounds":
-            return ValueError(out_of_bounds("y0", run.component, self.functions.limits))
+            return ValueError(out_of_bounds("y0", run.component, self.functions.bounds))
         if state == "event_undefined":
             return ValueError(f"event {self.event_names[run.event]} returned NaN at t = {run.t}")
         if state == "action_undefined":
@@ -200,8 +195,8 @@ def solver(plan: Plan) -> _core.Solver:
         callback=functions.callback,
         invariants=[_core.Invariant(*spec) for spec in functions.invariants],
         value=functions.value,
-        lower=None if functions.limits is None else functions.limits.lower,
-        upper=None if functions.limits is None else functions.limits.upper,
+        lower=None if functions.bounds is None else functions.bounds.lower,
+        upper=None if functions.bounds is None else functions.bounds.upper,
     )
     settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
@@ -227,7 +222,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
-    parameters, fun = _native_functions(problem, breakpoints)
+    parameters, fun = _native_functions(problem, breakpoints, options["linear_solver"])
     linear, y0 = _linear_algebra(problem, chosen, options, fun, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     bound.forward = settings.forward
@@ -245,8 +240,6 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         moved=y0 is not problem.y0,
         bound=bound,
         names=_names(bound, linear),
-        demanded=bound.demanded,
-        senses=bound.senses,
         event_names=event_names,
         records_events=problem.records_events,
         called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
@@ -255,8 +248,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
         on_failure=options["on_failure"],
-        checkpoint=options["checkpoint"],
-        checkpoint_every=options["checkpoint_every"],
+        checkpoint=cast("Checkpoint | None", options["checkpoint"]),
     )
 
 
@@ -275,7 +267,6 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
-    max_points, max_bytes = _most_kept(options["max_points"], 0 if times is None else len(times), reals(problem.y0))
     explicit_one, implicit_one = options["prefer"] or ("", "")
     first, largest = options["first_step"], options["max_step"]
     if first is not None and first > span:
@@ -298,10 +289,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         prefer_explicit=explicit_one,
         prefer_implicit=implicit_one,
         iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
-        max_steps=options["max_steps"] or LARGEST_COUNT,
-        time_limit=math.inf if options["time_limit"] is None else options["time_limit"],
-        max_points=max_points,
-        max_bytes=max_bytes,
+        **_limits(options, 0 if times is None else len(times), reals(problem.y0)),
     )
 
 
@@ -311,16 +299,26 @@ def _calibrated(weights: Tolerances, order: int) -> Tolerances:
     return weights._replace(rtol=max(100 * EPS, min(1.0, factor) * weights.rtol))
 
 
-#: What is kept without `max_points`. With a few components this many points are less than a gigabyte.
+#: What is kept if no limit says how much. With a few components this many points are less than a gigabyte.
 _MOST_POINTS, _MOST_BYTES = 10**7, 4 * 2**30
+_UNLIMITED = Limits()
 
 
-def _most_kept(points: int | None, demanded: int, n: int) -> tuple[int, int]:
-    """The limits of what is kept: points and bytes. `demanded`: times of output, which somebody wants."""
-    if points is not None:
-        return points, LARGEST_COUNT
-    size = 8 * (n + 1)  # of t and y, doubles
-    return _MOST_POINTS + demanded, _MOST_BYTES + demanded * size
+def _limits(options: Options, demanded: int, n: int) -> dict[str, Any]:
+    """What ends the run. `demanded`: times of output, which somebody wants and which do not count against defaults."""
+    given, steps = options["limits"] or _UNLIMITED, options["max_steps"]
+    if steps is not None and given.steps is not None:
+        raise ValueError(f"max_steps={steps} is short for limits=Limits(steps={steps}): give one of them")
+    points, size = given.points, given.bytes
+    if points is None and size is None:
+        points = _MOST_POINTS + demanded
+        size = _MOST_BYTES + demanded * 8 * (n + 1)  # of t and y, doubles
+    return {
+        "max_steps": steps or given.steps or LARGEST_COUNT,
+        "time_limit": given.time or math.inf,
+        "max_points": points or LARGEST_COUNT,
+        "max_bytes": size or LARGEST_COUNT,
+    }
 
 
 def _highest_order(method: Method, order: int | None) -> int:
@@ -343,14 +341,16 @@ def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
     return ordered([*(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
-def _native_functions(problem: Description, breakpoints: list[Breakpoint]) -> tuple[Array, Any]:
+def _native_functions(problem: Description, breakpoints: list[Breakpoint], chosen: LinearSolver) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
-    p = native_parameters(problem.args, _called(problem, breakpoints))
+    p = native_parameters(problem.args, _called(problem, breakpoints, chosen))
     return p, problem.slope.for_core(problem.y0, p)
 
 
-def _called(problem: Description, breakpoints: list[Breakpoint]) -> Iterator[Any]:
-    yield from (problem.fun, problem.matrices.jac, problem.matrices.jac_product)
+def _called(problem: Description, breakpoints: list[Breakpoint], chosen: LinearSolver) -> Iterator[Any]:
+    yield from (problem.fun, problem.matrices.jac)
+    if isinstance(chosen, GMRES):
+        yield chosen.jac_product
     yield from (f for one in problem.invariants for f in (one.fun, one.jac))
     yield from (f for event in problem.events for f in (event.fun, event.action))
     yield from (point.action for point in breakpoints)
@@ -381,7 +381,7 @@ def _functions(
         callback=callback,
         invariants=bound.specs,
         value=bound.value,
-        limits=problem.limits,
+        bounds=problem.bounds,
     )
 
 
@@ -399,22 +399,21 @@ def _linear_algebra(
     # SciPy's sparse matrices take longer to import than everything else
     from .._linear.matrices import Start, prepare, too_large_to_be_dense
 
-    t0, y0 = problem.t_span[0], problem.y0
+    t0, y0, bounds = problem.t_span[0], problem.y0, problem.bounds
     matrices = replace(problem.matrices, jac=fed(problem.matrices.jac, problem.inputs))
     direct = options["linear_solver"] == "direct"
     if "prefer" in method.options and direct and matrices.mass is None and too_large_to_be_dense(matrices, y0):
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
-    compiled = problem.limits is None and "prefer" not in method.options  # which may never need a Jacobian
-    limits = problem.limits
-    inside = y0 if limits is None else limits.nearest(y0)
-    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, limits, compiled)
-    linear = prepare(matrices, start, _matrix_free(problem, matrices, options, parameters))
+    compiled = bounds is None and "prefer" not in method.options  # which may never need a Jacobian
+    inside = y0 if bounds is None else bounds.nearest(y0)
+    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, bounds, compiled)
+    linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], parameters))
     if not linear.algebraic:
         return linear, y0
-    if options["linear_solver"] == "gmres":
+    if not direct:
         raise ValueError(
-            "linear_solver='gmres' cannot be used with a singular mass matrix, whose algebraic equations need the "
-            "Jacobian as a matrix: use linear_solver='direct' with jac_sparsity, or lband and uband"
+            "GMRES cannot be used with a singular mass matrix, whose algebraic equations need the Jacobian as a "
+            "matrix: use linear_solver='direct' with jac_sparsity or jac=Banded(lower, upper)"
         )
     if any(event.action for event in problem.events):
         raise ValueError("actions of events are not possible with a singular mass matrix")
@@ -425,7 +424,7 @@ def _linear_algebra(
         args=problem.args,
         parameters=parameters,
         linear=linear,
-        **({} if limits is None else limits._asdict()),
+        **({} if bounds is None else bounds._asdict()),
     )
     y, verdict = _core.consistent_start(t0, y0.view(float), algebraic, _core.Tolerances(*weights))
     if verdict in ("index_too_high", "not_found"):
@@ -436,26 +435,25 @@ def _linear_algebra(
 def _require_linear_solver(method: Method, chosen: object) -> None:
     """`chosen` may be anything: options are checked later."""
     needs_exact_solutions = "jac" in method.options and "linear_solver" not in method.options
-    if isinstance(chosen, str) and chosen == "gmres" and needs_exact_solutions:
+    if needs_exact_solutions and (isinstance(chosen, GMRES) or (isinstance(chosen, str) and chosen == "gmres")):
         others = ", ".join(name for name, about in METHODS.items() if "linear_solver" in about.options)
         raise ValueError(
-            f"linear_solver='gmres': {method.name} has no iteration that would correct what GMRES leaves, which would "
+            f"linear_solver: {method.name} has no iteration that would correct what GMRES leaves, which would "
             f"lower its order; use one of {others}, or linear_solver='direct' with jac_sparsity"
         )
 
 
-def _matrix_free(problem: Description, matrices: Matrices, options: Options, parameters: Array) -> Krylov | None:
-    from .._linear.krylov import krylov, unused_without_krylov
+def _matrix_free(problem: Description, matrices: Matrices, chosen: LinearSolver, parameters: Array) -> Krylov | None:
+    from .._linear.krylov import krylov
 
-    if options["linear_solver"] == "direct":
-        unused_without_krylov(matrices, options["krylov_dimension"])
+    if not isinstance(chosen, GMRES):
         return None
-    if problem.inputs and (matrices.jac_product is not None or matrices.preconditioner is not None):
+    if problem.inputs and (chosen.jac_product is not None or chosen.preconditioner is not None):
         raise ValueError(
             "jac_product and preconditioner are not possible together with inputs: call the inputs inside these "
             "functions, and pass them to the problem by args"
         )
-    return krylov(matrices, problem.y0, problem.args, parameters, options["krylov_dimension"])
+    return krylov(matrices, chosen, problem.y0, problem.args, parameters)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -463,9 +461,9 @@ def _matrix_free(problem: Description, matrices: Matrices, options: Options, par
 
 
 def _require_free_directions(bound: BoundInvariants, problem: Description) -> None:
-    if not bound.along_steps or (problem.limits is None and problem.matrices.mass is None):
+    if not bound.along_steps or (problem.bounds is None and problem.matrices.mass is None):
         return
-    what = "bounds" if problem.limits is not None else "a mass matrix"
+    what = "bounds" if problem.bounds is not None else "a mass matrix"
     raise ValueError(
         f'invariants with direction="stages" cannot be imposed together with {what}, which need other corrections: '
         'use direction="gradient"'

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from .._problem.breakpoints import to_breakpoints
 from .._problem.description import Description
 from .._problem.invariants import AccuracyWarning
 from .._problem.methods import find_method
-from .._problem.options import ExtensionOptions, Options
+from .._problem.options import ExtensionOptions, Options, changed
 from .._results.messages import (
     MESSAGES,
     about_jumps,
@@ -44,14 +44,12 @@ from .._results.result import (
     at_events,
 )
 from .._results.solution import Solution
-from .calls import explain, require_values
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
-
-__all__ = ["RunOrigin", "Solved", "Source", "concluded", "presented", "solve"]
+from .wrong_calls import explain, require_values
 
 
 class Resumed(NamedTuple):
@@ -61,35 +59,27 @@ class Resumed(NamedTuple):
     anew: bool  # the method is to start again
 
 
-class Source(Protocol):
-    """The problem, method and options of a run."""
+class Solved:
+    """A problem solved by a method with options; the problem may be made when it is used."""
+
+    __slots__ = ("_problem", "method", "options")
+
+    def __init__(self, problem: Description | Callable[[], Description], method: MethodName, options: Options) -> None:
+        self._problem, self.method, self.options = problem, method, options
 
     @property
     def problem(self) -> Description:
         """The problem, with the whole interval if the run continues another."""
-
-    @property
-    def method(self) -> MethodName:
-        """The method, by the name given."""
-
-    @property
-    def options(self) -> Options:
-        """The options as given."""
-
-
-class Solved(NamedTuple):
-    """A problem solved by a method with options."""
-
-    problem: Description
-    method: MethodName
-    options: Options
+        if not isinstance(self._problem, Description):
+            self._problem = self._problem()
+        return self._problem
 
 
 @dataclasses.dataclass(eq=False, slots=True)
 class RunOrigin:
     """What a solution was made from, and where it ended: what is needed to continue it."""
 
-    source: Source
+    source: Solved
     t: float
     y: Array
     next_h: float | None  # None: the method is to choose
@@ -105,12 +95,16 @@ class RunOrigin:
         return self
 
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
+        """See `Solution.extend`."""
         return _extended(self, sol, t_end, options)
 
     def identity(self) -> Identity:
+        """What tells its run from another."""
         return identity_of_run(self.source.problem, self.source.method, self.source.options)
 
     def slopes(self, t: Array, y: Array) -> tuple[Array, Array] | None:
+        """Slopes of the solution after and before each output, (n, n_t), if these are the steps of a differential
+        equation."""
         problem, options = self.source.problem, self.source.options
         known = len(t) > 1 and t[0] == problem.t_span[0] and t[-1] == self.t and y.shape == (len(self.y), len(t))
         if not known or options.get("t_eval") is not None or problem.matrices.mass is not None:
@@ -151,12 +145,14 @@ class RunOrigin:
         return as_columns(after, y.dtype), as_columns(before, y.dtype)
 
     def field(self, y: Array) -> Array | None:
+        """f at the start of the run, in other states (n, k)."""
         problem = self.source.problem
         if problem.matrices.mass is not None:
             return None
         return problem.slope(np.full(y.shape[1], problem.t_span[0]), y)
 
     def imposing(self) -> RunOrigin:
+        """The same for the projected solution: its extension will be projected too."""
         return dataclasses.replace(self, imposed=True)
 
     @property
@@ -211,13 +207,11 @@ def concluded(sol: Solution, on_failure: OnFailure) -> Solution:
     raise (InvariantError if sol.status == NOT_CONSERVED else SolveError)(sol.message, sol)
 
 
-def _new_checkpoint(plan: Plan, source: Source, at_start: list[int]) -> Checkpoint | None:
+def _new_checkpoint(plan: Plan, source: Solved, at_start: list[int]) -> Checkpoint | None:
     """The files of a new run. `at_start`: the events that have occurred where it starts."""
     if plan.checkpoint is None:
-        if "checkpoint_every" in source.options:
-            warn("checkpoint_every has no effect without checkpoint: give a file, as in checkpoint='run.checkpoint'")
         return None
-    return Checkpoint.of_new_run(plan.checkpoint, partial(with_start, plan=plan, found=at_start))
+    return Checkpoint.of_new_run(plan.checkpoint.path, partial(with_start, plan=plan, found=at_start))
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -225,7 +219,7 @@ def _new_checkpoint(plan: Plan, source: Source, at_start: list[int]) -> Checkpoi
 
 
 def _carried_out(
-    plan: Plan, source: Source, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
+    plan: Plan, source: Solved, resumed: Resumed | None = None, checkpoint: Checkpoint | None = None
 ) -> Solution:
     """The solution of a plan, or of what is left of it."""
     core = solver(plan)
@@ -252,7 +246,7 @@ def _examined(sol: Solution, problem: Description) -> Solution:
 
 
 def presented(
-    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None = None
+    run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None = None
 ) -> Solution:
     """The solution that a run of the plan came to, or the exception, with its warnings. `members`: the methods that
     took turns."""
@@ -285,7 +279,7 @@ def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
     return None if work is None else {"derivatives": dict(fun.derivatives)} | work
 
 
-def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Source, part: _core.Run) -> None:
+def _keep(checkpoint: Checkpoint, core: _core.Solver, plan: Plan, source: Solved, part: _core.Run) -> None:
     """Writes what has come since the last time."""
     if plan.exception(part) is not None:
         return
@@ -307,7 +301,7 @@ def _integrated(
     core: _core.Solver, plan: Plan, name: str, resumed: Resumed | None, keep: Callable[[_core.Run], None] | None
 ) -> _core.Run:
     """The run, with its bar and with Ctrl-C as a request, if the options ask for them."""
-    every = plan.checkpoint_every
+    every = 0.0 if plan.checkpoint is None else plan.checkpoint.every
     with ExitStack() as around:
         told = request = None
         if plan.progress:
@@ -320,7 +314,7 @@ def _integrated(
 
 
 def _solution(
-    run: _core.Run, plan: Plan, source: Source, members: tuple[str, ...], checkpoint: Checkpoint | None
+    run: _core.Run, plan: Plan, source: Solved, members: tuple[str, ...], checkpoint: Checkpoint | None
 ) -> Solution:
     dtype = plan.y0.dtype
     status, message = plan.verdict(run)
@@ -421,7 +415,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
         )
     problem, method, options_of_run = origin.source.problem, origin.source.method, origin.source.options
     whole = problem.replace(t_span=(problem.t_span[0], tf))
-    given = cast("Options", {**options_of_run, "first_step": None, **options})
+    given = changed(options_of_run, {"first_step": None, **options})
     now = given.copy()
     if options_of_run.get("t_eval") is not None or options.get("t_eval") is not None:
         now["t_eval"], given["t_eval"] = _times(origin, old, options.get("t_eval"), forward, tf)
@@ -434,7 +428,7 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     if origin.checkpoint is not None:
         origin.checkpoint.go_on(old.stats.mechanics)
     new = _carried_out(plan, Solved(whole, method, given), Resumed(origin.memory, anew), origin.checkpoint)
-    points = 0 if "end" in (given.get("keep"), given.get("save")) else len(old.t)
+    points = 0 if given.get("keep") == "end" else len(old.t)
     return concluded(_joined(old, new.impose() if origin.imposed else new, points, forward), plan.on_failure)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import flag, function
 from .._base.types import EventsLike, Function, MethodName, Span
 from .._functions.compiled import is_native
+from .._problem.accepted import solve_options
 from .._problem.docstrings import documented
 from .._problem.options import (
     CallingOptions,
@@ -30,7 +31,7 @@ __all__ = ["solve_ivp"]
 
 @documented(
     by_position=[*table_of(OutputOptions), *table_of(CallingOptions), "vectorized", "invariants"],
-    options=[name for name in table_of(SolveOptions) if name != "invariants"],
+    options=table_of(SolveOptions).keys() - {"invariants"},
 )
 def solve_ivp(
     fun: Function,
@@ -47,7 +48,9 @@ def solve_ivp(
     """Solves an initial value problem y' = f(t, y), or M y' = f(t, y), y(t0) = y0, keeping its invariants.
 
     The positional arguments, the fields of the result and the attributes of events are those of
-    `scipy.integrate.solve_ivp`.
+    `scipy.integrate.solve_ivp`. The arguments and options by topic, in the order of the lists below:
+
+    {topics}
 
     Parameters
     ----------
@@ -56,7 +59,7 @@ def solve_ivp(
         accepted too, here as for all other functions: see `compile`.
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
-        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
+        or one of its `limits` ends it.
     y0 : array_like of shape (n,)
         Initial state, real or complex. Complex states are weighted as pairs of reals.
     method : str, default 'ode45'
@@ -104,7 +107,7 @@ def solve_ivp(
     >>> bool(abs(sol.residual).max() < 1e-6)
     True
     """
-    describing, running = parted(options, DescribingOptions)
+    describing, running = parted(solve_options(**options), DescribingOptions)
     unused(method, describing)
     alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
     problem = Problem(alone, t_span, y0, args=args, events=events, **describing)

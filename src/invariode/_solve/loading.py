@@ -18,6 +18,7 @@ from .._base.formats import read, under
 from .._core import MEMORY_VERSION, Dense
 from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.description import Description
+from .._problem.grouped import Checkpoint
 from .._problem.invariants import InvariantsLike, to_invariants
 from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, checked
@@ -27,8 +28,6 @@ from .._results.solution import Solution
 from .._run.checkpoint import CHECKPOINT, read_checkpoint
 from .._run.identity import Identity, known_identity, options_of, require_same
 from .._run.run import RunOrigin, Solved
-
-__all__ = ["load"]
 
 
 def load(
@@ -130,7 +129,9 @@ def load(
             raise unreadable(path, "does not hold the memory of its run, which had no functions: leave out the problem")
         source = _source(path, origin, problem, options, trust)
         if kind is CHECKPOINT:
-            source.options["checkpoint"] = os.fspath(path)
+            given, every = source.options.get("checkpoint"), origin.known.about["every"]
+            every = given.every if isinstance(given, Checkpoint) else every
+            source.options["checkpoint"] = Checkpoint(path) if every is None else Checkpoint(path, every=every)
         whole = RunOrigin(source, solution.t_end, origin.y, origin.next_h, origin.memory, origin.imposed, checkpoint)
         solution = solution.changed(_origin=whole)
     if problem is not None or listed:

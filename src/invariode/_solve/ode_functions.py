@@ -22,8 +22,8 @@ def _function_of(method: Method) -> Callable[..., Solution]:
     """`solve_ivp` with the method, and its own number of points per step unless other options fix the output."""
 
     def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
-        kept = (options.get("keep"), options.get("save"))
-        if options.get("t_eval") is None and not any(isinstance(one, str) and one == "end" for one in kept):
+        keep = options.get("keep")
+        if options.get("t_eval") is None and not (isinstance(keep, str) and keep == "end"):
             options.setdefault("refine", method.refine)
         return solve_ivp(fun, t_span, y0, method.name, **options)
 

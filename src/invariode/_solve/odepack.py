@@ -6,8 +6,7 @@ import functools
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,8 +30,6 @@ from .._problem.methods import METHODS, find_method
 from .._problem.options import Options
 from .._results.solution import Solution
 from .problem import Problem
-
-__all__ = ["odeint"]
 
 #: SciPy's tolerances: the square root of the rounding unit of a double.
 _TOLERANCE = 1.49012e-8
@@ -168,14 +165,17 @@ def odeint(
         "rtol": _TOLERANCE if rtol is None else rtol,
         "atol": _TOLERANCE if atol is None else atol,
         "max_step": number("hmax", hmax) or np.inf,
+        "t_eval": asked.times,
+        "keep": "all",
+        "callback": counter.callback,
+        "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
+        "first_step": min(number("h0", h0), abs(asked.times[-1] - asked.times[0])) or None,
         **_highest_order(chosen, {"ode113": _integer("mxordn", mxordn), "ode15s": _integer("mxords", mxords)}),
     }
-    parts = _run(problem, chosen, options, _pieces(asked.times, tcrit), number("h0", h0), counter)
-    message = _message(parts[-1], counter)
-    if _switch("printmessg", printmessg):
-        print(message)
-    y = _rows(parts, asked)
-    return (y, _information(parts, asked, counter, message)) if full else y
+    sol = problem.solve(chosen, **options)
+    message = _message(sol, counter, _switch("printmessg", printmessg))
+    y = _rows(sol, asked)
+    return (y, _information(sol, asked, counter, message)) if full else y
 
 
 def _switch(name: str, value: object) -> bool:
@@ -290,88 +290,52 @@ def _jacobian(dfun: Any, tfirst: bool, transposed: bool, counter: _Counter) -> A
     return jacobian
 
 
-def _pieces(times: Array, tcrit: ArrayLike | None) -> list[Array]:
-    """The times of the output, cut where the method must start again; each piece begins where the last ends."""
-    forward = 1.0 if times[-1] >= times[0] else -1.0
+def _critical_points(tcrit: ArrayLike, times: Array) -> Array:
+    """Where the run starts again: not at its ends, where there is nothing to do."""
+    points = np.atleast_1d(real_numbers("tcrit", tcrit))
     low, high = sorted((times[0], times[-1]))
-    points = np.zeros(0) if tcrit is None else np.atleast_1d(real_numbers("tcrit", tcrit))
-    cuts = [times[0], *(forward * np.unique(forward * points[(points > low) & (points < high)])), times[-1]]
-    inside = [times[(forward * times > forward * a) & (forward * times < forward * b)] for a, b in pairwise(cuts)]
-    return [
-        np.unique(forward * np.array([a, *ts, b])) * forward for a, ts, b in zip(cuts, inside, cuts[1:], strict=False)
-    ]
+    inside: Array = points[(points > low) & (points < high)]
+    return inside
 
 
-def _run(
-    problem: Problem, method: MethodName, options: Options, pieces: list[Array], h0: float, counter: _Counter
-) -> list[Solution]:
-    """The solutions on the pieces, up to the first that does not reach its end."""
-    parts: list[Solution] = []
-    for times in pieces:
-        t0, tf = float(times[0]), float(times[-1])
-        y0 = parts[-1].y[:, -1] if parts else problem.y0
-        now = cast("Options", {**options, "t_eval": times, "keep": "all", "callback": counter.callback})
-        now["breakpoints"] = [t for t in (t0, tf) if t not in (pieces[0][0], pieces[-1][-1])]
-        if h0:
-            now["first_step"] = min(h0, abs(tf - t0)) or None
-        parts.append(problem.replace(t_span=(t0, tf), y0=y0).solve(method, **now))
-        if parts[-1].status != 0:
-            break
-    return parts
+def _rows(sol: Solution, asked: _Times) -> Array:
+    """The solution at the requested times, (n_t, n); NaN behind the end of the run."""
+    rows = np.full((len(asked.times), len(sol.y)), np.nan, dtype=sol.y.dtype)
+    rows[: len(sol.t)] = sol.y.T
+    return rows[asked.place]
 
 
-def _message(last: Solution, counter: _Counter) -> str:
+def _message(sol: Solution, counter: _Counter, printed: bool) -> str:
     """How the run ended; a warning if that was not at the last time."""
     from scipy.integrate import ODEintWarning
 
-    if last.status == 0:
-        return "Integration successful."
-    message = last.message
-    if last.status == 2:
-        message = f"More than mxstep = {counter.most} steps between two times, at t = {last.t_end:.6g}: raise mxstep."
-    warn(message, ODEintWarning)
+    message = "Integration successful." if sol.status == 0 else sol.message
+    if sol.status == 2:
+        message = f"More than mxstep = {counter.most} steps between two times, at t = {sol.t_end:.6g}: raise mxstep."
+    if sol.status != 0:
+        warn(message, ODEintWarning)
+    if printed:
+        print(message)
     return message
 
 
-def _rows(parts: list[Solution], asked: _Times) -> Array:
-    """The solution at the requested times, (n_t, n)."""
-    times = np.concatenate([part.t for part in parts])
-    states = np.concatenate([part.y.T for part in parts])
-    rows = np.full((len(asked.times), states.shape[1]), np.nan, dtype=states.dtype)
-    found, at = _matched(asked.times, times)
-    rows[found] = states[at]
-    y: Array = rows[asked.place]
-    return y
-
-
-def _matched(asked: Array, times: Array) -> tuple[Array, Array]:
-    """The index of each requested time in the output: a critical point ends one piece and starts the next."""
-    forward = 1.0 if asked[-1] >= asked[0] else -1.0
-    at = np.searchsorted(forward * times, forward * asked)
-    reached = at < len(times)
-    reached[reached] = times[at[reached]] == asked[reached]
-    return np.flatnonzero(reached), at[reached]
-
-
-def _information(parts: list[Solution], asked: _Times, counter: _Counter, message: str) -> dict[str, Any]:
+def _information(sol: Solution, asked: _Times, counter: _Counter, message: str) -> dict[str, Any]:
     """What full_output tells of each time but the first."""
-    ends, sizes, orders = (
-        np.concatenate([getattr(part.steps, name) for part in parts]) for name in ("t", "h", "order")
-    )
+    ends = sol.steps.t
     forward = 1.0 if asked.times[-1] >= asked.times[0] else -1.0
     times = asked.times[asked.place][1:]
     steps = np.minimum(np.searchsorted(forward * ends, forward * times), max(len(ends) - 1, 0))
     counts = np.array(counter.after, dtype=np.int64).reshape(-1, 2)
-    used = [_STIFF if "jac" in METHODS[name].options else _NONSTIFF for part in parts for name in part.steps.method]
+    used = [_STIFF if "jac" in METHODS[name].options else _NONSTIFF for name in sol.steps.method]
     if not len(ends):  # nothing to integrate
         steps = steps[:0]
     return {
-        "hu": sizes[steps],
+        "hu": sol.steps.h[steps],
         "tcur": ends[steps],
-        "nqu": orders[steps],
+        "nqu": sol.steps.order[steps],
         "nst": (steps + 1).astype(np.int64),
         "nfe": counts[steps, 0],
-        "nje": counts[steps, 1] if counter.jacobians else np.full(len(steps), sum(part.njev for part in parts)),
+        "nje": counts[steps, 1] if counter.jacobians else np.full(len(steps), sol.njev),
         "mused": np.array(used, dtype=np.int64)[steps],
         "message": message,
     }

@@ -19,9 +19,7 @@ from .._problem.options import Options, ProblemArguments
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
 from .._run.plan import Plan, make_plan, solver
-from .._run.run import concluded, presented, solve
-
-__all__ = ["PreparedSolver"]
+from .._run.run import Solved, concluded, presented, solve
 
 Cover: TypeAlias = tuple[float, float, float]
 """t0, tf and the largest step."""
@@ -63,7 +61,7 @@ class PreparedSolver:
         # Whether the plan holds for another y0, for other args, for another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native
-        free = not problem.inputs and not any(plan.senses)  # what is dissipated depends on the direction of time
+        free = not problem.inputs and not any(plan.bound.senses)  # what is dissipated depends on the direction of time
         self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 
     def __reduce__(self) -> tuple[type[PreparedSolver], tuple[Any, ...]]:
@@ -104,7 +102,9 @@ class PreparedSolver:
             cover = None if t_span is None else self._covering(t_span)
             run = self._run(start, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
-                source = _Changed(self, run, args, t_span)
+                source = Solved(
+                    lambda: _changed(self.problem, run.take_start(), args, t_span), self.method, self._options
+                )
                 sol = presented(run, self._as_run(run, args, cover), source, self._members)
                 return concluded(sol, self._plan.on_failure)
         # If the plan may differ, or a start failed, a single solve finds the right message.
@@ -178,27 +178,3 @@ def _changed(
     if t_span is not None:
         changes["t_span"] = t_span
     return problem.replace(**changes) if changes else problem
-
-
-class _Changed:
-    """What a solution of a prepared solver was made from. It is rarely needed, so its problem is made on demand."""
-
-    __slots__ = ("_args", "_made", "_prepared", "_run", "_t_span")
-
-    def __init__(self, prepared: PreparedSolver, run: _core.Run, args: Any, t_span: Span | None) -> None:
-        self._prepared, self._run, self._args, self._t_span = prepared, run, args, t_span
-        self._made: Description | None = None
-
-    @property
-    def problem(self) -> Description:
-        if self._made is None:
-            self._made = _changed(self._prepared.problem, self._run.take_start(), self._args, self._t_span)
-        return self._made
-
-    @property
-    def method(self) -> MethodName:
-        return self._prepared.method
-
-    @property
-    def options(self) -> Options:
-        return self._prepared._options

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Unpack
+import os
+from collections.abc import Iterable, Iterator
+from typing import Any, Unpack, overload
+
+from numpy.typing import ArrayLike
 
 from .._base.types import MethodName
+from .._ensemble.ensemble import Wanted, solve_rows
+from .._ensemble.solution import EnsembleSolution
+from .._ensemble.store import EnsembleStore
+from .._problem.accepted import problem_ensemble_options, run_options
 from .._problem.description import Description
 from .._problem.docstrings import documented
-from .._problem.options import CallingOptions, DescribingOptions, Options, table_of
+from .._problem.options import CallingOptions, DescribingOptions, Options, ProblemEnsembleOptions, table_of
 from .._results.result import default_labels
 from .._results.solution import Solution
 from .._run.run import solve
@@ -27,7 +35,7 @@ class Problem(Description):
         referenced, so it may be kept; the function may return the same buffer every time.
     t_span : (float, float)
         (t0, tf). tf < t0 integrates backwards. With an infinite tf the run goes on until a terminal event, a callback
-        or a limit (`max_steps`, `time_limit`, `max_points`) ends it.
+        or one of its `limits` ends it.
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     {describing}
@@ -88,7 +96,7 @@ class Problem(Description):
         TypeError, ValueError, InvariantError
             As for `solve_ivp`. The warnings are the same too.
         """
-        return solve(self, method, options)
+        return solve(self, method, run_options(**options))
 
     @documented(options=table_of(Options))
     def prepare(self, method: MethodName = "ode45", **options: Unpack[Options]) -> PreparedSolver:
@@ -125,4 +133,108 @@ class Problem(Description):
         >>> [round(float(solver(args=(rate,)).y[0, -1]), 4) for rate in (1.0, 2.0, 3.0)]
         [0.3679, 0.1353, 0.0498]
         """
-        return PreparedSolver(self, method, options)
+        return PreparedSolver(self, method, run_options(**options))
+
+    @overload
+    def solve_ensemble(
+        self,
+        y0: ArrayLike | Iterator[tuple[ArrayLike, Any]] | None = None,
+        method: MethodName = "ode45",
+        *,
+        args: Iterable[Any] | ArrayLike | None = None,
+        t_eval: ArrayLike | None = None,
+        store: None = None,
+        **options: Unpack[ProblemEnsembleOptions],
+    ) -> EnsembleSolution:
+        raise NotImplementedError(problem_ensemble_options(**options))  # never called: editors follow it
+
+    @overload
+    def solve_ensemble(
+        self,
+        y0: ArrayLike | Iterator[tuple[ArrayLike, Any]] | None = None,
+        method: MethodName = "ode45",
+        *,
+        args: Iterable[Any] | ArrayLike | None = None,
+        t_eval: ArrayLike | None = None,
+        store: str | os.PathLike[str],
+        **options: Unpack[ProblemEnsembleOptions],
+    ) -> EnsembleStore: ...
+    @documented({"on_failure": "warn"}, options=table_of(ProblemEnsembleOptions))
+    def solve_ensemble(
+        self,
+        y0: ArrayLike | Iterator[tuple[ArrayLike, Any]] | None = None,
+        method: MethodName = "ode45",
+        *,
+        args: Iterable[Any] | ArrayLike | None = None,
+        t_eval: ArrayLike | None = None,
+        store: str | os.PathLike[str] | None = None,
+        **options: Unpack[ProblemEnsembleOptions],
+    ) -> EnsembleSolution | EnsembleStore:
+        """Solves the problem from many initial values, or with many parameter sets, in parallel.
+
+        The result is the same, bit for bit, for any number of workers, and the same as that of single solves. A
+        trajectory that fails, also with an exception, gets a status, a message and NaN as its final state; the others
+        go on. One warning says how many failed: see `on_failure`.
+
+        Parameters
+        ----------
+        y0 : array_like of shape (N, n) or (n,), or iterator, optional
+            Initial states, one row per trajectory, or one for all. Default: the problem's. An iterator yields pairs
+            ``(y0, args)`` of one trajectory, with a tuple of args, or of several, with rows; N need not be known, nor
+            fit in memory.
+        method : str, default 'ode45'
+            As in `solve`.
+        args : tuple, or array or list of shape (N, k), optional
+            A tuple: the extra arguments of all trajectories. Rows: row i holds the k extra arguments of trajectory i;
+            those of a list may be of any types. Default: the problem's.
+        t_eval : array_like, optional
+            Times of the output, sorted in the direction of integration. Default: the final states are kept, and no
+            others.
+        store : str or path-like, optional
+            A Zarr store for the results, written part by part: memory does not grow with N. Needs zarr, of the extra
+            `cluster`.
+
+        Other Parameters
+        ----------------
+        {options}
+
+        Returns
+        -------
+        EnsembleSolution or EnsembleStore
+            The second with a `store`.
+
+        Raises
+        ------
+        FileExistsError
+            There is a store of this name, and not `resume`.
+        TypeError, ValueError
+            What is wrong for all trajectories; a store is of another problem. With several processes on a platform that
+            starts them afresh (not by fork): a function that cannot be pickled, such as a lambda or one defined in a
+            function or a notebook.
+        RuntimeError
+            The processes end before they solve anything: they cannot import the functions. An executor lost its
+            processes and cannot start others.
+
+        Notes
+        -----
+        An invariant without `value` is held at its initial value of each trajectory. The options are those of `solve`
+        except for `dense_output`, `refine` and those of a single run's course.
+
+        Where all functions are native (`invariode.compile` and the like), trajectories run on threads in the core,
+        which take work from each other as they run out of it; memory is the result plus a few vectors per thread.
+        Otherwise they run in processes, and each function must be importable there: on platforms without fork define it
+        in a module, guard the script by ``if __name__ == "__main__":``, or give ``workers=1``, which stays in this
+        process; so does, with a warning, an ensemble in a daemonic process. Workers end with this process, however it
+        ends. The result takes 8 (n n_t + 2 n + 3 m) + 136 bytes per trajectory, and 8 (n + 2) per event that occurred.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def orbit(t, y):
+        ...     return [2 * y[0] * (1 - y[1]), -y[1] * (1 - y[0])]
+        >>> problem = iv.Problem(orbit, (0, 10), [1.0, 3.0], labels=["prey", "predators"])
+        >>> many = problem.solve_ensemble([[1.0, 3.0], [1.0, 2.0], [1.0, 1.0]], workers=1, rtol=1e-6)
+        >>> many
+        EnsembleSolution of 3 trajectories, 2 components, 1 times: 3 reached the end
+        """
+        return solve_rows(self, Wanted(y0, args, t_eval, store), method, problem_ensemble_options(**options))

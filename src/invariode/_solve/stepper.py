@@ -9,19 +9,27 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
 from .. import _core
-from .._base.arguments import Array, flag, unknown_option, warn
+from .._base.arguments import Array, flag, warn
 from .._base.types import Numbers
 from .._functions.compiled import is_native
+from .._problem.accepted import stepper_options
 from .._problem.description import Description
 from .._problem.docstrings import documented
 from .._problem.invariants import AccuracyWarning
-from .._problem.options import TABLE, DescribingOptions, Options, StepperOptions, parted, table_of, unused
+from .._problem.options import (
+    TABLE,
+    DescribingOptions,
+    Options,
+    StepperOptions,
+    parted,
+    table_of,
+    unknown_option,
+    unused,
+)
 from .._results.messages import about_jumps_of_fun, harmful_projection, limited_by_stability
 from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning, default_labels
 from .._run.plan import make_plan, solver
 from .ivp import one_column
-
-__all__ = ["Stepper"]
 
 _OPTIONS = table_of(StepperOptions)
 #: Before this many steps nothing can be said about harm: one step in eight is examined.
@@ -97,7 +105,7 @@ class Stepper(OdeSolver):
     ) -> None:
         if wrong := next((name for name in options if name not in _OPTIONS), None):
             raise self._refused(wrong)
-        describing, stepping = parted(options, DescribingOptions)
+        describing, stepping = parted(stepper_options(**options), DescribingOptions)
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
         alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array
 
-__all__ = ["BelowZero", "Lowest", "below_zero"]
-
 #: Below zero by more than this, in units of atol, is more than the noise that a tolerance allows.
 NOTABLE = 100
 

@@ -21,8 +21,6 @@ from .._problem.invariants import InvariantsLike, to_invariants
 from .._results.messages import wrong_jacobian
 from .._run.run import solve
 
-__all__ = ["CheckReport", "check_invariants"]
-
 
 @dataclass(frozen=True)
 class CheckReport:
@@ -82,11 +80,8 @@ class CheckReport:
     def __str__(self) -> str:
         width = max([len("invariant"), *map(len, self.names)])
         lines = [f"{'invariant':<{width}} {'value':>13} {'residual':>10} {'rate':>10} {'of its terms':>13}  conserved"]
-        for i, name in enumerate(self.names):
-            lines.append(
-                f"{name:<{width}} {self.value[i]:>13.6g} {self.residual[i]:>10.2e} {self.rate[i]:>10.2e} "
-                f"{self.angle[i]:>13.1e}  {self.verdict(i)}"
-            )
+        for name, value, residual, rate, angle, verdict in self.rows():
+            lines.append(f"{name:<{width}} {value:>13} {residual:>10} {rate:>10} {angle:>13}  {verdict}")
         return "\n".join(lines + self.findings)
 
     __repr__ = __str__
@@ -94,6 +89,14 @@ class CheckReport:
     def verdict(self, i: int) -> str:
         """The verdict on invariant i in the table: 'NO', 'yes', or 'falls' or 'rises' for `invariode.Dissipated`."""
         return ("yes", "rises", "falls")[self.senses[i]] if self.conserved[i] else "NO"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """The table: name, value, residual, rate, rate in units of its terms, verdict of each invariant."""
+        numbers = zip(self.names, self.value, self.residual, self.rate, self.angle, strict=True)
+        return [
+            (name, f"{value:.6g}", f"{residual:.2e}", f"{rate:.2e}", f"{angle:.1e}", self.verdict(i))
+            for i, (name, value, residual, rate, angle) in enumerate(numbers)
+        ]
 
     def _repr_html_(self) -> str:
         return html_of_check(self)

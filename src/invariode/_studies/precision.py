@@ -7,24 +7,21 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
-from .._linear.matrices import null_basis
+from .._problem.grouped import Limits
 from .._problem.methods import METHODS, Method
-from .._results.result import StiffnessWarning
+from .._results.result import LIMIT_REACHED, StiffnessWarning
 from .._results.solution import Solution
 from .._solve.problem import Problem
 from .below_zero import BelowZero, Lowest, below_zero
-
-__all__ = ["WAYS", "Judgement", "NoReferenceError", "Reference", "Row", "Run", "able", "best", "compare_runs", "judge"]
-__all__ += ["power", "reference", "unprojected"]
 
 #: With and without projection.
 WAYS = ("plain", "projected")
@@ -127,24 +124,15 @@ class Row:
         return self.plain if way == "plain" else self.projected
 
 
-class _Limit:
-    """A callback that stops after some seconds or steps, and tells `lowest` on the way."""
-
-    def __init__(self, seconds: float, steps: float = math.inf, lowest: Lowest | None = None) -> None:
-        self._end, self._left, self._lowest = perf_counter() + seconds, steps, lowest
-
-    def __call__(self, t: float, y: Array) -> bool:
-        self._left -= 1
-        if self._lowest:
-            self._lowest(t, y)
-        return self._left < 0 or perf_counter() > self._end
-
-
 def able(problem: Problem) -> list[Method]:
     """The methods that can solve the problem."""
     mass = problem.matrices.mass
     if mass is None:
         return list(METHODS.values())
+    from scipy.sparse import csc_array  # takes longer to import than everything else
+
+    from .._linear.matrices import null_basis
+
     regular = not callable(mass) and null_basis(csc_array(mass)).shape[1] == 0
     return [m for m in METHODS.values() if m.mass == "any" or (m.mass == "regular" and regular)]
 
@@ -171,11 +159,11 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
         for rtol in _TIGHT:
             found = []
             for name, options in pair:
-                limit = _Limit(_PATIENCE * seconds)
+                limit = _PATIENCE * seconds
                 with _stiffness_untold():
-                    sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, callback=limit, **options)
+                    sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, limits=Limits(time=limit), **options)
                 if sol.status not in (0, 1):
-                    why = sol.message if sol.status < 0 else f"It takes longer than {_PATIENCE * seconds:g} s (limit)."
+                    why = f"It takes longer than {limit:g} s (limit)." if sol.status == LIMIT_REACHED else sol.message
                     obstacles.append(f"{name}, rtol {power(rtol)}: {why}")
                     break
                 found.append(sol)
@@ -188,12 +176,13 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
 
 
 def _stiff(problem: Problem, seconds: float) -> bool:
-    implicit = problem.solve("ode15s", callback=_Limit(seconds))
+    implicit = problem.solve("ode15s", limits=Limits(time=seconds))
     if implicit.status not in (0, 1):
         return False
     steps = _STIFF * implicit.stats.steps + _FEW
     with _stiffness_untold():
-        return problem.solve("ode45", callback=_Limit(seconds, steps), keep="end").status not in (0, 1)
+        limits = Limits(steps=steps, time=seconds)
+        return problem.solve("ode45", limits=limits, keep="end").status not in (0, 1)
 
 
 def _agreed(first: Solution, second: Solution, by: str) -> Reference:
@@ -241,11 +230,11 @@ def _measured(
     below: list[BelowZero | None] = []
     for way in ways:
         lowest = Lowest(way.y0)
-        limit = _Limit(seconds, lowest=lowest)
-        sol, spent = _timed(lambda way=way, limit=limit: way.solve(callback=limit, **options))  # type: ignore[misc]  # mypy and defaults of lambdas
+        limited = {**options, "callback": lowest, "limits": Limits(time=seconds)}
+        sol, spent = _timed(partial(way.solve, **limited))
         runs.append((way, sol, spent))
-        below.append(None if sol.status == 2 else truth.below_zero(way.y0, lowest, options["atol"]))
-        if sol.status == 2:
+        below.append(None if sol.status == LIMIT_REACHED else truth.below_zero(way.y0, lowest, options["atol"]))
+        if sol.status == LIMIT_REACHED:
             break
     times = [spent for _, _, spent in runs]
     repeats = min(_REPEATS, int(_BUDGET / max(sum(times), 1e-9)))
@@ -253,7 +242,7 @@ def _measured(
         times = [math.inf] * len(runs)
     for _ in range(repeats):
         for i, (way, _, _) in enumerate(runs):
-            times[i] = min(times[i], _timed(lambda way=way: way.solve(**options))[1])  # type: ignore[misc]  # the same
+            times[i] = min(times[i], _timed(partial(way.solve, **options))[1])
     measured = [_run(sol, time, truth, low) for (_, sol, _), time, low in zip(runs, times, below, strict=True)]
     if len(measured) < len(ways):  # plain took too long
         measured.append(measured[0])
@@ -269,7 +258,7 @@ def _timed(solve: Callable[[], Solution]) -> tuple[Solution, float]:
 
 def _run(sol: Solution, seconds: float, truth: Reference, below: BelowZero | None) -> Run:
     problem, message = None, ""
-    if sol.status == 2:
+    if sol.status == LIMIT_REACHED:
         problem = "too long"
     elif sol.status == -2:
         problem, message = "refused", sol.message

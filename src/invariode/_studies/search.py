@@ -30,8 +30,6 @@ from .._linear.null_space import echelon, null_space
 from .._problem.invariants import Invariants
 from .._solve.ivp import solve_ivp
 
-__all__ = ["PolynomialInvariant", "find_invariants"]
-
 Exponents = tuple[int, ...]
 Number = Fraction | float
 
@@ -222,11 +220,6 @@ class _Search:
 
     def _trajectory(self, y0: Array, rtol: float) -> tuple[Array, Array] | None:
         """(t, y) of a run, by the code for stiff problems if the other one struggles; None if f is not defined."""
-        steps = itertools.count()
-
-        def labours(t: float, y: Array) -> bool:
-            return next(steps) > _MOST_STEPS
-
         options: dict[str, Any] = {
             "args": self._args,
             "rtol": rtol,
@@ -234,8 +227,8 @@ class _Search:
         }
         try:
             with quietly():
-                sol = solve_ivp(self._fun, self._t_span, y0, "ode113", callback=labours, **options)
-                if not sol.success or sol.status == 2:
+                sol = solve_ivp(self._fun, self._t_span, y0, "ode113", max_steps=_MOST_STEPS, **options)
+                if not sol.success:
                     sol = solve_ivp(self._fun, self._t_span, y0, "ode15s", **options)
         except (ArithmeticError, ValueError):  # a perturbed start outside the domain of f
             return None

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-__all__ = ["draw", "plot_work_precision"]
-
 COLOURS = (*PALETTE, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 

@@ -11,8 +11,6 @@ from rich.console import Console
 from . import check, compare, methods, solve
 from .session import paragraphs
 
-__all__ = ["app"]
-
 app = typer.Typer(
     name="invariode",
     no_args_is_help=True,

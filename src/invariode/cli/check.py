@@ -16,8 +16,6 @@ from .._studies.precision import unprojected
 from .load import File, load
 from .session import ATOL, RTOL, complete_method, examples, guarded, method_of, numbers, stop
 
-__all__ = ["EXAMPLES", "check"]
-
 EXAMPLES = examples("check pendulum.py", "check orbits.py:kepler --along 20 --method dop853")
 
 #: Tolerances of the solution used by --along, relative to those that its points must meet.
@@ -58,7 +56,7 @@ def check(
         problem = load(file)
         _checkable(problem)
         t0, tf = problem.t_span
-        report = _report(problem, t0, problem.y0, rtol, atol, nearby=True)
+        report = checked_at(problem, t0, problem.y0, rtol=rtol, atol=atol, nearby=True)
         _print_report(console, problem, report)
         findings = list(report.findings)
         if along:
@@ -68,7 +66,8 @@ def check(
             lowest = Lowest(problem.y0)
             tight: dict[str, Any] = {"rtol": TIGHTER * rtol, "atol": TIGHTER * atol}
             sol = unprojected(problem).solve(method, t_eval=times, callback=lowest, **tight)
-            reports = [_report(problem, t, y, rtol, atol) for t, y in zip(sol.t[1:], sol.y.T[1:], strict=True)]
+            points = zip(sol.t[1:].tolist(), sol.y.T[1:], strict=True)
+            reports = [checked_at(problem, t, y, rtol=rtol, atol=atol, nearby=False) for t, y in points]
             if reports:
                 console.print()
                 findings += _print_along(console, sol.t[1:], reports)
@@ -108,17 +107,11 @@ def _checkable(problem: Problem) -> None:
         raise stop("check is for y' = f(t, y), and this problem has a mass matrix; a solve checks it at its start.", 2)
 
 
-def _report(problem: Problem, t: float, y: np.ndarray, rtol: float, atol: float, nearby: bool = False) -> CheckReport:
-    given: dict[str, Any] = {"rtol": rtol, "atol": atol, "nearby": nearby}
-    return checked_at(problem, float(t), y, **given)
-
-
 def _print_report(console: Console, problem: Problem, report: CheckReport) -> None:
     console.print(Text.assemble((problem.name, "bold"), f", at the start, t = {problem.t_span[0]:g}"))
     table = numbers("invariant", ("value", "residual", "rate", "of its terms", "conserved"))
-    for i, name in enumerate(report.names):
-        sizes = (f"{report.value[i]:.6g}", f"{report.residual[i]:.2e}", f"{report.rate[i]:.2e}")
-        table.add_row(Text(name), *sizes, f"{report.angle[i]:.1e}", _verdict(report.verdict(i)))
+    for name, *sizes, verdict in report.rows():
+        table.add_row(Text(name), *sizes, Text(verdict, style="bold red" if verdict == "NO" else "green"))
     console.print(table)
     for finding in report.findings:
         console.print(Text(finding, style="red" if not report.ok else "yellow"))
@@ -146,7 +139,3 @@ def _print_along(console: Console, times: np.ndarray, reports: list[CheckReport]
     if not findings:
         console.print(Text("All is well there too.", style="green"))
     return findings
-
-
-def _verdict(told: str) -> Text:
-    return Text(told, style="bold red" if told == "NO" else "green")

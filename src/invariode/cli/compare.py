@@ -35,9 +35,19 @@ from .._studies.precision import (
     reference,
 )
 from .load import File, load
-from .session import INTERRUPTED, PICTURES, clock, complete_method, count, examples, guarded, method_of, stop, writable
-
-__all__ = ["EXAMPLES", "compare"]
+from .session import (
+    INTERRUPTED,
+    PICTURES,
+    clock,
+    complete_method,
+    count,
+    examples,
+    guarded,
+    method_of,
+    stop,
+    writable,
+    write_to,
+)
 
 EXAMPLES = examples(
     "compare pendulum.py",
@@ -105,7 +115,9 @@ def compare(
             truth, rows = _all(problem, methods, rtols, atol_ratio, limit, told)
     _print_all(console, problem, rows, truth, limit, quiet)
     if plot is not None:
-        _draw(rows, truth, problem, plot)
+        from .._studies.work_precision import draw
+
+        write_to(plot, lambda: draw(rows, truth, problem.name, plot))
         if not quiet:
             console.print("Wrote", Text(str(plot), style="bold"), soft_wrap=True)
 
@@ -133,15 +145,6 @@ def _answer(problem: Problem, rows: list[Row], truth: Reference) -> str:
     if problem.invariants:
         return answer(best(rows, truth.floor))
     return _without_invariants(problem, rows, truth.floor)
-
-
-def _draw(rows: list[Row], truth: Reference, problem: Problem, path: Path) -> None:
-    from .._studies.work_precision import draw
-
-    try:
-        draw(rows, truth, problem.name, path)
-    except OSError as error:
-        raise stop(f"{path} cannot be written: {error.strerror or error}", code=1) from None
 
 
 def _rtols(decades: str) -> list[float]:

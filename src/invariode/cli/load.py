@@ -13,8 +13,6 @@ import typer
 from .._solve.problem import Problem
 from .session import print_traceback, stop
 
-__all__ = ["File", "load"]
-
 #: The name used if none is given.
 DEFAULT = "problem"
 

@@ -8,8 +8,6 @@ from rich.table import Table
 
 from .._problem.methods import METHODS, Method
 
-__all__ = ["methods"]
-
 #: Heading and attribute of the columns of numbers.
 _NUMBERS = (
     ("order", "order"),

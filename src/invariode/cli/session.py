@@ -25,27 +25,6 @@ from .._base.failures import InvariantError
 from .._problem.methods import METHODS, Method, find_method
 from .._problem.options import TABLE
 
-__all__ = [
-    "ATOL",
-    "INTERRUPTED",
-    "PICTURES",
-    "RTOL",
-    "clock",
-    "complete_method",
-    "count",
-    "examples",
-    "guarded",
-    "method_of",
-    "needs",
-    "numbers",
-    "paragraphs",
-    "plain_warnings",
-    "print_traceback",
-    "stop",
-    "without_collector",
-    "writable",
-]
-
 #: The default tolerances.
 RTOL, ATOL = TABLE["rtol"].default, TABLE["atol"].default
 

@@ -18,6 +18,7 @@ from .._base.progress import in_passing
 from .._base.style import STYLE
 from .._functions.compiled import is_native
 from .._laws.bound import bind
+from .._problem.grouped import Checkpoint, Limits
 from .._problem.options import ExtensionOptions
 from .._results.pictures.canvas import component, listed
 from .._results.solution import Solution
@@ -41,8 +42,6 @@ from .session import (
     writable,
     write_to,
 )
-
-__all__ = ["EXAMPLES", "solve"]
 
 EXAMPLES = examples(
     "solve pendulum.py",
@@ -68,7 +67,7 @@ MaxSteps = Annotated[
 TimeLimit = Annotated[
     float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after this time, exit code 1.")
 ]
-Checkpoint = Annotated[
+CheckpointFile = Annotated[
     Path | None,
     typer.Option("--checkpoint", metavar="FILE", help="Write the state of the run there while it goes on."),
 ]
@@ -137,8 +136,8 @@ def solve(
     progress: Progress = None,
     max_steps: MaxSteps = None,
     time_limit: TimeLimit = None,
-    checkpoint: Checkpoint = None,
-    checkpoint_every: CheckpointEvery = 60,
+    checkpoint: CheckpointFile = None,
+    checkpoint_every: CheckpointEvery = Checkpoint.every,
     resume: Resume = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and warnings.")] = False,
 ) -> None:
@@ -169,11 +168,11 @@ def solve(
         run = problem if project else unprojected(problem)
         with in_passing():
             start = perf_counter()
-            limits: ExtensionOptions = {"progress": shown, "max_steps": max_steps, "time_limit": time_limit}
+            others: ExtensionOptions = {"progress": shown, "limits": Limits(steps=max_steps, time=time_limit)}
             if checkpoint is not None:
-                options |= {"checkpoint": checkpoint, "checkpoint_every": checkpoint_every}
+                options["checkpoint"] = Checkpoint(checkpoint, every=checkpoint_every)
             from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
-            sol = _solved(run, method, options, limits, from_file)
+            sol = _solved(run, method, options, others, from_file)
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
@@ -197,7 +196,7 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 
 
 def _solved(
-    problem: Problem, method: str, options: dict[str, Any], limits: ExtensionOptions, from_file: Path | None
+    problem: Problem, method: str, options: dict[str, Any], others: ExtensionOptions, from_file: Path | None
 ) -> Solution:
     """The solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run got."""
     reached = [problem.t_span[0], 0.0]
@@ -210,12 +209,14 @@ def _solved(
         options = {"callback": note, **options}
     try:
         if from_file is None:
-            return problem.solve(method, **{**limits, **options})
+            return problem.solve(method, **{**others, **options})
         begun = load_solution(from_file, problem, **options)
-        return begun if begun.t_end == problem.t_span[1] else begun.extend(problem.t_span[1], **limits)
+        return begun if begun.t_end == problem.t_span[1] else begun.extend(problem.t_span[1], **others)
     except KeyboardInterrupt:
         where = "" if is_native(problem.fun) else f" at t = {reached[0]:.6g}, after {reached[1]:.0f} steps"
-        saved = f"--resume goes on from {options['checkpoint']}" if "checkpoint" in options else "nothing was saved"
+        saved = (
+            f"--resume goes on from {options['checkpoint'].path}" if "checkpoint" in options else "nothing was saved"
+        )
         raise stop(f"Interrupted{where}; {saved}.", INTERRUPTED) from None
 
 

@@ -16,8 +16,6 @@ from .._functions.graph.function import GraphFunction
 from .._functions.graph.nodes import ELEMENTARY, Graph, Node
 from .._functions.graph.python import Formula, Pattern
 
-__all__ = ["Code", "Function", "System", "eliminated", "functions"]
-
 #: The result of expressions: a Python function, or one that is compiled.
 Function = CompiledFunction | Callable[..., Any]
 

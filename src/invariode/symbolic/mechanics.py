@@ -17,8 +17,6 @@ from .noether import symmetries, vanishes
 from .systems import Law, Phase, constrained, label
 from .vocabulary import Vocabulary
 
-__all__ = ["hamiltonian", "lagrangian"]
-
 #: Where the rank of a mass matrix is tested: a point without special symmetry.
 _SEED = 7
 
@@ -46,17 +44,8 @@ class Hamiltonian(Phase):
             (t0, tf).
         q0, p0 : dict or array_like
             Initial coordinates and momenta, by symbol or in the order of q and of p.
-        laws : bool, default True
-            Whether the problem has the laws that were found as invariants: those that `check_invariants` confirms at
-            the start, and that do not follow from others there.
-        compiled : bool, optional
-            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
-        name : str, optional
-            For tables and plots.
-
-        Returns
-        -------
-        Problem
+        laws, compiled, name
+            As for `Lagrangian.problem`.
         """
         return self._problem(t_span, self._start(q0, p0), laws=laws, compiled=compiled, name=name)
 
@@ -104,10 +93,6 @@ class Lagrangian(Phase):
         name : str, optional
             For tables and plots.
 
-        Returns
-        -------
-        Problem
-
         Raises
         ------
         ValueError, InvariantError
@@ -136,10 +121,8 @@ def hamiltonian(
         The Hamiltonian H(q, p, t).
     q, p : sequence of symbols, or of functions of time
         Coordinates and their momenta.
-    parameters : dict, optional
-        Other symbols and their values, which become `args` of the problem.
-    points : sequence of points, optional
-        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
+    parameters, points
+        As for `equations`.
 
     Returns
     -------
@@ -213,10 +196,8 @@ def lagrangian(
         Constraints ψ(q, q', t) that are linear in the velocities.
     forces : dict or sequence of sympy.Expr, optional
         Generalised forces, by coordinate or in the order of q. Default: none.
-    parameters : dict, optional
-        Other symbols and their values, which become `args` of the problem.
-    points : sequence of points, optional
-        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
+    parameters, points
+        As for `equations`.
 
     Returns
     -------

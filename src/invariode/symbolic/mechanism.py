@@ -11,11 +11,9 @@ import sympy
 
 from .._base.arguments import Array, choice
 from .._base.types import Span
-from .._mechanics.motion import Motion
 from .._mechanics.system import MechanicalSystem
+from .._problem.invariants import Invariants
 from .vocabulary import Vocabulary
-
-__all__ = ["Consistent", "Correction", "Mechanism"]
 
 Consistent: TypeAlias = Literal["check", "project"]
 Correction: TypeAlias = Literal["levels", "joint", "none"]
@@ -66,16 +64,12 @@ class Mechanism(NamedTuple):
         def jacobian(t: float, q: Array, *args: float) -> Array:
             return np.reshape(rows(t, q, *args), (m, n))
 
-        holonomic: dict[str, Any] = {"constraints": self._function(self.positions), "jacobian": jacobian} if m else {}
-        system = _Named(
-            mass,
-            self._function(self.force),
-            velocity_constraints=self._function(self.velocities) if self.velocities else None,
-            args=self.words.args,
-            **holonomic,
+        held, rolled = (
+            Invariants(self._function(formulas), names=names) if formulas else None
+            for formulas, names in ((self.positions, self.names[:m]), (self.velocities, self.names[m:]))
         )
-        system.names = list(self.names)
-        return system
+        force, slopes_of = self._function(self.force), jacobian if m else None
+        return MechanicalSystem(mass, force, held, rolled, args=self.words.args, jacobian=slopes_of)
 
     def _function(self, expressions: Sequence[Any]) -> Callable[..., Array]:
         """(t, q, *args) or (t, q, v, *args) → values."""
@@ -88,12 +82,3 @@ class Mechanism(NamedTuple):
             return np.array(code(t, [*q, *v], rest[len(rest) - parameters :]))
 
         return values
-
-
-class _Named(MechanicalSystem):
-    """A system whose constraints have names."""
-
-    names: list[str]
-
-    def _names(self, motion: Motion) -> list[str]:
-        return self.names

@@ -20,8 +20,6 @@ from .noether import vanishes
 from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, constrained, given_laws, label
 from .vocabulary import Vocabulary
 
-__all__ = ["from_mechanics"]
-
 
 class Multibody(SymbolicSystem):
     """Equations of motion of SymPy's mechanics: y = (q, u), or (q, q') by Lagrange's method."""
@@ -53,18 +51,8 @@ class Multibody(SymbolicSystem):
             What is done with a start that is off the constraints by more than the run's tolerances: an
             `invariode.InvariantError`, or it is moved onto them, with a warning, by the least change in the metric of
             the mass matrix (for Kane's method in the Euclidean one).
-        correction : {'levels', 'joint', 'none'}, default 'levels'
-            How the solution is put back onto the constraints after each step: first positions, then velocities, then
-            both onto the laws, without leaving the constraints; all together, as in the paper; or not at all, and no
-            laws either.
-        compiled : bool, optional
-            Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
-        name : str, optional
-            For tables and plots.
-
-        Returns
-        -------
-        Problem
+        correction, compiled, name
+            As for `Lagrangian.problem`.
 
         Raises
         ------
@@ -118,8 +106,8 @@ def from_mechanics(
     parameters : dict, optional
         Other symbols and their values, which become `args` of the problem; for PyDy's system, in place of its
         constants.
-    points : sequence of points, optional
-        Expressions of two or three coordinates for each point that ``animate(sol)`` shows.
+    points
+        As for `equations`.
 
     Returns
     -------

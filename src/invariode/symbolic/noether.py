@@ -19,8 +19,6 @@ import sympy
 from .._base.arguments import Array
 from .._linear.null_space import echelon, null_space
 
-__all__ = ["symmetries", "vanishes"]
-
 _SEED = 1918  # Noether's paper
 _NULL = 1e-9  # pivots below, in units of the first, are zero
 _INTEGER = 1e-6  # distance from an integer

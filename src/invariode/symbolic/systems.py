@@ -12,26 +12,12 @@ import sympy
 from .._base.arguments import Array, choice, distinct, interval
 from .._base.types import Span
 from .._problem.invariants import Invariants
-from .._results.films import HasPoints
+from .._results.points import HasPoints
 from .._solve.problem import Problem
 from .._studies.check import check_invariants
 from .code import Code, System, functions
 from .mechanism import Consistent, Correction, Mechanism
 from .vocabulary import Vocabulary, parsed
-
-__all__ = [
-    "LAWS",
-    "POSITIONS",
-    "VELOCITIES",
-    "Equations",
-    "Law",
-    "Phase",
-    "SymbolicSystem",
-    "constrained",
-    "equations",
-    "given_laws",
-    "label",
-]
 
 #: Levels of correction: constraints move only positions, their rates and velocity constraints move only
 #: velocities, and other laws move what is left.
@@ -200,10 +186,6 @@ class Equations(SymbolicSystem):
             Whether the functions become machine code. Default: if llvmlite, of the extra `compiled`, is installed.
         name : str, optional
             For tables and plots.
-
-        Returns
-        -------
-        Problem
         """
         return self._problem(t_span, self._words.start("y0", y0, self.states), compiled=compiled, name=name)
 

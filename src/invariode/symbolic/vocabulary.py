@@ -11,8 +11,6 @@ from sympy.core.function import AppliedUndef
 
 from .._base.arguments import number
 
-__all__ = ["Vocabulary", "parsed"]
-
 
 def parsed(what: str, value: Any) -> Any:
     """An expression of SymPy's."""

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from .nodes import COMPARISONS, Node, in_order
 
-__all__ = ["Row", "gradient", "jacobian", "tangent"]
-
 Row = dict[int, Node]
 
 #: What has no derivative but zero, where it has one.

@@ -9,8 +9,6 @@ from .derivatives import tangent
 from .nodes import in_order
 from .python import Formula
 
-__all__ = ["GraphFunction"]
-
 
 class GraphFunction(CompiledFunction):
     """A formula that is compiled for the problem it is used in, like what `compile` returns, but by LLVM alone.

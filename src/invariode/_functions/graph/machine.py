@@ -17,8 +17,6 @@ from ..elementary import FORMULAS, POWERS
 from ..machine_code import Function, MachineCode, linked, optimise
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Node, in_order
 
-__all__ = ["Form", "machine_code"]
-
 _DOUBLE, _INDEX, _BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 _POINTER = _DOUBLE.as_pointer()
 _NAME = "graph"

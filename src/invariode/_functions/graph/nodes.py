@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
-__all__ = ["ARITHMETIC", "COMPARISONS", "ELEMENTARY", "Graph", "Node", "in_order"]
-
 #: Functions of one number: Python's, from `math`.
 ELEMENTARY: dict[str, Callable[[float], float]] = {
     **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")},
@@ -16,7 +14,6 @@ ELEMENTARY: dict[str, Callable[[float], float]] = {
 }
 ARITHMETIC = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
 COMPARISONS = {"less": "<", "less_equal": "<=", "equal": "==", "not_equal": "!="}
-_TRUTHS = {*COMPARISONS, "and", "or", "not"}
 
 #: Integer powers up to this one are products.
 _MOST_FACTORS = 16
@@ -50,11 +47,6 @@ class Node:
                 repr(self.value) if self.op == "number" else self.op + ("" if self.value is None else f"[{self.value}]")
             )
         return f"{self.op}({', '.join(map(repr, self.arguments))})"
-
-    @property
-    def is_truth(self) -> bool:
-        """Whether its values are true and false."""
-        return self.op in _TRUTHS
 
     def is_number(self, value: float) -> bool:
         """Whether it is that number, with the same sign if it is 0."""

@@ -13,8 +13,6 @@ import numpy as np
 from ..._base.arguments import Array
 from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, in_order
 
-__all__ = ["Formula", "Pattern", "as_text"]
-
 
 def as_text(name: str, outputs: Sequence[Node]) -> str:
     """The source of a function (t, y, p) of a list of floats each that returns the list of the values."""

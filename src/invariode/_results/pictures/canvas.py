@@ -4,35 +4,19 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..._base.arguments import EPS, Array, shown
+from ..._base.extras import extra
 from ..._base.style import COLOURS, DASHES, LOOK
 from ..result import Result
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-
-__all__ = [
-    "FEW",
-    "MOST",
-    "component",
-    "components",
-    "drawable",
-    "joined",
-    "legend",
-    "listed",
-    "log_axis",
-    "mark",
-    "new",
-    "new_panels",
-]
-__all__ += ["occurrences", "once", "positive", "properties", "require_matplotlib", "require_points", "unused"]
 
 #: The number of distinguishable curves: each colour, solid and dash-dotted.
 MOST = len(COLOURS) * len(DASHES)
@@ -49,20 +33,19 @@ _POWERS, _BETWEEN = 2, (2, 5)
 _MARKERS = "o^Dvps"
 
 
-def require_matplotlib() -> None:
-    if find_spec("matplotlib") is None:
-        raise ModuleNotFoundError('pictures need matplotlib: pip install "invariode[plot]"', name="matplotlib")
+def require_matplotlib() -> Any:
+    return extra("matplotlib", "pictures need", "plot")
 
 
-def new(sol: Result, **options: Any) -> Axes:
+def new(title: str | None, **options: Any) -> Axes:
     """Axes of a new figure."""
-    panel: Axes = new_panels(sol, (1,), **options)[0]
+    panel: Axes = new_panels(title, (1,), **options)[0]
     return panel
 
 
-def new_panels(sol: Result, heights: Sequence[float], **options: Any) -> Array:
+def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> Array:
     """Panels of a new figure below each other, of the given heights, with a common t axis."""
-    import matplotlib
+    matplotlib = require_matplotlib()
     import matplotlib.pyplot as plt  # here, since it chooses a backend, which axes that are given have
 
     # It chooses now: that of a notebook turns `interactive` on when it is loaded, which the context would take back.
@@ -74,8 +57,8 @@ def new_panels(sol: Result, heights: Sequence[float], **options: Any) -> Array:
     for ax in axes.flat:
         ax.grid(True, color="0.5", alpha=0.2, lw=0.7)  # on dark backgrounds too
         ax.ticklabel_format(scilimits=_PLAIN_POWERS)
-    if sol._names.title is not None:
-        axes[0, 0].set_title(drawable(sol._names.title))
+    if title is not None:
+        axes[0, 0].set_title(drawable(title))
     panels: Array = axes[:, 0]
     return panels
 

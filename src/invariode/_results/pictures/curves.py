@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,6 @@ from .canvas import FEW
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["Curve", "curve", "draw_over_t", "interrupted", "line_and_marks", "parts"]
 
 #: Points of a smooth curve, and the most in one step: enough that the eye sees no corners.
 _POINTS, _POINTS_PER_STEP = 4000, 32
@@ -53,8 +52,7 @@ def _by_interpolant(sol: Result) -> Curve:
     pieces = []
     jumps = np.flatnonzero(np.diff(knots) == 0) + 1
     for piece in np.split(knots, jumps):
-        t = np.append((piece[:-1, None] + np.diff(piece)[:, None] * inside).ravel(), piece[-1])
-        pieces.append(t)
+        pieces.append(np.append((piece[:-1, None] + np.diff(piece)[:, None] * inside).ravel(), piece[-1]))
     for piece in pieces[:-1]:
         piece[-1] = np.nextafter(piece[-1], knots[0])  # at the jump itself sol.sol has the later value
     t = np.concatenate(pieces)
@@ -74,21 +72,17 @@ def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:
         + x**2 * (3 - 2 * x) * end
         + x * (1 - x) * h * ((1 - x) * after[:, None, :-1] - x * before[:, None, 1:])
     )
-    # by steps, and the points of a step in their order
-    times = np.append((t[:-1] + x * h).T.ravel(), t[-1:])
-    values = np.concatenate([inside.transpose(0, 2, 1).reshape(len(y), h.size * len(x)), y[:, -1:]], axis=1)
-    values[:, :: len(x)] = y  # to the last bit
-    rows = [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(t)]
-    for row in rows:  # between the two values of a jump there is nothing
-        gap = slice((row - 1) * len(x) + 1, row * len(x))
-        values[:, gap] = np.nan
-    if len(x) == 1 and rows:
-        cuts = [row * len(x) for row in rows]
-        times, values = np.insert(times, cuts, np.nan), np.insert(values, cuts, np.nan, axis=1)
-    elif rows:  # one NaN for each jump
-        dropped = [k for row in rows for k in range((row - 1) * len(x) + 2, row * len(x))]
-        times, values = np.delete(times, dropped), np.delete(values, dropped, axis=1)
-    return Curve(times, values, smooth=True)
+    pieces = []
+    for first, last in pairwise([0, *_jumps(sol), len(t)]):
+        steps = slice(first, last - 1)  # of which each has its points one after the other
+        times = np.append((t[steps] + x * h[steps]).T.ravel(), t[last - 1])
+        values = inside[:, :, steps].transpose(0, 2, 1).reshape(len(y), -1)
+        values = np.concatenate([values, y[:, last - 1 : last]], axis=1)
+        values[:, :: len(x)] = y[:, first:last]  # to the last bit
+        pieces.append((times, values))
+    cuts = np.cumsum([len(times) for times, _ in pieces[:-1]], dtype=int)
+    whole, points = (np.concatenate(parts, axis=-1) for parts in zip(*pieces, strict=True))
+    return Curve(np.insert(whole, cuts, np.nan), np.insert(points, cuts, np.nan, axis=1), smooth=True)
 
 
 def _inside(knots: int) -> Array:
@@ -99,8 +93,12 @@ def _inside(knots: int) -> Array:
 
 def interrupted(sol: Result, values: Array) -> Array:
     """Values at the outputs, in the last axis, with NaN where the solution jumps."""
-    cuts = [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(sol.t)]
-    return np.insert(values, cuts, np.nan, axis=-1)
+    return np.insert(values, _jumps(sol), np.nan, axis=-1)
+
+
+def _jumps(sol: Result) -> list[int]:
+    """The outputs behind jumps."""
+    return [jump.row for jump in sol._invariants.jumps if 0 < jump.row < len(sol.t)]
 
 
 def parts(values: Array) -> tuple[list[str], list[Array]]:

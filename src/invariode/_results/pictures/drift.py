@@ -18,8 +18,6 @@ from .curves import interrupted
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw"]
-
 
 def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relative: bool, line: dict[str, Any]) -> Axes:
     """See `Solution.plot_drift`."""
@@ -36,7 +34,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
         g, residual, largest = _relative(g, residual, largest)
     defining = np.diff(pieces, prepend=-1) > 0
     t = interrupted(sol, sol.t)
-    ax = new(sol) if ax is None else ax
+    ax = new(sol._names.title) if ax is None else ax
     ax.set_yscale("log")
     line, given = properties(line)
     for name, style, value, r, before in _drifting(g, residual, largest):

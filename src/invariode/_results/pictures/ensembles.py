@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._base.arguments import Array
-from ..._base.style import COLOURS, LOOK
-from ..result import default_labels
-from .canvas import component, joined, legend, properties, require_matplotlib
+from ..._base.style import COLOURS
+from .canvas import component, joined, legend, new, properties
 from .curves import parts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["draw"]
 
 #: The most components that are drawn: the ranges of more would cover each other.
 _MOST = len(COLOURS)
@@ -29,13 +26,12 @@ _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axes:
     """See `EnsembleSolution.plot`."""
-    require_matplotlib()
     if len(ensemble.t) < 2:
         raise ValueError("the ensemble has only final states: for a picture solve it with times in t_eval")
-    names = default_labels(ensemble.y.shape[1])
-    those = range(min(len(names), _MOST)) if chosen is None else np.atleast_1d(chosen)
-    rows = [component(names, int(one)) for one in those]
-    ax = _new() if ax is None else ax
+    names = ensemble.labels
+    several = [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen
+    rows = [*range(min(len(names), _MOST))] if chosen is None else [component(names, one) for one in several]
+    ax = new(None) if ax is None else ax
     look, given = properties(line)
     for place, k in enumerate(rows):
         for part, values, dashes in zip(*parts(ensemble.y[:, k]), ("-", "--"), strict=False):
@@ -52,17 +48,6 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
     if len(rows) == 1:
         ax.set_ylabel(names[rows[0]])
     legend(ax, f"{len(rows)} of {len(names)} components" if chosen is None and len(rows) < len(names) else None)
-    return ax
-
-
-def _new() -> Axes:
-    import matplotlib
-    import matplotlib.pyplot as plt
-
-    plt.draw_if_interactive()  # type: ignore[no-untyped-call]  # chooses the backend: see `canvas.new_panels`
-    with matplotlib.rc_context(LOOK):
-        ax: Axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")[1]
-    ax.grid(True, color="0.5", alpha=0.2, lw=0.7)
     return ax
 
 

@@ -26,8 +26,6 @@ from .curves import Curve, curve, draw_over_t, line_and_marks, parts
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw", "draw_groups", "groups_of_scale"]
-
 #: Components whose sizes differ by more than this cannot be seen on one axis.
 _APART = 1e3
 
@@ -44,7 +42,7 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axe
     those = components(sol, chosen)
     whole = curve(sol)
     groups = groups_of_scale(whole.y, those) if ax is None else [those]
-    panels: list[Axes] = list(new_panels(sol, [1] * len(groups))) if ax is None else [ax]
+    panels: list[Axes] = list(new_panels(sol._names.title, [1] * len(groups))) if ax is None else [ax]
     draw_groups(panels, sol, whole, groups, line)
     panels[-1].set_xlabel("$t$")
     return panels[0]

@@ -26,8 +26,6 @@ from .curves import curve, line_and_marks
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw"]
-
 #: Axes whose extents differ by less than this get the same scale, so that circles are round.
 _ALIKE = 3
 
@@ -96,7 +94,7 @@ def _coordinates(sol: Result, chosen: tuple[Any, Any, Any]) -> tuple[list[int], 
 def _new(sol: Result, space: bool) -> Axes:
     from matplotlib.ticker import MaxNLocator
 
-    ax = new(sol, figsize=(5.6, 4.4), **({"subplot_kw": {"projection": "3d"}} if space else {}))
+    ax = new(sol._names.title, figsize=(5.6, 4.4), **({"subplot_kw": {"projection": "3d"}} if space else {}))
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(MaxNLocator(6))  # more labels would touch where the aspect is equal
     return ax

@@ -15,8 +15,6 @@ from .canvas import joined, legend, log_axis, new_panels, positive, properties, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw"]
-
 #: The axis of errors and corrections goes no lower, in units of rtol: those of the first steps can be roundoff.
 _NEGLIGIBLE = 1e-6
 
@@ -29,7 +27,7 @@ def draw(sol: Result, axes: Any, line: dict[str, Any]) -> Array:
     if sol.steps is None:
         raise ValueError('the run did not keep its steps: solve with keep="all"')
     own = axes is None
-    panels = new_panels(sol, _HEIGHTS) if own else np.ravel(np.asarray(axes, dtype=object))
+    panels = new_panels(sol._names.title, _HEIGHTS) if own else np.ravel(np.asarray(axes, dtype=object))
     if not 1 <= len(panels) <= 3:
         raise ValueError(f"plot_steps draws on one to three axes, got {len(panels)}")
     line, given = properties(line)

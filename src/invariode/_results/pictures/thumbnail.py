@@ -11,8 +11,6 @@ from ..._base.style import COLOURS, LOOK
 from ..result import Result
 from .curves import Curve, curve, draw_over_t, interrupted
 
-__all__ = ["thumbnail"]
-
 #: The most components that are drawn.
 _MOST = 12
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw"]
-
 #: Width of the page, height of its margins, of a panel of components and of that of the drift, in inches.
 _WIDTH, _MARGINS, _PANEL, _DRIFT = 7.2, 0.9, 2.0, 1.5
 

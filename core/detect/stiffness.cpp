@@ -1,4 +1,4 @@
-#include "stiffness.hpp"
+#include "detect/stiffness.hpp"
 
 namespace invariode {
 namespace {

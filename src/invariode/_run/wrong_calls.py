@@ -12,8 +12,6 @@ from .._base.arguments import PACKAGE, call_name, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._problem.description import Description
 
-__all__ = ["explain", "require_values"]
-
 
 def explain(error: TypeError | ValueError, problem: Description) -> None:
     """Adds a note to an exception that comes from how a function was called; the exception stays the same."""

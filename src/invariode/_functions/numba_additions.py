@@ -1,4 +1,5 @@
-"""How numba compiles a function for complex numbers whose imaginary parts are derivatives. Imported with numba only."""
+"""What `compile` adds to numba: arrays that may only be read, and powers of complex numbers whose imaginary parts are
+derivatives. Imported with numba only."""
 
 from __future__ import annotations
 
@@ -6,15 +7,30 @@ import operator
 from importlib import import_module
 from typing import Any
 
-__all__ = ["ComplexCompiler"]
-
 # numba has no types.
 _core: Any = import_module("numba.core")
 _compiler: Any = import_module("numba.core.compiler")
 _machinery: Any = import_module("numba.core.compiler_machinery")
 _passes: Any = import_module("numba.core.untyped_passes")
 _extending: Any = import_module("numba.extending")
+_imputils: Any = import_module("numba.core.imputils")
 _ir, _ir_utils, _types = _core.ir, import_module("numba.core.ir_utils"), _core.types
+
+
+@_extending.intrinsic  # type: ignore[untyped-decorator]
+def read_only(context: Any, array: Any) -> Any:
+    """The same memory as an array to which numba compiles no assignment."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _imputils.impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
+
+    return array.copy(readonly=True)(array), generate
+
+
+@_extending.register_jitable  # type: ignore[untyped-decorator]
+def copied(array: Any) -> Any:
+    """New memory with the same numbers."""
+    return array.copy()
 
 
 # numba compares the signatures below, with their annotations.

@@ -24,21 +24,21 @@ class Confined {
   Confined(const Confined&) = delete;
   Confined& operator=(const Confined&) = delete;
 
-  Callback seen(const Callback& function) {
+  Callback within(const Callback& function) {
     if (!function) return {};
     return {&Confined::callback_entry, &functions_.emplace_back(*this, function)};
   }
-  MatrixFunction seen(const MatrixFunction& function) {
+  MatrixFunction within(const MatrixFunction& function) {
     if (!function) return {};
     return {&Confined::matrix_entry, &matrices_.emplace_back(*this, function)};
   }
-  Jacobian::Source seen(Jacobian::Source source) {
-    source.function = seen(source.function);
-    source.complex_f = seen_complex(source.complex_f);
+  Jacobian::Source within(Jacobian::Source source) {
+    source.function = within(source.function);
+    source.complex_f = complex_within(source.complex_f);
     return source;
   }
   /// A product J v, a function of (y, v).
-  Callback seen_product(const Callback& function) {
+  Callback product_within(const Callback& function) {
     if (!function) return {};
     return {&Confined::product_entry, &functions_.emplace_back(*this, function)};
   }
@@ -49,14 +49,14 @@ class Confined {
 
  private:
   /// f of complex y, pairs of reals.
-  Callback seen_complex(const Callback& function) {
+  Callback complex_within(const Callback& function) {
     if (!function) return {};
     return {&Confined::complex_entry, &functions_.emplace_back(*this, function)};
   }
 
   template <class Function>
-  struct Seen {
-    Seen(Confined& confined_, Function function_) : confined(confined_), function(std::move(function_)) {}
+  struct BoundedFunction {
+    BoundedFunction(Confined& confined_, Function function_) : confined(confined_), function(std::move(function_)) {}
     Confined& confined;
     Function function;
   };
@@ -70,29 +70,29 @@ class Confined {
   }
 
   static Status callback_entry(void* self, double t, const double* y, double* out) {
-    auto& [confined, function] = *static_cast<Seen<Callback>*>(self);
+    auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
     return function(t, confined.nearest(y), out);
   }
   static Status matrix_entry(void* self, double t, const double* y, Matrix& out) {
-    auto& [confined, function] = *static_cast<Seen<MatrixFunction>*>(self);
+    auto& [confined, function] = *static_cast<BoundedFunction<MatrixFunction>*>(self);
     return function(t, confined.nearest(y), out);
   }
   static Status product_entry(void* self, double t, const double* y_and_v, double* out) {
-    auto& [confined, function] = *static_cast<Seen<Callback>*>(self);
+    auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
     if (confined.bounds_.contain(y_and_v)) return function(t, y_and_v, out);
     confined.both_.assign(y_and_v, y_and_v + 2 * confined.inside_.size());
     confined.bounds_.clip(confined.both_.data());
     return function(t, confined.both_.data(), out);
   }
   static Status complex_entry(void* self, double t, const double* y, double* out) {
-    auto& [confined, function] = *static_cast<Seen<Callback>*>(self);
+    auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
     confined.both_.assign(y, y + 2 * confined.inside_.size());
     for (const auto& [i, lower, upper] : confined.bounds_.intervals())
       confined.both_[2 * i] = std::clamp(y[2 * i], lower, upper);
     return function(t, confined.both_.data(), out);
   }
   static Status defined_entry(void* self, double t, const double* y, double* out) {
-    auto& [confined, function] = *static_cast<Seen<Callback>*>(self);
+    auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
     if (confined.bounds_.excess(y, confined.weights_).size <= roundoff_at_bound)
       return function(t, confined.nearest(y), out);
     std::fill_n(out, confined.inside_.size(), std::numeric_limits<double>::quiet_NaN());
@@ -101,9 +101,9 @@ class Confined {
 
   const Bounds& bounds_;
   const Weights& weights_;
-  std::vector<double> inside_, both_;     // y; y and v, or complex y
-  std::deque<Seen<Callback>> functions_;  // which stay where they are when there are more of them
-  std::deque<Seen<MatrixFunction>> matrices_;
+  std::vector<double> inside_, both_;                // y; y and v, or complex y
+  std::deque<BoundedFunction<Callback>> functions_;  // which stay where they are when there are more of them
+  std::deque<BoundedFunction<MatrixFunction>> matrices_;
 };
 
 }  // namespace invariode

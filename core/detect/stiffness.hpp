@@ -3,9 +3,9 @@
 
 #include <cstdint>
 
+#include "detect/step_look.hpp"
 #include "report.hpp"
 #include "step.hpp"
-#include "step_look.hpp"
 #include "weights.hpp"
 
 namespace invariode {

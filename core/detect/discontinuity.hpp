@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "callback.hpp"
-#include "failed_series.hpp"
+#include "detect/failed_series.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 

@@ -1,6 +1,7 @@
 #pragma once
 // The functions of a problem as a piece between two breakpoints sees them (docs/algorithms.md, 'Breakpoints').
 
+#include <cassert>
 #include <cmath>
 #include <deque>
 #include <limits>
@@ -24,6 +25,7 @@ class Piece {
 
   /// From now on the piece between the times `from` and `to`. What is not a breakpoint bounds nothing.
   void enter(double from, bool from_breakpoint, double to, bool to_breakpoint) {
+    assert(!std::isnan(from) && !std::isnan(to));
     constexpr double infinity = std::numeric_limits<double>::infinity();
     const double forward = to >= from ? infinity : -infinity;
     const double first = from_breakpoint ? std::nextafter(from, forward) : -forward;
@@ -33,23 +35,23 @@ class Piece {
     high_ = forward > 0 ? last : first;
   }
 
-  Callback seen(const Callback& function) {
+  Callback within(const Callback& function) {
     if (!function) return {};
     return {&Piece::callback_entry, &functions_.emplace_back(*this, function)};
   }
-  MatrixFunction seen(const MatrixFunction& function) {
+  MatrixFunction within(const MatrixFunction& function) {
     if (!function) return {};
     return {&Piece::matrix_entry, &matrices_.emplace_back(*this, function)};
   }
-  Preconditioner seen(const Preconditioner& preconditioner) {
+  Preconditioner within(const Preconditioner& preconditioner) {
     if (!preconditioner) return {};
     return {&Piece::set_up_entry, &Piece::solve_entry, &preconditioners_.emplace_back(*this, preconditioner)};
   }
 
  private:
   template <class Function>
-  struct Seen {
-    Seen(const Piece& piece_, Function function_) : piece(piece_), function(std::move(function_)) {}
+  struct PieceFunction {
+    PieceFunction(const Piece& piece_, Function function_) : piece(piece_), function(std::move(function_)) {}
     const Piece& piece;
     Function function;
   };
@@ -57,26 +59,26 @@ class Piece {
   [[nodiscard]] double inside(double t) const { return t < low_ ? low_ : t > high_ ? high_ : t; }
 
   static Status callback_entry(void* self, double t, const double* y, double* out) {
-    auto& [piece, function] = *static_cast<Seen<Callback>*>(self);
+    auto& [piece, function] = *static_cast<PieceFunction<Callback>*>(self);
     return function(piece.inside(t), y, out);
   }
   static Status matrix_entry(void* self, double t, const double* y, Matrix& out) {
-    auto& [piece, function] = *static_cast<Seen<MatrixFunction>*>(self);
+    auto& [piece, function] = *static_cast<PieceFunction<MatrixFunction>*>(self);
     return function(piece.inside(t), y, out);
   }
   static Status set_up_entry(void* self, double t, const double* y, double c, std::shared_ptr<void>& made) {
-    auto& [piece, function] = *static_cast<Seen<Preconditioner>*>(self);
+    auto& [piece, function] = *static_cast<PieceFunction<Preconditioner>*>(self);
     return function.set_up_(function.context_, piece.inside(t), y, c, made);
   }
   static Status solve_entry(void* self, void* made, double* b) {
-    auto& [piece, function] = *static_cast<Seen<Preconditioner>*>(self);
+    auto& [piece, function] = *static_cast<PieceFunction<Preconditioner>*>(self);
     return function.solve_(function.context_, made, b);
   }
 
   double low_ = -std::numeric_limits<double>::infinity(), high_ = std::numeric_limits<double>::infinity();
-  std::deque<Seen<Callback>> functions_;  // which stay where they are when there are more of them
-  std::deque<Seen<MatrixFunction>> matrices_;
-  std::deque<Seen<Preconditioner>> preconditioners_;
+  std::deque<PieceFunction<Callback>> functions_;  // which stay where they are when there are more of them
+  std::deque<PieceFunction<MatrixFunction>> matrices_;
+  std::deque<PieceFunction<Preconditioner>> preconditioners_;
 };
 
 }  // namespace invariode

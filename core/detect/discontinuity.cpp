@@ -1,4 +1,4 @@
-#include "discontinuity.hpp"
+#include "detect/discontinuity.hpp"
 
 #include <algorithm>
 #include <cmath>

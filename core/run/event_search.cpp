@@ -1,4 +1,4 @@
-#include "run/lanes/search.hpp"
+#include "run/event_search.hpp"
 
 #include <algorithm>
 #include <span>
@@ -22,7 +22,7 @@ void resume(Step& step, double t, std::vector<double>& y, std::vector<double>& s
   written(t, y, h, moved_onto_bounds);
   written.values(slope.data(), slope.size());
   written(failed);
-  const Memory memory = written.take();
+  const RunMemory memory = written.take();
   Archive archive(std::span(memory.data(), memory.size()));
   step.state(archive);
 }
@@ -67,9 +67,8 @@ bool EventSearch::make_step(const lanes::Crossed& crossed) {
     if (projector_->project(crossed.t1, y0_.data(), y_.data()).outcome != Outcome::ok) return false;
   }
   if (step_->accept(y1_.data()) != Outcome::ok) return false;
-  interpolant_->start_at(t0, y0_.data());
   interpolant_->restart();
-  interpolant_->accept();
+  interpolant_->accept(t0, y0_.data());
   return interpolant_->segment().data != nullptr;
 }
 

@@ -8,7 +8,7 @@
 
 namespace invariode {
 
-class Slope {
+class Slope : public Archived {
  public:
   Slope() = default;
   Slope(const Slope&) = delete;
@@ -21,7 +21,6 @@ class Slope {
   [[nodiscard]] virtual double relative_error() const { return 0; }
   /// Evaluations of f so far.
   [[nodiscard]] virtual std::int64_t evaluations() const = 0;
-  virtual void state(Archive& archive) = 0;
 };
 
 /// y' = f(t, y)

@@ -10,8 +10,6 @@ from .._base.arguments import Array
 if TYPE_CHECKING:  # an extra, imported when a film is made
     from .animation import Film
 
-__all__ = ["HasPoints"]
-
 
 class HasPoints:
     """A system whose motion can be shown as that of its points."""

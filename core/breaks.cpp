@@ -1,0 +1,35 @@
+#include "breaks.hpp"
+
+#include <algorithm>
+#include <cassert>
+#include <utility>
+
+namespace invariode {
+
+Breaks::Breaks(std::vector<Breakpoint> points, Piece* piece, double tf)
+    : points_(std::move(points)), piece_(piece), tf_(tf), target_(tf) {
+  assert(std::ranges::is_sorted(points_, {}, [this](const Breakpoint& one) { return -std::abs(tf_ - one.t); }));
+}
+
+void Breaks::begin_piece(double t) {
+  const std::size_t next = first_after(t);
+  from_break_ = next > 0 && same(points_[next - 1].t, t);
+  start_ = from_break_ ? points_[next - 1].t : t;
+  enter(t);
+}
+
+/// Functions see the piece from t up to the breakpoint to which steps lead from now on.
+void Breaks::enter(double t) {
+  const std::size_t next = first_after(t);
+  const bool breaks = next < points_.size();
+  target_ = breaks ? points_[next].t : tf_;
+  if (piece_ != nullptr) piece_->enter(start_, from_break_, target_, breaks);
+}
+
+std::size_t Breaks::first_after(double t) const {
+  std::size_t next = next_;
+  while (next < points_.size() && same(points_[next].t, t)) ++next;
+  return next;
+}
+
+}  // namespace invariode

@@ -1,0 +1,38 @@
+#pragma once
+// What implicit methods have besides the step contract: their linear algebra.
+
+#include "callback.hpp"
+#include "linear/work.hpp"
+#include "step.hpp"
+
+namespace invariode {
+
+struct Matrix;
+
+/// Implemented, beside Step, by methods that use ∂f/∂y.
+class ImplicitStep {
+ public:
+  ImplicitStep() = default;
+  ImplicitStep(const ImplicitStep&) = delete;
+  ImplicitStep& operator=(const ImplicitStep&) = delete;
+
+  /// What the linear algebra did so far, and what went wrong with it in the last attempt.
+  [[nodiscard]] virtual LinearWork linear_work() const = 0;
+  /// ∂f/∂y; null: the method knows it by its products, or has none of its own.
+  [[nodiscard]] virtual const Matrix* jacobian() const { return nullptr; }
+  /// ∂f/∂y at the point reached, where f is `slope`, times v, both (n,), of a method that knows ∂f/∂y by its products.
+  virtual Status multiply_jacobian(const double* /*slope*/, const double* /*v*/, double* /*out*/) { return Status::ok; }
+  /// There will be no further attempt: memory that only attempts need may be given back.
+  virtual void end_attempts() {}
+
+ protected:
+  ~ImplicitStep() = default;
+};
+
+/// Of an explicit method: nothing.
+inline LinearWork linear_work(const Step& step) {
+  const auto* implicit = dynamic_cast<const ImplicitStep*>(&step);
+  return implicit != nullptr ? implicit->linear_work() : LinearWork{};
+}
+
+}  // namespace invariode

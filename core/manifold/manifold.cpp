@@ -1,0 +1,175 @@
+#include "manifold/manifold.hpp"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "manifold/thresholds.hpp"
+
+namespace invariode {
+namespace {
+
+constexpr int start_iterations = 5;  // of the projection of the start within bounds: Newton's is at roundoff then
+
+}  // namespace
+
+Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Settings& settings, const Step& step,
+                   bool with_events)
+    : invariants_(terms.steps),
+      bounds_(terms.bounds),
+      off_bounds_only_(terms.off_bounds_only),
+      check_(settings.check),
+      weights_(weights),
+      n_(weights.size()) {
+  if (invariants_ != nullptr) {
+    projector_.emplace(*invariants_, weights, settings.iterations, settings.negligible);
+    guard_.emplace(*invariants_, weights, *terms.slope, std::abs(settings.tf - settings.t0));
+    if (with_events && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights);
+    harm_.emplace(n_);
+    if (invariants_->along_steps()) {
+      directions_.resize(step.max_directions());
+      if (directions_.empty())
+        throw std::invalid_argument("this method does not tell what its steps are made of: use direction='gradient'");
+    }
+    drift.residual.resize(invariants_->m());
+    drift.distance.resize(invariants_->m());
+    if (bounds_ != nullptr) active_set_.emplace(*projector_, *bounds_);
+    if (invariants_->any_one_sided()) one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr);
+  }
+  if (any()) y1_.resize(n_);
+  if (terms.between != nullptr) output_projector_.emplace(*terms.between, weights, 1);
+}
+
+// ---------------------------------------------------------------------------------------------- where a solution
+// starts
+
+Status Manifold::start(double t, const double* y) { return one_sided_ ? one_sided_->start(t, y) : Status::ok; }
+
+Outcome Manifold::project_start(double t, double* y) {
+  assert(active_set_);
+  for (int i = 0; i < start_iterations; ++i) {
+    std::copy(y, y + n_, y1_.begin());
+    const Outcome outcome = active_set_->project(t, y1_.data(), y).outcome;
+    if (outcome != Outcome::ok) return outcome;
+  }
+  return Outcome::ok;
+}
+
+Finding Manifold::restart(double t, double* y, bool rehold) {
+  constexpr Finding stop{.kind = Finding::Kind::stop};
+  if (invariants_ == nullptr) return {};
+  if (rehold && restoration_ && restoration_->restore(t, y) == Status::stop) return stop;
+  if (rehold && invariants_->hold(t, y) == Status::stop) return stop;
+  if (const Finding finding = guard_->start_value(t, y); finding.kind != Finding::Kind::none) return finding;
+  if (one_sided_ && one_sided_->go_on(t, y) == Status::stop) return stop;
+  return {};
+}
+
+void Manifold::forget() {
+  if (projector_) projector_->forget();
+}
+
+// ------------------------------------------------------------------------------------------------------- the candidate
+
+Manifold::Placed Manifold::place(Step& step, StepEnds& ends, Counts& counts) {
+  assert(any() && ends.t0 != ends.t1);
+  const double* candidate = ends.y1;
+  correction_ = 0;
+  if (bounds_ != nullptr && !move_onto_bounds(step, ends)) return Placed::outside;
+  if (!projector_ || (off_bounds_only_ && !outside_.off_bounds)) return Placed::accepted;
+  ends.y1 = candidate;
+  return project(step, ends, counts);
+}
+
+/// False: the candidate is outside of the bounds by more than the tolerance.
+bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
+  const Bounds::Excess outside = bounds_->excess(ends.y1, weights_);
+  outside_ = {.off_bounds = outside.component >= 0, .component = outside.component};
+  step.moved_onto_bounds(outside_.off_bounds);
+  projected_ = {};
+  projected_.skipped = true;  // until it is projected
+  if (!outside_.off_bounds) return true;
+  if (outside.size > weights_.rtol()) return false;
+  std::copy(ends.y1, ends.y1 + n_, y1_.begin());
+  outside_.clipped = bounds_->clip(y1_.data());
+  ends.y1 = y1_.data();
+  return true;
+}
+
+/// y₁ from the candidate y*. A correction that is too large fails the attempt.
+Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, Counts& counts) {
+  const double* candidate = ends.y1;
+  std::copy(candidate, candidate + n_, y1_.begin());
+  if (!directions_.empty()) choose_directions(step);
+  projected_ = one_sided_    ? one_sided_->project(ends.t1, ends.y0, y1_.data())
+               : active_set_ ? active_set_->project(ends.t1, ends.y0, y1_.data())
+                             : projector_->project(ends.t1, ends.y0, y1_.data());
+  ++(projected_.skipped ? counts.skipped : counts.projections);
+  if (projected_.outcome == Outcome::stop) return Placed::stop;
+  const bool defined = projected_.outcome == Outcome::ok;
+  correction_ = defined ? projected_.correction : std::numeric_limits<double>::infinity();
+  const bool large = correction_ > largest_correction * weights_.rtol();
+  if (large && (!defined || !(correction_ <= roundoff_of_correction()))) return Placed::too_far;
+  if (check_ && !at_bounds())
+    harm_->note(step, counts.steps, candidate, y1_.data(), projector_->linearization().weights.data());
+  ends.y1 = y1_.data();
+  return Placed::accepted;
+}
+
+/// What the step is made of.
+void Manifold::choose_directions(const Step& step) {
+  const std::size_t count = step.directions(directions_.data());
+  projector_->seek_along({directions_.data(), count});
+}
+
+/// What roundoff in g does to a correction.
+double Manifold::roundoff_of_correction() const {
+  const Linearization at = projector_->linearization();
+  double largest = 0;
+  for (std::size_t i = 0; i < at.m(); ++i)
+    if (at.row_norm[i] > 0)
+      largest = std::max(largest, invariants_->roundoff(i, at.y.data(), at.jacobian.data()) / at.row_norm[i]);
+  return largest;
+}
+
+int Manifold::undefined() const {
+  return projector_ && projected_.outcome == Outcome::not_finite ? projector_->undefined() : -1;
+}
+
+// ---------------------------------------------------------------------------------------------------- an accepted step
+
+void Manifold::note(Counts& counts) {
+  assert(projected_.residual.size() <= drift.residual.size());
+  for (std::size_t i = 0; i < projected_.residual.size(); ++i) {
+    drift.residual[i] = std::max(drift.residual[i], std::abs(projected_.residual[i]));
+    drift.distance[i] = std::max(drift.distance[i], projected_.distance[i] / weights_.rtol());
+  }
+  drift.correction = std::max(drift.correction, correction_ / weights_.rtol());
+  if (bounds_ == nullptr) return;
+  clipped += outside_.clipped;
+  counts.clipped += outside_.off_bounds ? 1 : 0;
+}
+
+/// What rises over a step rises at one of its ends, unless its rate changes sign twice within.
+Finding Manifold::judge(const StepEnds& ends, const Step& step, std::int64_t number, bool at_break, bool after_break) {
+  if (!guard_ || !check_ || projected_.skipped) return {};
+  if (one_sided_ && one_sided_->engaged() && !after_break)
+    if (const Finding finding = guard_->violated(ends.t0, ends.y0, ends.h, number); finding.kind != Finding::Kind::none)
+      return finding;
+  if (at_break) return {};
+  const Finding finding = guard_->rate(projector_->linearization(), ends.t1, step.slope(), ends.h, number);
+  if (finding.kind != Finding::Kind::none || at_bounds()) return finding;
+  return guard_->corrected(correction_, ends.t1, ends.y1, ends.h, number);
+}
+
+void Manifold::state(Archive& archive) {
+  for (std::optional<Projector>* one : {&projector_, &output_projector_})
+    if (*one) (*one)->state(archive);
+  if (guard_) guard_->state(archive);
+  if (restoration_) restoration_->state(archive);
+  if (harm_) harm_->state(archive);
+}
+
+}  // namespace invariode

@@ -1,0 +1,133 @@
+#pragma once
+// What a run keeps its solution on: the invariants and the bounds, with all that imposes and tests them.
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "archive.hpp"
+#include "manifold/active_set.hpp"
+#include "manifold/bounds.hpp"
+#include "manifold/finding.hpp"
+#include "manifold/guard.hpp"
+#include "manifold/harm.hpp"
+#include "manifold/invariants.hpp"
+#include "manifold/one_sided.hpp"
+#include "manifold/projection.hpp"
+#include "manifold/restoration.hpp"
+#include "manifold/slope.hpp"
+#include "report.hpp"
+#include "settings.hpp"
+#include "step.hpp"
+#include "weights.hpp"
+
+namespace invariode {
+
+/// What the solution is kept on: `steps` by projection after each step, `between` in the output between them; `slope`
+/// is y' as a function, with which invariants are tested. Null: no invariants. And within bounds, or null. All belong
+/// to the caller.
+struct ManifoldTerms {
+  Invariants* steps = nullptr;
+  Invariants* between = nullptr;
+  Slope* slope = nullptr;
+  const Bounds* bounds = nullptr;
+  bool off_bounds_only = false;  ///< steps are projected only after they were moved onto bounds
+};
+
+/// An accepted step, or an attempt of one, from (t0, y0) by h to (t1, y1).
+struct StepEnds {
+  double t0, t1, h;
+  const double *y0, *y1;
+};
+
+class Manifold {
+ public:
+  /// `with_events`: whose actions may make the solution jump.
+  Manifold(const ManifoldTerms& terms, const Weights& weights, const Settings& settings, const Step& step,
+           bool with_events);
+  Manifold(const Manifold&) = delete;
+  Manifold& operator=(const Manifold&) = delete;
+
+  /// There is something to keep the solution on.
+  [[nodiscard]] bool any() const { return projector_ || bounds_ != nullptr; }
+  [[nodiscard]] const Bounds* bounds() const { return bounds_; }
+  [[nodiscard]] const Invariants* invariants() const { return invariants_; }
+  [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
+  [[nodiscard]] Projector* output_projector() { return output_projector_ ? &*output_projector_ : nullptr; }
+  [[nodiscard]] Guard* guard() { return guard_ ? &*guard_ : nullptr; }
+  [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
+  [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
+
+  /// The solution starts at (t, y), where it has been moved onto the manifold.
+  Status start(double t, const double* y);
+  /// The same after a jump. `rehold`: onto what an impact keeps, with new values of what it does not.
+  Finding restart(double t, double* y, bool rehold);
+  /// What is known of the gradients does not hold where the solution goes on.
+  void forget();
+  /// The start, which is within bounds, onto the manifold within them. Not finite: there is no such point near it.
+  Outcome project_start(double t, double* y);
+
+  /// How `place` ended: `outside` of the bounds by more than the tolerance; moved too far by the projection, or not
+  /// projected; `stop`: a user function asks to.
+  enum class [[nodiscard]] Placed { accepted, outside, too_far, stop };
+  /// y₁ from the candidate y*, both in `ends.y1`: moved onto bounds and manifold.
+  Placed place(Step& step, StepEnds& ends, Counts& counts);
+  /// max_i |y*_i − y₁_i| / w_i; infinite where y* could not be projected.
+  [[nodiscard]] double correction() const { return correction_; }
+  /// The component for which the candidate was `outside`.
+  [[nodiscard]] int outside_component() const { return outside_.component; }
+  /// The invariant that could not be projected, since it is not finite at the candidate; -1: none.
+  [[nodiscard]] int undefined() const;
+
+  /// The candidate was accepted.
+  void note(Counts& counts);
+  /// Does f keep the invariants in accepted step number `number`? `at_break`, `after_break`: it ends, or starts, at a
+  /// breakpoint, where there is no room for differences.
+  Finding judge(const StepEnds& ends, const Step& step, std::int64_t number, bool at_break, bool after_break);
+  /// The step stands: there is no way back behind it.
+  void commit() {
+    if (one_sided_) one_sided_->commit();
+  }
+
+  void state(Archive& archive);
+  void archive_drift(Archive& archive) { archive(clipped, drift.residual, drift.distance, drift.correction); }
+
+  Drift drift;
+  double clipped = 0;  ///< what moving candidates onto bounds has added to the sum of the components
+
+ private:
+  /// The latest candidate and the bounds, if there are any.
+  struct Outside {
+    bool off_bounds = false;  // whether it was outside
+    double clipped = 0;       // what moving it onto them added to the sum of its components
+    int component = -1;       // the farthest
+  };
+
+  bool move_onto_bounds(Step& step, StepEnds& ends);
+  Placed project(const Step& step, StepEnds& ends, Counts& counts);
+  void choose_directions(const Step& step);
+  [[nodiscard]] double roundoff_of_correction() const;
+  /// The correction belongs to the bounds as well: it says nothing about the invariants.
+  [[nodiscard]] bool at_bounds() const { return active_set_ && active_set_->active(); }
+
+  Invariants* invariants_;
+  const Bounds* bounds_;
+  bool off_bounds_only_, check_;
+  const Weights& weights_;
+  std::size_t n_;
+  std::optional<Projector> projector_;         // of the steps
+  std::optional<Projector> output_projector_;  // of points between steps
+  std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
+  std::optional<OneSided> one_sided_;          // and where some invariants may only rise or fall
+  std::optional<Guard> guard_;
+  std::optional<Restoration> restoration_;  // after jumps
+  std::optional<HarmDetector> harm_;
+  Outside outside_;
+  Projected projected_;                    // of the accepted candidate
+  double correction_ = 0;                  // of the latest candidate
+  std::vector<double> y1_;                 // the projected candidate
+  std::vector<const double*> directions_;  // of corrections, where they are those of the step
+};
+
+}  // namespace invariode

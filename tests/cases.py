@@ -1,0 +1,57 @@
+"""Which cases a law is tested with. A case is worth its time if it can fail alone: all methods (the fixture `method`)
+where the code under test is theirs, one of each family where it only meets their memory, two where it is the same for
+all; and where several lists meet, some of their combinations instead of all (tests/mutation measures what is lost)."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterable
+
+import pytest
+
+import invariode as iv
+from problems import implicit, switching
+
+#: One method of each family of formulas: its first one, of the explicit pairs the default method.
+_FIRST = {about.family: name for name, about in reversed(list(iv.METHODS.items()))}
+FAMILIES = sorted((_FIRST | {iv.METHODS["ode45"].family: "ode45"}).values(), key=list(iv.METHODS).index)
+
+#: The methods for stiff problems, and those of them that take M(t) and singular M.
+IMPLICIT = [name for name in iv.METHODS if implicit(name) and not switching(name)]
+ALGEBRAIC = [name for name, about in iv.METHODS.items() if about.mass == "any"]
+
+families = pytest.mark.parametrize("method", FAMILIES)
+explicit_and_implicit = pytest.mark.parametrize("method", ["ode45", "ode15s"])
+
+#: Fixtures that look up what a name stands for.
+LOOKED_UP = ("problem", "run", "draw", "code", "algebraic_code")
+
+
+def combinations(count: int, lists: list[list[object]]) -> list[tuple[object, ...]]:
+    """`count` rows of the product of the lists: each next one takes the values that came least so far, and of those the
+    pairs of values that came least."""
+    left = list(itertools.product(*(range(len(values)) for values in lists)))
+    came: Counter[object] = Counter()
+
+    def singles(row: tuple[int, ...]) -> list[object]:
+        return list(enumerate(row))
+
+    def often(row: tuple[int, ...]) -> tuple[int, int]:
+        alone = singles(row)
+        return sum(came[one] for one in alone), sum(came[pair] for pair in itertools.combinations(alone, 2))
+
+    rows = []
+    for _ in range(count):
+        row = min(left, key=often)
+        left.remove(row)
+        came.update(singles(row))
+        came.update(itertools.combinations(singles(row), 2))
+        rows.append(tuple(values[i] for values, i in zip(lists, row, strict=True)))
+    return rows
+
+
+def dealt(count: int, /, **lists: Iterable[object]) -> pytest.MarkDecorator:
+    """Parametrize with `count` of the combinations of the lists."""
+    rows = combinations(count, [list(values) for values in lists.values()])
+    return pytest.mark.parametrize(tuple(lists), rows, indirect=[name for name in lists if name in LOOKED_UP])
