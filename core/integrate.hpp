@@ -35,12 +35,12 @@ namespace invariode {
 struct LoopFunctions {
   Callback f;                             ///< jumps of f are looked for in it
   BoundedSlope* bounded_slope = nullptr;  ///< what the method integrates within bounds; null: f itself
-  std::vector<EventFunction> events = {};
-  std::vector<Breakpoint> breakpoints = {};
+  std::vector<EventFunction> events;
+  std::vector<Breakpoint> breakpoints;
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
   /// Moves y at t onto the algebraic equations; empty: there are none.
-  std::function<Consistency(double t, double* y)> consistent = {};
-  Callback callback = {};  ///< after each step; may be empty
+  std::function<Consistency(double t, double* y)> consistent;
+  Callback callback;  ///< after each step; may be empty
 };
 
 /// Integrates one initial value problem with one method. `start` then `advance` by accepted steps, or `run` to the end;

@@ -251,7 +251,7 @@ def test_damaged_files_are_refused(tmp_path):
 def test_the_parts_of_the_output_are_all_there_and_those_of_continuous_output_in_order(dense_output, order, tmp_path):
     """Behind right checksums."""
     path = tmp_path / "run.checkpoint"
-    problem().solve(checkpoint=path, checkpoint_every=1e-9, dense_output=dense_output, max_steps=4)
+    problem().solve(checkpoint=iv.Checkpoint(path, every=1e-9), dense_output=dense_output, max_steps=4)
     (output,) = tmp_path.glob("run.checkpoint.output-*")
     whole, parts = output.read_bytes(), []
     start = at = whole.index(b"\n") + 1

@@ -302,7 +302,7 @@ def test_in_a_notebook_the_bar_is_html(notebook, monkeypatch):
 
 
 def test_in_a_notebook_a_bar_needs_no_rich(notebook, monkeypatch, capsys):
-    monkeypatch.setattr(progress, "_rich", None)
+    monkeypatch.setitem(sys.modules, "rich.progress", None)
     iv.solve_ivp(lambda t, y: -y, (0, 20), [1.0], progress=True)
     assert capsys.readouterr() == ("", "")
     assert "100%" in notebook.shown[-1]

@@ -238,7 +238,7 @@ def test_what_another_process_has_added_is_not_undone(tmp_path, monkeypatch):
 
 def test_every_part_of_the_output_must_be_of_the_run(tmp_path):
     for name in ("a", "b"):
-        problem().solve(checkpoint=tmp_path / name, checkpoint_every=1e-9)
+        problem().solve(checkpoint=iv.Checkpoint(tmp_path / name, every=1e-9))
     first, second = sorted(tmp_path.glob("*.output-*"))
     whole, other = first.read_bytes(), second.read_bytes()
     head = whole.index(b"\n") + 1

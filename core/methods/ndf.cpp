@@ -166,10 +166,11 @@ double Ndf::optimal_h(int k, double error, double safety) const {
   return shrink > 1 / largest_growth ? h_ / shrink : h_ * largest_growth;
 }
 
-/// Whether J is looked at: one that is not stiff cannot be much too large.
+/// Whether J is looked at: one that is not stiff cannot be much too large. Residuals of M y' = f have no scale.
 bool Ndf::look_due(double c) {
   const int age = solver_.jacobian_age();
-  return !solver_.matrix_free() && age > 0 && age % look_period == 0 && solver_.stiff(c, weight_.data());
+  return !solver_.matrix_free() && solver_.mass() == nullptr && age > 0 && age % look_period == 0 &&
+         solver_.stiff(c, weight_.data());
 }
 
 /// Whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong, and in

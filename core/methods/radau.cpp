@@ -66,6 +66,8 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       accepted_(lowest_),
       convergence_(newton_rules(*lowest_)) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
+  if (solver_.has_matrices())  // others try no part of an update
+    for (std::vector<double>* v : {&update_, &untried_}) v->reserve(residuals_.size());
   provide({&f_, &last_y_, &error_vector_, &gap_, &scratch_});
   if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);

@@ -170,6 +170,7 @@ void Run::start_loop() {
                           .events = all.events,
                           .breakpoints = all.breakpoints,
                           .piece = &piece_,
+                          .consistent = {},
                           .callback = all.callback};
   if (mass_ && mass_->singular())
     functions.consistent = [this](double t, double* y) {

@@ -62,7 +62,7 @@ def outcome(tests: Path, names: list[str], environment: dict[str, str], folder: 
         with suppress(BaseException):
             code = int(pytest.main(["-q", "-x", "-n0", "--tb=line", "-p", "no:cacheprovider", *names]))
         os._exit(code)
-    end = time.monotonic() + 20 * seconds  # of a test that waits for ever
+    end = time.monotonic() + 3 * seconds  # of a test that waits for ever
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:

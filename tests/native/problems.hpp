@@ -300,9 +300,16 @@ class Run {
     settings.iterations = method.iterations;
     if (settings.hmax == 0) settings.hmax = std::abs(settings.tf - settings.t0) / 10;
     Invariants* g = invariants ? &*invariants : nullptr;
-    integration.emplace(
-        make_step(method, f, weights, options.fsal), weights, ManifoldTerms{.steps = g, .between = g, .slope = &slope},
-        LoopFunctions{.f = f, .events = std::move(options.events), .callback = options.callback}, std::move(settings));
+    integration.emplace(make_step(method, f, weights, options.fsal), weights,
+                        ManifoldTerms{.steps = g, .between = g, .slope = &slope},
+                        LoopFunctions{.f = f,
+                                      .bounded_slope = nullptr,
+                                      .events = std::move(options.events),
+                                      .breakpoints = {},
+                                      .piece = nullptr,
+                                      .consistent = {},
+                                      .callback = options.callback},
+                        std::move(settings));
   }
   Run(const Run&) = delete;
 

@@ -12,7 +12,7 @@ def extra(module: str, what: str, of: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError as missing:
-        if missing.name != package:
+        if (missing.name or "").partition(".")[0] != package:
             raise
         message = f'{what} {package}: pip install "invariode[{of}]"'
         raise ModuleNotFoundError(message, name=package) from None

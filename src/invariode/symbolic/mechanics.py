@@ -45,7 +45,7 @@ class Hamiltonian(Phase):
         q0, p0 : dict or array_like
             Initial coordinates and momenta, by symbol or in the order of q and of p.
         laws, compiled, name
-            As for `Lagrangian.problem`.
+            As for `invariode.symbolic.mechanics.Lagrangian.problem`.
         """
         return self._problem(t_span, self._start(q0, p0), laws=laws, compiled=compiled, name=name)
 

@@ -52,7 +52,7 @@ class Multibody(SymbolicSystem):
             `invariode.InvariantError`, or it is moved onto them, with a warning, by the least change in the metric of
             the mass matrix (for Kane's method in the Euclidean one).
         correction, compiled, name
-            As for `Lagrangian.problem`.
+            As for `invariode.symbolic.mechanics.Lagrangian.problem`.
 
         Raises
         ------

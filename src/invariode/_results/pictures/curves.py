@@ -76,7 +76,7 @@ def _by_slopes(sol: Result, slopes: tuple[Array, Array]) -> Curve:
     for first, last in pairwise([0, *_jumps(sol), len(t)]):
         steps = slice(first, last - 1)  # of which each has its points one after the other
         times = np.append((t[steps] + x * h[steps]).T.ravel(), t[last - 1])
-        values = inside[:, :, steps].transpose(0, 2, 1).reshape(len(y), -1)
+        values = inside[:, :, steps].transpose(0, 2, 1).reshape(len(y), len(times) - 1)
         values = np.concatenate([values, y[:, last - 1 : last]], axis=1)
         values[:, :: len(x)] = y[:, first:last]  # to the last bit
         pieces.append((times, values))
