@@ -37,8 +37,11 @@ INVARIODE_EACH Aimed<Real, Mask> aimed(const Real& t, const Real& proposed, cons
                                        double hmax, double forward, double target) {
   const Real goal(target), rest = goal - t, distance = absolute(rest);
   const Real size = larger(hmin, smaller(Real(hmax), proposed));
-  const Mask near = (distance <= stretch * size) & (distance <= reach * larger(size, proposed));
-  const Real h = choose(near, rest, forward * size), t1 = choose(near, goal, t + h);
+  const Real full = forward * size, ahead = t + full;
+  const Mask close = distance <= stretch * size;
+  if (!any(close)) return {full, ahead, close};  // a tenth of hmin is left at least, which no rounding bridges
+  const Mask near = close & (distance <= reach * larger(size, proposed));
+  const Real h = choose(near, rest, full), t1 = choose(near, goal, ahead);
   return {h, t1, Mask(near | ((t1 <= goal) & (goal <= t1)))};  // rounding may lead there too
 }
 

@@ -16,6 +16,7 @@
 
 namespace invariode {
 
+inline bool any(bool condition) { return condition; }
 inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }
 inline double absolute(double x) { return std::abs(x); }
 inline double square_root(double x) { return std::sqrt(x); }

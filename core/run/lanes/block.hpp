@@ -251,16 +251,16 @@ class Block {
 
   /// Takes the candidates onto the manifold.
   INVARIODE_SHARED void project(M& accepted, LaneStep<W>& step) {
-    if (bits(accepted) == 0) return;
+    if (!any(accepted)) return;
     doubt(held_.project(accepted, step), accepted);
     step.y1 = step.reached_y = held_.projected();
   }
 
   /// Whether steps that are about to be accepted speak against the invariant.
   INVARIODE_SHARED void judge(M& accepted, const LaneStep<W>& step) {
-    if (bits(accepted) == 0) return;
+    if (!any(accepted)) return;
     const M noted = held_.to_be_noted(accepted, row(Rows::steps));
-    if (bits(noted) != 0) {
+    if (any(noted)) {
       Kernel::errors(step.purified, k_, job_.n, stage_);
       held_.note_harm(noted, stage_, candidate_);
     }
@@ -273,10 +273,10 @@ class Block {
 
   /// The events and the outputs of steps that are about to be accepted; `inside_`: those where these are odd.
   INVARIODE_SHARED void look_inside(const M& accepted, LaneStep<W>& step) {
-    if (bits(accepted) == 0) return;
+    if (!any(accepted)) return;
     const M inside = watches() ? accepted : outputs_.inside(outputs_.due(accepted, step.t1), step.t1);
     M odd = no_lane<W>();
-    if (bits(inside) != 0) {
+    if (any(inside)) {
       odd = inside & further_stages(step);
       Kernel::coefficients(step.purified, k_, job_.n, between_.coefficients());
       between_.begin(step);
@@ -285,7 +285,7 @@ class Block {
     if (holds()) held_.look_inside(accepted, inside, step);
     if (watches()) find_events(accepted & ~odd, step, odd);
     const M due = outputs_.due(accepted & ~odd, step.reached_t);
-    if (bits(due) != 0)
+    if (any(due))
       odd = odd | outputs_.put_out(due, step, between_, holds() ? &held_ : nullptr, [this](int l) { return lane(l); });
     inside_ = bits(odd);
   }
@@ -352,7 +352,7 @@ class Block {
   /// So many of them may be a stiff problem: single runs find that out.
   void note_stability(const M& accepted, const LaneStep<W>& step) {
     const M now = accepted & multiple_of(row(Rows::steps), StepLook::every);
-    if (bits(now) == 0) return;
+    if (!any(now)) return;
     const auto weight = weight_of(y_, step.y1);
     const auto probed = Kernel::probed(k_, job_.n, step.purified, step.y1, candidate_, weight);
     LaneNorm<W> moved;

@@ -68,7 +68,7 @@ class Held {
     now_[Rows::norm] = choose(sound, norm_, now_[Rows::norm]);
     count(Rows::evaluations, sound, invariant().iterations);
     count(Rows::jacobians, sound, invariant().iterations);
-    if (bits(sound & doubtful) != 0) odd = odd | measure_after(sound & doubtful, step);
+    if (any(sound & doubtful)) odd = odd | measure_after(sound & doubtful, step);
     return odd & due;
   }
   [[nodiscard]] const P* projected() const { return y1_; }
@@ -94,11 +94,11 @@ class Held {
     if (!invariant().tested) return no_lane<W>();
     M odd = P(suspicious_correction * job_.rtol) < moved_;
     const M looks = due & (now_[Rows::next_look] <= steps);
-    if (bits(looks) != 0) odd = odd | changes_with_time(bits(looks), step, steps);
+    if (any(looks)) odd = odd | changes_with_time(bits(looks), step, steps);
     P drift;
     const M suspicion = due & suspicious(step.h, f, drift);
     const M asked = suspicion & ((now_[Rows::quiet] <= steps) | (much_larger * now_[Rows::acquitted] < drift));
-    if (bits(asked) != 0) odd = odd | convicted(asked, drift, step, steps);
+    if (any(asked)) odd = odd | convicted(asked, drift, step, steps);
     return odd & due;
   }
 
@@ -108,8 +108,8 @@ class Held {
   INVARIODE_SHARED void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
     const M known = P(0) < now_[Rows::known], asked = looked & ~known;
     start_ = now_[Rows::end];
-    if (job_.projects && bits(asked) != 0) start_ = choose(known, start_, g(step.t0, step.y0, step.p));
-    if (job_.projects && bits(looked) != 0) {
+    if (job_.projects && any(asked)) start_ = choose(known, start_, g(step.t0, step.y0, step.p));
+    if (job_.projects && any(looked)) {
       now_[Rows::end] = choose(looked, g(step.t1, step.y1, step.p), now_[Rows::end]);
       count(Rows::evaluations, looked, 1);
       count(Rows::evaluations, asked, 1);
@@ -121,7 +121,7 @@ class Held {
   INVARIODE_SHARED M onto(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* y) {
     const P target = (P(1) - theta) * start_ + theta * now_[Rows::end] - held_;
     M odd = no_lane<W>(), open = due & (P(0) < theta) & (theta < P(1));
-    for (int iteration = 0; iteration < interpolation_iterations && bits(open) != 0; ++iteration) {
+    for (int iteration = 0; iteration < interpolation_iterations && any(open); ++iteration) {
       const P residual = (g(t, y, step.p) - held_) - target;
       odd = odd | (open & (linearize(t, y, step.p) | ~(absolute(residual) < P(infinity))));
       count(Rows::evaluations, open, 1);
@@ -185,7 +185,7 @@ class Held {
     }
     invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
     const M bends = (P(slight_bend) < bent) & (P(0) < length);
-    if (bits(bends) != 0) doubtful = doubtful | (bends & bends_sharply(bent, step.y0, y1_, delta_, job_.n));
+    if (any(bends)) doubtful = doubtful | (bends & bends_sharply(bent, step.y0, y1_, delta_, job_.n));
     for (std::size_t i = 0; i < job_.n; ++i) y1_[i] = y1_[i] - delta_[i];
     return odd;
   }

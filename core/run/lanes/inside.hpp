@@ -79,10 +79,10 @@ class Outputs {
   template <class LaneOf>
   INVARIODE_SHARED M put_out(M due, const LaneStep<W>& step, const Between<W>& between, Held<W>* held, LaneOf lane) {
     M odd = no_lane<W>();
-    for (; bits(due) != 0; due = this->due(due, step.reached_t)) {
+    for (; any(due); due = this->due(due, step.reached_t)) {
       const P at = choose(due, next_time_, step.reached_t);
       const M before_end = inside(due, step.reached_t);
-      if (bits(before_end) != 0) {
+      if (any(before_end)) {
         const P theta = choose(before_end, (at - step.t0) / step.purified, P(1));
         between.corrected(theta, value_);
         if (held != nullptr) odd = odd | (before_end & mend(value_, step.y1, job_.n));

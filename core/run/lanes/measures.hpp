@@ -69,7 +69,7 @@ INVARIODE_SHARED void replace(const Mask<W>& where, Pack<W>* v, const Pack<W>* i
 template <int W>
 INVARIODE_EACH Mask<W> mend(Pack<W>* v, const Pack<W>* instead, std::size_t n) {
   const Mask<W> odd = not_finite(v, n);
-  if (bits(odd) != 0) replace(odd, v, instead, n);
+  if (any(odd)) replace(odd, v, instead, n);
   return odd;
 }
 

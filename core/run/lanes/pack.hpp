@@ -198,6 +198,10 @@ unsigned bits(const Mask<W>& mask) {
   return r;
 }
 template <int W>
+bool any(const Mask<W>& mask) {
+  return bits(mask) != 0;
+}
+template <int W>
 Mask<W> to_mask(unsigned bits) {
   Mask<W> mask;
   for (int l = 0; l < W; ++l) mask.lanes()[l] = has(bits, l) ? -1 : 0;
