@@ -49,7 +49,7 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
-from .wrong_calls import explain, require_values
+from .wrong_calls import explain, wrong_length
 
 
 class Resumed(NamedTuple):
@@ -253,7 +253,9 @@ def presented(
     if exception := plan.exception(run):
         raise exception
     if run.state == "start_undefined":
-        require_values(source.problem)
+        problem = source.problem
+        if error := wrong_length(problem, problem.y0, problem.args):
+            raise error
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
