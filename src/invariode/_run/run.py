@@ -51,7 +51,7 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
-from .wrong_calls import explain, require_values
+from .wrong_calls import explain, wrong_length
 
 
 class Resumed(NamedTuple):
@@ -256,7 +256,9 @@ def presented(
     if exception := plan.exception(run):
         raise exception
     if run.state == "start_undefined":
-        require_values(source.problem)
+        problem = source.problem
+        if error := wrong_length(problem, problem.y0, problem.args):
+            raise error
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)
@@ -417,6 +419,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     if not (old.success or old.status == LIMIT_REACHED):
         raise ValueError(f"a run that failed cannot be extended: {old.message}")
     tf = number("t_end", t_end)
+    if tf == origin.t:
+        return old
     forward = origin.forward or float(np.sign(tf - origin.t))
     if not forward * (tf - origin.t) > 0:
         raise ValueError(
