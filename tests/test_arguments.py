@@ -323,7 +323,7 @@ class TestProblemsDoNotChange:
 MATRICES = {
     "jac word": (
         dict(jac="garbage"),
-        "jac must be a function, a matrix, 'complex-step' or 'differences', got 'garbage'",
+        "jac must be a function, a matrix, 'trace', 'complex-step' or 'differences', got 'garbage'",
     ),
     "jac shape": (dict(jac=np.eye(3)), r"jac has shape \(3, 3\), expected shape \(2, 2\)"),
     "lband negative": (dict(lband=-7), "lband must be a bandwidth, an integer from 0 to 1, got -7"),

@@ -148,7 +148,7 @@ REFUSED = {
     "text": (
         {"jac": "exact"},
         ValueError,
-        "jac must be a function, a matrix, 'complex-step' or 'differences', got 'exact'",
+        "jac must be a function, a matrix, 'trace', 'complex-step' or 'differences', got 'exact'",
     ),
     "text for a pattern": ({"jac_sparsity": "some"}, ValueError, "jac_sparsity must be a matrix, 'detect' or 'dense'"),
     "None": ({"jac": lambda t, y: None}, TypeError, r"jac\(t, y\) must hold numbers"),

@@ -179,7 +179,11 @@ class TestOptionsOfSeveralFields:
             (lambda: iv.GMRES(preconditioner=3), TypeError, "preconditioner of GMRES must be a function"),
             (lambda: iv.Banded(-1, 1), ValueError, "lower of Banded must be a bandwidth, an integer from 0"),
             (lambda: iv.Banded(1, 1.5), TypeError, "upper of Banded must be a bandwidth"),
-            (lambda: iv.Banded(1, 1, "sparse"), ValueError, "fun of Banded must be a function, the bands, 'complex"),
+            (
+                lambda: iv.Banded(1, 1, "sparse"),
+                ValueError,
+                "fun of Banded must be a function, the bands, 'trace', 'complex",
+            ),
             (lambda: iv.Checkpoint(3), TypeError, "path of Checkpoint must be a str or path-like, got 3"),
             (lambda: iv.Checkpoint("run", every=0), ValueError, "every of Checkpoint must be positive, got 0"),
             (lambda: iv.Limits(steps=1.5), TypeError, "steps of Limits must be a positive integer, got 1.5"),

@@ -38,8 +38,35 @@ Status complex_linkage(void*, double, const double* z, double* out) {
   return Status::ok;
 }
 
+/// Its derivatives along (dt, dx), of (x, dt, dx).
+Status slope_of_linkage(void*, double t, const double* z, double* out) {
+  const double *x = z, *dx = z + 4;
+  out[0] = std::cos(x[0] + t) * (dx[0] + z[3]) * x[1] + std::sin(x[0] + t) * dx[1] + std::exp(-x[2]) * dx[2];
+  out[1] = 2 * x[1] * dx[1] * x[2] + x[1] * x[1] * dx[2];
+  return Status::ok;
+}
+
+Status curvature_of_linkage(void*, double t, const double* z, double* out) {
+  const double *x = z, *dx = z + 4;
+  const double turn = dx[0] + z[3];
+  out[0] = -std::sin(x[0] + t) * turn * turn * x[1] + 2 * std::cos(x[0] + t) * turn * dx[1] -
+           std::exp(-x[2]) * dx[2] * dx[2];
+  out[1] = 2 * dx[1] * dx[1] * x[2] + 4 * x[1] * dx[1] * dx[2];
+  return Status::ok;
+}
+
+Differentiable made_exact() {
+  const Differentiable::Forms forms{.function = {&real_linkage, nullptr},
+                                    .complex = {},
+                                    .quiet = {},
+                                    .slope = {&slope_of_linkage, nullptr},
+                                    .curvature = {&curvature_of_linkage, nullptr}};
+  return {forms, 3, 2};
+}
+
 Differentiable made(bool by_complex_steps) {
-  Differentiable::Forms forms{.function = {&real_linkage, nullptr}, .complex = {}, .quiet = {}};
+  Differentiable::Forms forms{
+      .function = {&real_linkage, nullptr}, .complex = {}, .quiet = {}, .slope = {}, .curvature = {}};
   if (by_complex_steps) forms.complex = forms.quiet = {&complex_linkage, nullptr};
   return {forms, 3, 2};
 }
@@ -127,6 +154,15 @@ TEST(derivatives_are_as_good_as_their_kind) {
       CHECK_CLOSE(second[i], curvature[i], complex ? 1e-10 : 1e-6);
     }
   }
+  Differentiable exact = made_exact();
+  double first[2], second[2];
+  CHECK(exact.slope(t, x, 1, dx, first) == Status::ok);
+  CHECK(exact.curvature(t, x, 1, dx, second) == Status::ok);
+  for (int i = 0; i < 2; ++i) {
+    CHECK_CLOSE(first[i], slope[i], 1e-15);
+    CHECK_CLOSE(second[i], curvature[i], 1e-15);
+  }
+  CHECK(exact.relative_error() == 0);
 }
 
 TEST(columns_without_a_common_row_cost_one_evaluation) {

@@ -9,7 +9,7 @@ import os
 import reprlib
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
@@ -165,6 +165,12 @@ def choice(name: str, value: object, known: Iterable[str]) -> str:
         return value
     listed = ", ".join(map(repr, known))
     raise ValueError(f"{name} must be one of {listed}, got {shown(value)}{meant(value, known)}")
+
+
+def either(known: Sequence[str]) -> str:
+    """The known names, for messages: 'a', 'b' or 'c'."""
+    *first, last = map(repr, known)
+    return f"{', '.join(first)} or {last}"
 
 
 def meant(given: object, known: Iterable[str]) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from .._base.arguments import count, function, path, positive, shown
+from .._base.arguments import count, either, function, path, positive, shown
 from .._functions.compiled import is_native
 
 __all__ = [
@@ -103,7 +103,7 @@ class Banded:
     ----------
     lower, upper : int
         Diagonals below and above the main one, each from 0 to n - 1.
-    fun : callable, (lower + upper + 1, n) array_like, 'complex-step' or 'differences', optional
+    fun : callable, (lower + upper + 1, n) array_like, 'trace', 'complex-step' or 'differences', optional
         ``fun(t, y, *args)`` returns the bands, an array of shape (lower + upper + 1, n) with entry (i, j) of the
         Jacobian at ``[upper + i - j, j]``; or these bands, if they are constant; or how they are computed from f, as
         for `jac`. Default: complex steps where these are the default of `jac`, else differences; lower + upper + 1
@@ -134,7 +134,7 @@ class Banded:
         for name in ("lower", "upper"):
             object.__setattr__(self, name, bandwidth(f"{name} of Banded", getattr(self, name)))
         if isinstance(self.fun, str) and self.fun not in JACOBIANS:
-            known = " or ".join(map(repr, JACOBIANS))
+            known = either(JACOBIANS)
             raise ValueError(f"fun of Banded must be a function, the bands, {known}, got {shown(self.fun)}")
         if isinstance(self.fun, Banded) or hasattr(self.fun, "matvec"):
             raise TypeError(f"fun of Banded must be a function or the bands, got {shown(self.fun)}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .._base.arguments import Array, as_array, shown
+from .._base.arguments import Array, as_array, either, shown
 from .._functions.compiled import is_native
 from .grouped import JACOBIANS, Banded, bandwidth
 
@@ -72,7 +72,7 @@ def _is_constant(given: Any) -> bool:
 
 def _word(name: str, given: str, known: tuple[str, ...], others: str) -> None:
     if given not in known:
-        raise ValueError(f"{name} must be {others}{' or '.join(map(repr, known))}, got {shown(given)}")
+        raise ValueError(f"{name} must be {others}{either(known)}, got {shown(given)}")
 
 
 def is_sparse(given: Any) -> bool:
