@@ -302,8 +302,8 @@ double Radau::next_h() const {
   return factor * h_;
 }
 
-/// Whether J is much too large, and updates were too small to show it: f at the end of the step, which is at hand, tells
-/// the residual of the last stage. Projection would add its own; residuals of M y' = f have no scale.
+/// Whether J is much too large, and updates were too small to show it: f at the end of the step, which is at hand,
+/// tells the residual of the last stage. Projection would add its own; residuals of M y' = f have no scale.
 bool Radau::misled(const double* y1) {
   if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return false;
   if (!std::equal(y1, y1 + n(), candidate_.begin())) return false;

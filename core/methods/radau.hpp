@@ -89,9 +89,9 @@ class Radau final : public ImplicitMethod<RadauSystems> {
   std::vector<double> f_;                 // f at (t, y): y' too, unless there is a mass matrix
   std::vector<double> gap_, scratch_;
   double residual_ = 0, update_size_ = 0;  // of the last stage before the last update, and that update
-  double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step
-  double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
-  int steps_until_raise_ = 0;           // of the order, at least
+  double memory_h_ = 0;                    // signed h of the polynomial; 0 before the first step
+  double last_h_ = 0, last_error_ = 0;     // |h| and error of the last accepted step; 0: there was none
+  int steps_until_raise_ = 0;              // of the order, at least
 };
 
 }  // namespace invariode

@@ -45,8 +45,8 @@ void DenseOutput::append(const DenseOutput& next, std::size_t first) {
   }
 }
 
-/// The segment that begins at knot k; if that is a jump or the end, the last step before it, or else the first one after
-/// it. The number of segments, if none is a step.
+/// The segment that begins at knot k; if that is a jump or the end, the last step before it, or else the first one
+/// after it. The number of segments, if none is a step.
 std::size_t DenseOutput::step_near(std::size_t k) const {
   const auto is_step = [this](std::size_t s) { return end_[s] != knots_.t[s]; };
   for (std::size_t s = std::min(k + 1, end_.size()); s-- > 0;)
