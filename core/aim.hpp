@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "archive.hpp"
+#include "number.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 
@@ -14,11 +15,37 @@ namespace invariode {
 
 inline constexpr double hmin_ulps = 16;  // hmin = 16 ulp(t) (docs/algorithms.md, 'Every method')
 inline constexpr double stretch = 1.1;   // a step that comes this close to the target lands on it
+inline constexpr double huge =
+    std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
 
-/// Turns the |h| that a method proposes into the next attempt, the first one of a step and every retry:
+/// An attempt of the signed size h that ends at t1. `lands`: that is the target.
+template <class Real, class Mask>
+struct Aimed {
+  Real h, t1;
+  Mask lands;
+};
+
+/// The attempt from t for the |h| that a method proposes:
 ///
 ///   hmin ≤ |h| ≤ hmax, except that an attempt that lands may be shorter, or longer by a tenth;
 ///   t1 = fl(t + h) lies before the target, or is the target itself, assigned exactly.
+///
+/// `reach`: so many times the step proposed may lead to the target. (The longest one may be stretched by a tenth in any
+/// attempt, or a retry with the same h would not land again.)
+template <class Mask, class Real>
+INVARIODE_EACH Aimed<Real, Mask> aimed(const Real& t, const Real& proposed, const Real& reach, const Real& hmin,
+                                       double hmax, double forward, double target) {
+  const Real goal(target), rest = goal - t, distance = absolute(rest);
+  const Real size = larger(hmin, smaller(Real(hmax), proposed));
+  const Real full = forward * size, ahead = t + full;
+  const Mask close = distance <= stretch * size;
+  if (!any(close)) return {full, ahead, close};  // a tenth of hmin is left at least, which no rounding bridges
+  const Mask near = close & (distance <= reach * larger(size, proposed));
+  const Real h = choose(near, rest, full), t1 = choose(near, goal, ahead);
+  return {h, t1, Mask(near | ((t1 <= goal) & (goal <= t1)))};  // rounding may lead there too
+}
+
+/// The attempts of a run, the first one of each step and every retry.
 class Aim {
  public:
   /// `forward`: 1, or −1 for a run backwards.
@@ -53,17 +80,10 @@ class Aim {
  private:
   static double smallest(double t) { return hmin_ulps * ulp(t); }
 
-  /// `reach`: so many times the step proposed may lead to the target. (The longest one may be stretched by a tenth in
-  /// any attempt, or a retry with the same h would not land again.)
   void take(double t, double proposed, double reach) {
-    constexpr double huge = std::numeric_limits<double>::max() / 16;  // on an infinite interval nothing else bounds h
     assert(forward_ * (target_ - t) > 0);
-    const double distance = std::abs(target_ - t);
-    const double size = std::max(hmin_, std::min({hmax_, huge, proposed}));
-    lands_ = stretch * size >= distance && reach * std::max(size, proposed) >= distance;
-    h_ = lands_ ? target_ - t : forward_ * size;
-    t1_ = lands_ ? target_ : t + h_;
-    lands_ = lands_ || t1_ == target_;  // rounding may lead there too
+    const auto [h, t1, lands] = aimed<bool>(t, proposed, reach, hmin_, std::min(hmax_, huge), forward_, target_);
+    h_ = h, t1_ = t1, lands_ = lands;
   }
 
   double forward_, hmax_;

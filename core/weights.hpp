@@ -12,6 +12,8 @@
 namespace invariode {
 
 inline constexpr double eps = std::numeric_limits<double>::epsilon();
+inline constexpr double cbrt_eps =
+    6.0554544523933395e-06;  // ε^{1/3}: the best relative increment of central differences
 
 /// |y_i| and tolerances below this give no scale for increments: 1e-40 of it, a complex step, must not underflow.
 inline constexpr double smallest_scale = 1e-250;

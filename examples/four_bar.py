@@ -35,7 +35,6 @@ def linkage():
     return symbolic.from_mechanics(
         method,
         parameters={g: 9.81},
-        invariants={"energy": kinetic + potential},
         points=[[sympy.S(0), sympy.S(0)], list(joints[1]), list(joints[2]), [GROUND, sympy.S(0)]],
     )
 

@@ -303,6 +303,22 @@ def test_from_nothing(method):
 
 
 @explicit_and_implicit
+def test_to_where_it_is(method, tmp_path):
+    """A job that is started again after it has finished returns what it has returned, any number of times."""
+    path = tmp_path / "run"
+    problem = iv.Problem(KEPLER.fun, (0, 2), KEPLER.y0)
+
+    def job():
+        return iv.load(path, problem).extend(2) if path.exists() else problem.solve(method, checkpoint=path, **TIGHT)
+
+    first, second, third = job(), job(), job()
+    for again in (second, third):
+        np.testing.assert_array_equal(again.y, first.y)
+        assert repr(again.stats) == repr(first.stats)
+    assert job().extend(3).t[-1] == 3
+
+
+@explicit_and_implicit
 def test_it_is_saved_and_loaded_like_any_other(method, tmp_path):
     sol = solve(method, (0, 2), events=crossing, dense_output=True, invariants=KEPLER.invariants()).extend(5)
     sol.save(tmp_path / "orbit.npz")
@@ -316,7 +332,7 @@ def test_it_is_saved_and_loaded_like_any_other(method, tmp_path):
 
 
 WRONG = {
-    "not beyond": (dict(t_end=2), ValueError, r"t_end must be beyond the end of the run, t = 2\.0"),
+    "not beyond": (dict(t_end=1.5), ValueError, r"t_end must be beyond the end of the run, t = 2\.0"),
     "the other way": (dict(t_end=-1), ValueError, "in its direction; got -1"),
     "NaN": (dict(t_end=np.nan), ValueError, "t_end must not be NaN"),
     "text": (dict(t_end="late"), TypeError, "t_end must be a real number"),

@@ -308,12 +308,13 @@ class TestFromMechanics:
         with pytest.raises(ValueError, match="call its kanes_equations or form_lagranges_equations first"):
             sy.from_mechanics(method)
         method.form_lagranges_equations()
-        theirs = sy.from_mechanics(method, invariants=[Eq(rod_, 0)]).problem((0, 5), [1, 0, 0, 0], compiled=False)
+        system = sy.from_mechanics(method, invariants=[Eq(rod_, 0)])
+        theirs = system.problem((0, 5), [1, 0, 0, 0], laws=False, compiled=False)
         ours = rod().problem((0, 5), [1, 0], [0, 0], laws=False, compiled=False)
         np.testing.assert_allclose(theirs.solve(rtol=1e-9).y[:, -1], ours.solve(rtol=1e-9).y[:, -1], atol=1e-7)
 
     def test_anything_else_is_refused(self):
-        with pytest.raises(TypeError, match="method must be a KanesMethod, a LagrangesMethod or a System"):
+        with pytest.raises(TypeError, match="method must be a KanesMethod or a LagrangesMethod"):
             sy.from_mechanics(3)
 
 
@@ -408,12 +409,13 @@ class TestConstraints:
             ("constraint 2", 0),
             ("rate of constraint 1", 1),
             ("rate of constraint 2", 1),
+            ("energy", 2),
         ]
         sol = problem.solve("ode45", rtol=1e-6)
         assert sol.success
         assert abs(sol.residual).max() < 1e-13
         named, *_ = crank_of_lagranges_method(invariants={"level": Eq(loop[1], 0), "other": Eq(-loop[0], 0)})
-        assert list(named.laws) == ["other", "level", "rate of other", "rate of level"]
+        assert list(named.laws) == ["other", "level", "rate of other", "rate of level", "energy"]
         with pytest.warns(UserWarning, match="was moved"):
             rough = system.problem((0, 3), [0.3, 0, 4, 1, 0, 0], consistent="project", compiled=False)
         assert abs(rough.invariants[1].fun(0, rough.y0)[0]) < 1e-12
@@ -422,7 +424,11 @@ class TestConstraints:
         """A pendulum in Cartesian coordinates, with one dependent coordinate and speed."""
         system = sy.from_mechanics(kanes_pendulum(), parameters={K: 1})
         problem = system.problem((0, 3), [0.6, 0.8, 0.8, -0.6], compiled=False)
-        assert self.levels(problem) == [("constraint 1", 0, [0, 1]), ("velocity constraint 1", 1, [2, 3])]
+        assert self.levels(problem) == [
+            ("constraint 1", 0, [0, 1]),
+            ("velocity constraint 1", 1, [2, 3]),
+            ("energy", 2, None),
+        ]
         sol = problem.solve("ode45", rtol=1e-6)
         np.testing.assert_allclose(np.hypot(*sol.y[:2]), 1, atol=1e-14)
         with pytest.warns(UserWarning, match="was moved"):
@@ -455,38 +461,131 @@ def kanes_pendulum():
     return method
 
 
+def kanes_spring(load=lambda q, u: -K * q, kinematics=lambda q, u: u, driven=0):
+    """A particle on a line, of mass 2, in a frame that may be driven, with a load along the line."""
+    from sympy.physics.mechanics import KanesMethod, Particle, Point, ReferenceFrame
+
+    q, u = dynamicsymbols("q u")
+    frame, origin = ReferenceFrame("N"), Point("O")
+    origin.set_vel(frame, 0)
+    bob = Point("P")
+    bob.set_vel(frame, (kinematics(q, u) + driven) * frame.x)
+    method = KanesMethod(frame, q_ind=[q], u_ind=[u], kd_eqs=[q.diff() - kinematics(q, u)])
+    method.kanes_equations([Particle("B", bob, 2)], [(bob, load(q, u) * frame.x)])
+    return method
+
+
+class TestLawsOfSymPysMechanics:
+    def test_the_energy_of_kanes_method(self):
+        """It is found where all speeds are independent, where some are not, and where q' is not u."""
+        q, u = dynamicsymbols("q u")
+        spring = sy.from_mechanics(kanes_spring(), parameters={K: 3})
+        assert sympy.simplify(spring.laws["energy"] - (u**2 + K * q**2 / 2)) == 0
+        bent = sy.from_mechanics(kanes_spring(kinematics=lambda q, u: u / (2 + q**2)), parameters={K: 3})
+        assert sympy.simplify(bent.laws["energy"] - (u**2 / (2 + q**2) ** 2 + K * q**2 / 2)) == 0
+        _, y, v, w = [*(method := kanes_pendulum()).q, *method.u]
+        pendulum = sy.from_mechanics(method, parameters={K: 1})
+        assert sympy.simplify(pendulum.laws["energy"] - ((v**2 + w**2) / 2 + K * y)) == 0
+        for system in (spring, bent):
+            problem = system.problem((0, 5), [0.4], [0.3], compiled=False)
+            assert [one.names for one in problem.invariants] == [["energy"]]
+            sol = problem.solve(rtol=1e-8, atol=1e-8)
+            assert abs(sol.residual).max() < 1e-14
+
+    @pytest.mark.parametrize(
+        "method",
+        [
+            {"load": lambda q, u: -K * q - u / 9},
+            {"load": lambda q, u: -K * q + cos(t)},
+            {"driven": sympy.Rational(1, 3)},
+            {"driven": cos(t)},
+        ],
+        ids=["damped", "pushed", "driven", "shaken"],
+    )
+    def test_no_energy_is_claimed_where_none_is_kept(self, method):
+        """A moving frame does work, and so may a load; the mass matrix alone does not show a driven frame."""
+        system = sy.from_mechanics(kanes_spring(**method), parameters={K: 3})
+        assert "energy" not in system.laws
+
+    def test_a_law_of_the_users_own_takes_the_place_of_the_same_one(self):
+        q, u = dynamicsymbols("q u")
+        system = sy.from_mechanics(kanes_spring(), parameters={K: 3}, invariants={"H": 5 - u**2 - K * q**2 / 2})
+        assert list(system.laws) == ["H"]
+
+    def test_lagranges_method_has_the_laws_of_lagrangian(self):
+        _, loop, (a, b, x) = crank_of_lagranges_method()
+        ours = sy.lagrangian((a.diff() ** 2 + b.diff() ** 2 + x.diff() ** 2) / 2 - sin(a), [a, b, x], constraints=loop)
+        theirs, *_ = crank_of_lagranges_method()
+        assert list(theirs.laws) == list(ours.laws)
+        start = [0.3, float(-np.arcsin(np.sin(0.3) / 3)), 0.0]
+        start[2] = float(np.cos(start[0]) + 3 * np.cos(start[1]))
+        ends = []
+        for system in (ours, theirs):
+            sol = system.problem((0, 2), start, [0, 0, 0], compiled=False).solve(rtol=1e-9, atol=1e-9)
+            ends.append([*sol.y[:, -1], *system.multipliers(sol)[:, -1]])
+        np.testing.assert_allclose(ends[1], ends[0], rtol=1e-6, atol=1e-7)
+
+    def test_multipliers_are_the_forces_of_the_constraints(self):
+        """On a unit circle under unit gravity, M v' = Q + Φᵀ λ says 2 λ = y - v²; redundant ones share it."""
+        x, y = dynamicsymbols("x y")
+        L, circle = (x.diff() ** 2 + y.diff() ** 2) / 2 - y, x**2 + y**2 - 1
+        one = sy.lagrangian(L, [x, y], constraints=[circle])
+        sol = one.problem((0, 3), [1, 0], [0, 0], compiled=False).solve(rtol=1e-8, atol=1e-8)
+        forces = (sol.y[1] - sol.y[2] ** 2 - sol.y[3] ** 2) / 2
+        np.testing.assert_allclose(one.multipliers(sol)[0], forces, atol=1e-12)
+        two = sy.lagrangian(L, [x, y], constraints=[circle, 2 * circle])
+        np.testing.assert_allclose([1, 2] @ two.multipliers(sol), forces, atol=1e-12)
+        with pytest.raises(ValueError, match="Kane's method has eliminated them"):
+            sy.from_mechanics(kanes_pendulum(), parameters={K: 1}).multipliers(sol)
+
+
 class TestPyDy:
-    def test_what_looks_like_a_system_of_pydys_is_taken_apart(self):
-        """Method, constants and initial conditions, by their names."""
-        method = kanes_pendulum()
+    def system(self, **given):
+        method = given.pop("method", None) or kanes_pendulum()
         x, y, u, v = [*method.q, *method.u]
+        start = {"constants": {K: 2.0}, "initial_conditions": {x: 0.6, y: 0.8, u: 0.8, v: -0.6}}
+        return pytest.importorskip("pydy.system").System(method, **(start | given))
 
-        class System:
-            eom_method = method
-            constants = {K: 2.0}  # noqa: RUF012
-            initial_conditions = {x: 0.6, y: 0.8, u: 0.8, v: -0.6}  # noqa: RUF012
-
-        system = sy.from_mechanics(System())
-        problem = system.problem((0, 1), compiled=False)
+    def test_it_brings_what_it_knows(self):
+        system = sy.from_pydy(self.system(times=np.linspace(0, 1, 11)))
+        problem = system.problem(compiled=False)
         np.testing.assert_array_equal(problem.y0, [0.6, 0.8, 0.8, -0.6])
         assert problem.args == (2.0,)
-        assert sy.from_mechanics(System(), parameters={K: 3}).parameters == {K: 3.0}
-        assert problem.solve().success
-        with pytest.raises(TypeError, match="problem needs y0, the initial values of x"):
-            sy.from_mechanics(method, parameters={K: 1}).problem((0, 1))
+        assert problem.t_span == (0.0, 1.0)
+        assert sy.from_pydy(self.system(), parameters={K: 3}).parameters == {K: 3.0}
 
-    def test_a_system_of_pydys_is(self):
-        system = pytest.importorskip("pydy.system")
-        method = kanes_pendulum()
-        x, y, u, v = [*method.q, *method.u]
-        theirs = system.System(
-            method,
-            constants={K: 2.0},
-            initial_conditions={x: 0.6, y: 0.8, u: 0.8, v: -0.6},
-            times=np.linspace(0, 1, 11),
-        )
-        sol = sy.from_mechanics(theirs).problem((0, 1), compiled=False).solve(rtol=1e-8, atol=1e-10)
+    def test_the_solution_is_pydys(self):
+        theirs = self.system(times=np.linspace(0, 1, 11))
+        sol = sy.from_pydy(theirs).problem(compiled=False).solve(rtol=1e-8, atol=1e-10)
         np.testing.assert_allclose(sol.y[:, -1], theirs.integrate()[-1], atol=1e-5)
+
+    def test_what_it_does_not_know_is_what_pydy_takes(self):
+        method = kanes_pendulum()
+        system = sy.from_pydy(self.system(method=method, constants={}, initial_conditions={method.q[1]: 1.0}))
+        problem = system.problem((0, 1), compiled=False)
+        assert (problem.args, problem.y0.tolist()) == ((1.0,), [0, 1, 0, 0])
+
+    def test_specified_quantities_are_numbers_or_formulas(self):
+        q, u = dynamicsymbols("q u")
+        push = dynamicsymbols("F")
+        pydy = pytest.importorskip("pydy.system")
+        theirs = pydy.System(kanes_spring(load=lambda q, u: push - q), initial_conditions={q: 0.4, u: 0})
+        theirs.specifieds = {push: 3.0}
+        problem = sy.from_pydy(theirs).problem((0, 1), compiled=False)
+        np.testing.assert_allclose(problem.fun(0.0, [0.4, 0.1]), [0.1, 1.3])
+        theirs.specifieds = {(push,): lambda x, t: [np.cos(t)]}
+        with pytest.raises(TypeError, match="is specified by a function: give specifieds"):
+            sy.from_pydy(theirs)
+        problem = sy.from_pydy(theirs, specifieds={push: cos(t) - u}).problem((0, 1), compiled=False)
+        np.testing.assert_allclose(problem.fun(0.5, [0.4, 0.1]), [0.1, (np.cos(0.5) - 0.5) / 2])
+
+    def test_anything_else_is_refused(self):
+        with pytest.raises(TypeError, match=r"from_pydy takes a pydy\.system\.System"):
+            sy.from_pydy(kanes_pendulum())
+        with pytest.raises(TypeError, match="problem needs q0 and v0, the initial values of x"):
+            sy.from_mechanics(kanes_pendulum(), parameters={K: 1}).problem((0, 1))
+        with pytest.raises(TypeError, match="problem needs t_span"):
+            sy.from_pydy(self.system()).problem()
 
 
 class TestPoints:

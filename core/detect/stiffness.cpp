@@ -3,8 +3,7 @@
 namespace invariode {
 namespace {
 
-constexpr double near = 0.5;  // of the limit: estimates there were 0.6 to 1.9 of it, in the median 0.9 to 1.1
-constexpr int long_streak = 10, end_of_streak = 4;  // looks
+constexpr int end_of_streak = 4;  // looks
 
 /// ‖y₁ − y₀‖
 double moved(const Step& method, const Weights& weights, const double* y0) {
@@ -17,7 +16,7 @@ double moved(const Step& method, const Weights& weights, const double* y0) {
 StepLook look_at(const Step& method, const Weights& weights, const double* y0) {
   const double limit = method.stability();
   if (limit == 0) return {};
-  if (!(limit > near)) return {.known = true};
+  if (!(limit > StepLook::near)) return {.known = true};
   return {.known = true, .at_limit = true, .moved = moved(method, weights, y0)};
 }
 
@@ -39,7 +38,7 @@ void StiffnessDetector::limited(double t0) {
   ++limited_;
   ++streak_;
   free_ = 0;
-  sustained_ = sustained_ || streak_ >= long_streak;
+  sustained_ = sustained_ || streak_ >= StepLook::long_streak;
 }
 
 void StiffnessDetector::free() {

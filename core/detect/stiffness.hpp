@@ -3,22 +3,12 @@
 
 #include <cstdint>
 
+#include "detect/step_look.hpp"
 #include "report.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 
 namespace invariode {
-
-/// What an explicit step shows: whether |h λ| is at the limit of the formula's stability, and how far the step has
-/// moved y, in the weights. `known` is false if it cannot tell.
-struct StepLook {
-  bool known = false;
-  bool at_limit = false;
-  double moved = 0;  // known at the limit only
-
-  static constexpr double slow = 0.1;  // what may change in a step at the limit, if accuracy does not limit it
-  [[nodiscard]] bool limited() const { return at_limit && moved < slow; }
-};
 
 /// Of the step from y0 that the method has just accepted.
 StepLook look_at(const Step& method, const Weights& weights, const double* y0);
@@ -27,7 +17,7 @@ StepLook look_at(const Step& method, const Weights& weights, const double* y0);
 /// is not in the solution: the problem is stiff.
 class StiffnessDetector {
  public:
-  static constexpr std::int64_t every = 64;  ///< steps from one look to the next: less than 1 % of the cost of a step
+  static constexpr std::int64_t every = StepLook::every;
 
   explicit StiffnessDetector(const Weights& weights) : weights_(weights) {}
 

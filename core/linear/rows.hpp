@@ -7,9 +7,10 @@
 
 namespace invariode {
 
-/// One gradient.
-struct Row {
-  const double* values;
+/// One gradient, of doubles, or of packs of them (run/lanes).
+template <class Real>
+struct RowOf {
+  const Real* values;
   const int* columns;  ///< which components they belong to, ascending; null: to all, one after the other
   std::size_t size;
 
@@ -21,18 +22,19 @@ struct Row {
     else
       for (std::size_t k = 0; k < size; ++k) visit(static_cast<std::size_t>(columns[k]), values[k]);
   }
-  [[nodiscard]] double dot(const double* x) const {
-    double sum = 0;
-    for_each([&](std::size_t j, double value) { sum += value * x[j]; });
+  [[nodiscard]] Real dot(const Real* x) const {
+    Real sum(0);
+    for_each([&](std::size_t j, const Real& value) { sum += value * x[j]; });
     return sum;
   }
-  [[nodiscard]] double entry(std::size_t component) const {
+  [[nodiscard]] Real entry(std::size_t component) const {
     if (columns == nullptr) return values[component];
     for (std::size_t k = 0; k < size; ++k)
       if (static_cast<std::size_t>(columns[k]) == component) return values[k];
-    return 0;
+    return Real(0);
   }
 };
+using Row = RowOf<double>;
 
 /// Where entries of some gradients can be other than zero: where each begins, and their components, ascending. Empty:
 /// everywhere.

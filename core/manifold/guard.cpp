@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "linear/scattered.hpp"
-#include "manifold/thresholds.hpp"
+#include "manifold/gradient.hpp"
 
 namespace invariode {
 namespace {
@@ -33,13 +33,6 @@ constexpr double longest_flow = 32;
 constexpr int fewest_extrapolations = 6, extrapolations = 11;
 constexpr int shorter_flows = 8;             // where g is not defined so far away h is a tenth, so many times
 constexpr std::int64_t longest_trust = 256;  // steps from one look along the flow to the next, at most
-const double cbrt_eps = std::cbrt(eps);
-
-double weighted_norm(const double* v, const double* w, std::size_t n) {
-  double sum = 0;
-  for (std::size_t i = 0; i < n; ++i) sum += (v[i] / w[i]) * (v[i] / w[i]);
-  return std::sqrt(sum);
-}
 
 Finding stopped() { return {.kind = Finding::Kind::stop}; }
 
@@ -113,16 +106,9 @@ Finding Guard::start_jacobian(double t, const double* y) {
   if (invariants_.residual(t, point_.data(), minus_.data()) == Status::stop) return stopped();
   for (std::size_t i = 0; i < m; ++i) {
     if (invariants_.by_differences(i) || invariants_.untested(i)) continue;
-    double expected = 0, terms = 0;
-    at.gradient(i).for_each([&](std::size_t j, double value) {
-      const double term = value * size[j] * direction(j);
-      expected += term;
-      terms += std::abs(term);
-    });
+    const Directional<double> along(at.gradient(i), size, direction);
     const double quotient = (plus_[i] - minus_[i]) / (2 * cbrt_eps);
-    const double noise = invariants_.roundoff(i, y, J) / cbrt_eps;
-    if (std::abs(quotient - expected) > jacobian_tolerance * std::max(terms, std::abs(quotient)) + noise)
-      return worst_entry(t, y);
+    if (along.contradicted(quotient, invariants_.roundoff(i, y, J), cbrt_eps)) return worst_entry(t, y);
   }
   return {};
 }
@@ -456,9 +442,7 @@ double Guard::noise_in_time(const Linearization& at, std::size_t i, double t, do
 
 /// Whether a rate of invariant i counts, in a step or in the whole interval.
 bool Guard::drifts(const Linearization& at, std::size_t i, double rate, double h) const {
-  const double tolerated = weights_.rtol() * at.row_norm[i];
-  return std::abs(h * rate) > suspicious_drift * tolerated ||
-         (std::isfinite(interval_) && std::abs(interval_ * rate) > harmful_drift * tolerated);
+  return invariode::drifts(rate, h, std::isfinite(interval_) ? interval_ : 0, weights_.rtol() * at.row_norm[i]);
 }
 
 /// Whether the derivatives of invariant i hide rates that count, though g itself does not.

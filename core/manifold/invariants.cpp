@@ -5,13 +5,12 @@
 #include <cmath>
 #include <utility>
 
-#include "manifold/thresholds.hpp"
+#include "manifold/gradient.hpp"
 
 namespace invariode {
 namespace {
 
-const double cbrt_eps = std::cbrt(eps);      // optimal relative increment of a central difference
-const double sqrt_eps = std::sqrt(eps);      // and of a forward one
+const double sqrt_eps = std::sqrt(eps);      // optimal relative increment of a forward difference
 constexpr double complex_increment = 1e-40;  // its square is nothing beside 1, and products of y and it do not vanish
 constexpr int smaller_increments = 6;        // tried where g is not defined, each a tenth of the one before
 constexpr double smaller_increment = 10;
@@ -154,15 +153,7 @@ Status Invariants::jacobian(double t, const double* y, double* J) {
 }
 
 const double* Invariants::sizes(const double* y) {
-  double largest = 0;
-  for (std::size_t j = 0; j < n_; ++j) largest = std::max(largest, std::abs(y[j]));
-  if (largest < smallest_scale) largest = 1;
-  for (std::size_t j = 0; j < n_; ++j) {
-    const double thr = weights_.threshold()[j];
-    const double least =
-        thr < smallest_scale ? (std::abs(y[j]) < smallest_scale ? largest : 0) : std::min(thr, largest);
-    sizes_[j] = std::max(std::abs(y[j]), least);
-  }
+  take_sizes(y, weights_.threshold().data(), n_, sizes_.data());
   return sizes_.data();
 }
 
@@ -246,7 +237,7 @@ Status Invariants::time_derivative(double t, double h, const double* y, const do
   if (residual(earlier, y, minus_.data()) == Status::stop) return Status::stop;
   for (std::size_t i = 0; i < m(); ++i) {
     const double change = plus_[i] - minus_[i];
-    gt[i] = std::abs(change) <= 2 * roundoff(i, y, J) ? 0 : change / (later - earlier);
+    gt[i] = std::abs(change) <= roundoffs_of_change * roundoff(i, y, J) ? 0 : change / (later - earlier);
   }
   return Status::ok;
 }
@@ -273,9 +264,7 @@ double Invariants::resolution(std::size_t i, const double* y, const double* J) {
 double Invariants::roundoff_of_value(std::size_t i) const { return roundoff_of_g * eps * std::abs(value_[i]); }
 
 double Invariants::roundoff(std::size_t i, const double* y, const double* J) const {
-  double size = std::abs(value_[i]);
-  row(i, J).for_each([&](std::size_t j, double value) { size += std::abs(value * y[j]); });
-  return roundoff_of_g * eps * size;
+  return roundoff_of_terms(value_[i], row(i, J), y);
 }
 
 }  // namespace invariode

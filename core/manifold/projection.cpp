@@ -5,7 +5,7 @@
 #include <limits>
 #include <utility>
 
-#include "manifold/thresholds.hpp"
+#include "manifold/gradient.hpp"
 
 namespace invariode {
 namespace {
@@ -31,8 +31,7 @@ constexpr int impose_patience = 2;  // iterations without a gain: roundoff is re
 constexpr double recovery = 0.5;    // of the residual before: Newton's iteration comes back from a step too far
 
 double norm2(const double* v, std::size_t n) {
-  double sum = 0;
-  for (std::size_t i = 0; i < n; ++i) sum += v[i] * v[i];
+  const double sum = sum_of_squares(v, n);
   if (sum > small_square && sum < large_square) return std::sqrt(sum);
   return Eigen::Map<const Eigen::VectorXd>(v, index(n)).stableNorm();
 }
@@ -235,9 +234,8 @@ double Projector::largest_before(std::size_t i) const {
 bool Projector::far_off(const double* y) const {
   for (std::size_t i = 0; i < r_.size(); ++i) {
     if (idle(i)) continue;
-    double terms = std::abs(invariants_.value()[i]);
-    invariants_.row(i, J_.data()).for_each([&](std::size_t j, double value) { terms += std::abs(value * y[j]); });
-    if (std::abs(r_[i]) > large_residual * terms) return true;
+    if (std::abs(r_[i]) > large_residual * size_of_terms(invariants_.value()[i], invariants_.row(i, J_.data()), y))
+      return true;
   }
   return false;
 }
@@ -252,11 +250,7 @@ bool Projector::defined(const double* r) {
 /// Whether the gradients of the invariants may change in the correction by as much as they are, as near the end of a
 /// domain, judged by how they have changed in the step.
 bool Projector::bends(const double* from, const double* y) const {
-  if (!(bent_ > slight_bend)) return false;
-  if (bent_ > sharp_bend) return true;
-  for (std::size_t j = 0; j < w_.size(); ++j)
-    if (bent_ * std::abs(delta_[j]) > bend_of_correction * std::abs(y[j] - from[j])) return true;
-  return false;
+  return bent_ > slight_bend && bends_sharply(bent_, from, y, delta_.data(), w_.size());
 }
 
 /// Whether the projection took a component to the other side of 0, where logarithms and roots are not defined.
@@ -308,7 +302,7 @@ Outcome Projector::linearize_known(double t, const double* y) {
   for (std::size_t i = 0; i < m; ++i) {
     const double before = norm_[i];
     scale_row(i);
-    if (linearized_ && !idle(i)) bent_ = std::max(bent_, std::max(norm_[i] / before, before / norm_[i]) - 1);
+    if (linearized_ && !idle(i)) bent_ = std::max(bent_, bend(norm_[i], before));
   }
   linearized_ = true;
   if (directions_) keep_to_directions();
@@ -413,7 +407,7 @@ std::size_t Projector::solve_one(double t) {
     }
     distance /= share * share;
   }
-  for (std::size_t j = 0; j < n; ++j) delta_[j] = w_[j] * (row[j] * distance);
+  correction(w_.data(), row, distance, n, delta_.data());
   return 1;
 }
 

@@ -22,6 +22,7 @@ inline constexpr double last_correction =
 inline constexpr int interpolation_iterations = 3;  // between steps, at most (docs/algorithms.md, 'Between steps')
 inline constexpr double small_square = 1e-280, large_square = 1e280;  // outside, squares underflow or overflow
 inline constexpr double roundoff_of_g = 10;  // of ε: what an evaluation of g may be off (docs/algorithms.md, 'impose')
+inline constexpr double roundoffs_of_change = 2;  // what is no more between two evaluations of g is none
 
 // ----------------------------------------------------------------------------------------------------------- the guard
 

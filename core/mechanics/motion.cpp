@@ -17,7 +17,7 @@ using Eigen::Index;
 using Rows = Eigen::SparseMatrix<double, Eigen::RowMajor>;
 
 constexpr double undefined = std::numeric_limits<double>::quiet_NaN();
-const double along_increment = std::cbrt(eps);  // relative, of the central difference of Φ along the motion
+constexpr double along_increment = cbrt_eps;  // relative, of the central difference of Φ along the motion
 // Sparse factors are faster from this size on, where at most that part of A can be other than 0 (benchmarks/chains.py).
 constexpr std::size_t least_sparse = 24;
 constexpr double densest = 0.25;

@@ -1,14 +1,14 @@
 #pragma once
-// The arithmetic of one step of an explicit Runge-Kutta pair, apart from what controls it: stages, candidate, error.
-// The numbers are doubles, or packs of them that behave alike, one trajectory in each lane.
+// The arithmetic of one step of an explicit Runge-Kutta pair: stages, candidate, error, next h, extension. The
+// numbers are doubles, or packs of them, one trajectory in each lane.
 
 #include <array>
-#include <cmath>
 #include <cstddef>
 #include <utility>
 
 #include "methods/stability.hpp"
 #include "methods/tableau.hpp"
+#include "number.hpp"
 
 namespace invariode::runge_kutta {
 
@@ -18,39 +18,86 @@ inline constexpr double largest_growth = 5;  // of h after a success
 // (On orbits, populations and oscillators with crude tolerances none was above 4 times that.)
 inline constexpr double largest_slope = 100;
 
-// Packs have functions of their own of these names.
-inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }
-inline double square_root(double x) { return std::sqrt(x); }
+/// |h| after a success without failures before it, `root` = (error / rtol)^{1/q}.
+template <class Real>
+Real grown(const Real& h, const Real& root) {
+  const Real tau = root / Real(safety);
+  return choose(Real(1 / largest_growth) < tau, h / tau, largest_growth * h);
+}
 
-/// `Build` tells translation units apart that are compiled with different flags: they must not share these functions.
-template <const auto& T, class Real, int Build = 0>
+/// What cuts |h| after the first failure of a step, `root` = (rtol / error)^{1/q}.
+template <class Real>
+Real cut(const Real& root, double floor) {
+  return larger(Real(floor), safety * root);
+}
+/// The same after failures one after the other.
+inline constexpr double halved = 0.5;
+
+/// `Norm` collects a maximum by `add`. `Build` tells translation units apart that are compiled with different flags:
+/// they must not share these functions.
+template <const auto& T, class Real, class Norm, int Build = 0>
 struct Kernel {
   static constexpr std::size_t last = T.stages - 1;
+  static constexpr double real_limit = runge_kutta::real_limit<T>();
   /// k_j of all stages, those of the extension behind those of the step; each (n,).
   using Stages = std::array<Real*, T.all_stages>;
 
   /// The argument of stage I: y + h Σ_{j<I} A_Ij k_j.
   template <std::size_t I>
-  static void argument(const Real* y, Real h, const Stages& k, std::size_t n, Real* out) {
+  static void argument(const Real* y, const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<I>(k, [](auto j) { return T.A[I][j]; }, i);
   }
 
-  /// The same for a stage of the extension, whose number is not known to the compiler.
-  static void extension_argument(std::size_t stage, const Real* y, Real h, const Stages& k, std::size_t n, Real* out) {
-    for (std::size_t i = 0; i < n; ++i) {
-      Real sum(0);
-      for (std::size_t j = 0; j < stage; ++j) sum += T.A[stage][j] * k[j][i];
-      out[i] = y[i] + h * sum;
+  /// Stages 1 … last − 1 from (t, y), formed with h as it is (docs/algorithms.md, 'Every method'): evaluate(t, y, I)
+  /// puts f(t, y) into k_I; false ends them.
+  template <class Evaluate>
+  static void inner_stages(const Real& t, const Real* y, const Real& h, const Stages& k, std::size_t n, Real* work,
+                           Evaluate evaluate) {
+    [&]<std::size_t... I>(std::index_sequence<I...>) {
+      const auto stage = [&]<std::size_t i>(std::integral_constant<std::size_t, i>) {
+        argument<i>(y, h, k, n, work);
+        return evaluate(t + T.c[i] * h, work, i);
+      };
+      (stage(std::integral_constant<std::size_t, I + 1>{}) && ...);
+    }(std::make_index_sequence<last - 1>{});
+  }
+
+  /// Those of the extension, of the step of size h from y to t1, alike.
+  template <class Evaluate>
+  static void further_stages(const Real& t1, const Real* y, const Real& h, const Stages& k, std::size_t n, Real* work,
+                             Evaluate evaluate) {
+    for (std::size_t s = T.stages; s < T.all_stages; ++s) {
+      for (std::size_t i = 0; i < n; ++i) {
+        Real sum(0);
+        for (std::size_t j = 0; j < s; ++j) sum += T.A[s][j] * k[j][i];
+        work[i] = y[i] + h * sum;
+      }
+      if (!evaluate(t1 - (1 - T.c[s]) * h, work, s)) return;
     }
   }
 
+  /// ‖k_s‖ with the weights weight(i).
+  template <class Weight>
+  static Real size_of_stage(std::size_t s, const Stages& k, std::size_t n, Weight weight) {
+    Norm norm;
+    for (std::size_t i = 0; i < n; ++i) norm.add(k[s][i] / weight(i));
+    return norm.value();
+  }
+  /// Slopes of the extension that are larger are not sound: `largest_slope` times those of the step.
+  template <class Weight>
+  static Real largest_of_extension(const Stages& k, std::size_t n, Weight weight) {
+    Real most(0);
+    for (std::size_t s = 0; s < T.stages; ++s) most = larger(most, size_of_stage(s, k, n, weight));
+    return largest_slope * most;
+  }
+
   /// y* = y + h Σ b_j k_j
-  static void candidate(const Real* y, Real h, const Stages& k, std::size_t n, Real* out) {
+  static void candidate(const Real* y, const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = y[i] + h * dot<last>(k, [](auto j) { return T.b()[j]; }, i);
   }
 
-  /// ‖Σ E_j k_j‖ with the weights weight(i), to be multiplied by |h|. `Norm` collects a maximum by `add`.
-  template <class Norm, class Weight>
+  /// ‖Σ E_j k_j‖ with the weights weight(i), to be multiplied by |h|.
+  template <class Weight>
   static Real error(const Stages& k, std::size_t n, Weight weight) {
     Norm norm, crude;
     for (std::size_t i = 0; i < n; ++i) {
@@ -65,20 +112,28 @@ struct Kernel {
   }
 
   /// Σ E_j k_j of each component, times h: the formula of higher order where there are two.
-  static void errors(Real h, const Stages& k, std::size_t n, Real* out) {
+  static void errors(const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.stages>(k, [](auto j) { return T.E[j]; }, i);
   }
 
-  /// Σ v_j k_j and Σ u_j k_j of `probe`, for component i.
-  static std::array<Real, 2> probed(const Stages& k, std::size_t i) {
+  /// ‖Σ v_j k_j‖ and ‖Σ u_j k_j‖ of `probe` over the step of size h to y1, with the weights weight(i).
+  template <class Weight>
+  static std::array<Real, 2> probed(const Stages& k, std::size_t n, const Real& h, const Real* y1,
+                                    const Real* candidate, Weight weight) {
     static constexpr auto p = probe<T>();
-    return {dot<T.stages>(
-                k, [](auto j) { return p.slopes[j]; }, i),
-            dot<T.stages>(k, [](auto j) { return p.arguments[j]; }, i)};
+    Norm slopes, arguments;
+    for (std::size_t i = 0; i < n; ++i) {
+      const Real w = weight(i), slope = dot<T.stages>(k, [](auto j) { return p.slopes[j]; }, i);
+      Real argument = dot<T.stages>(k, [](auto j) { return p.arguments[j]; }, i);
+      if constexpr (!T.last_in_error()) argument += (y1[i] - candidate[i]) / h;  // the last slope is that at y₁
+      slopes.add(slope / w);
+      arguments.add(argument / w);
+    }
+    return {slopes.value(), arguments.value()};
   }
 
   /// Coefficients of the continuous extension, (degree, n): h Σ_j B_jd k_j.
-  static void coefficients(Real h, const Stages& k, std::size_t n, Real* out) {
+  static void coefficients(const Real& h, const Stages& k, std::size_t n, Real* out) {
     [&]<std::size_t... D>(std::index_sequence<D...>) {
       (coefficient<D>(h, k, n, out + D * n), ...);
     }(std::make_index_sequence<T.degree>{});
@@ -87,14 +142,14 @@ struct Kernel {
  private:
   /// With two lower formulas: e₁² / √(e₁² + (e₂/10)²) (Hairer, Nørsett, Wanner, Solving ODEs I, ch. II.10), in a form
   /// whose squares neither overflow nor underflow before the result does.
-  static Real combined_error(Real error, Real crude) {
+  static Real combined_error(const Real& error, const Real& crude) {
     constexpr double weight_of_crude = 0.1;
     const Real ratio = weight_of_crude * crude / error;
     return choose(Real(0) < error, error / square_root(Real(1) + ratio * ratio), error);
   }
 
   template <std::size_t D>
-  static void coefficient(Real h, const Stages& k, std::size_t n, Real* out) {
+  static void coefficient(const Real& h, const Stages& k, std::size_t n, Real* out) {
     for (std::size_t i = 0; i < n; ++i) out[i] = h * dot<T.all_stages>(k, [](auto j) { return T.B[j][D]; }, i);
   }
 

@@ -23,7 +23,7 @@ class Pair final : public Step {
   static constexpr std::size_t last = stages - 1;
   static constexpr std::size_t evaluated_in_attempt = T.last_in_error() ? stages : last;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
-  using Kernel = runge_kutta::Kernel<T, double, Few>;
+  using Kernel = runge_kutta::Kernel<T, double, MaxNorm, Few>;
 
  public:
   Pair(Callback& f, const Weights& weights, Fsal fsal)
@@ -44,9 +44,8 @@ class Pair final : public Step {
     evaluated_ = 1;
     if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
     if (!all_finite(k_[0], n())) return Outcome::not_finite;
-    MaxNorm norm;
-    for (std::size_t i = 0; i < n(); ++i) norm.add(k_[0][i] / weights_.at(i, y[i]));
-    h_ = first_h(norm.value() / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    const double speed = Kernel::size_of_stage(0, k_, n(), [&](std::size_t i) { return weights_.at(i, y[i]); });
+    h_ = first_h(speed / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
     return Outcome::ok;
   }
 
@@ -57,7 +56,10 @@ class Pair final : public Step {
     purified_ = t1 - t_;
     reevaluation_failed_ = false;
     error_ = std::numeric_limits<double>::quiet_NaN();
-    Outcome outcome = inner_stages(h, std::make_index_sequence<last - 1>{});
+    Outcome outcome = Outcome::ok;
+    Kernel::inner_stages(t_, y_.data(), h, k_, n(), stage_, [&](double t, const double* y, std::size_t k) {
+      return (outcome = evaluate(t, y, k)) == Outcome::ok;
+    });
     if (outcome == Outcome::ok) {
       Kernel::candidate(y_.data(), purified_, k_, n(), candidate_);
       if constexpr (T.last_in_error()) outcome = evaluate(t1, candidate_, last);
@@ -79,9 +81,9 @@ class Pair final : public Step {
 
   bool reject(Cause cause, double hmin) override {
     if (h_ <= hmin) return false;
-    double factor = 0.5;
+    double factor = halved;
     if (!failed_ && cause == Cause::error)
-      factor = std::max(T.floor, safety * std::pow(weights_.rtol() / error_, exponent));
+      factor = cut(std::pow(weights_.rtol() / error_, exponent), T.floor);
     else if (!failed_ && cause == Cause::not_finite)
       factor = T.floor;
     h_ = std::max(hmin, h_ * factor);
@@ -104,10 +106,7 @@ class Pair final : public Step {
     std::copy(y_.begin(), y_.end(), start_);
     std::copy(y1, y1 + n(), y_.begin());
     t_ = t1_;
-    if (!failed_) {
-      const double tau = std::pow(error_ / weights_.rtol(), exponent) / safety;
-      h_ = tau > 1 / largest_growth ? h_ / tau : h_ * largest_growth;
-    }
+    if (!failed_) h_ = grown(h_, std::pow(error_ / weights_.rtol(), exponent));
     failed_ = false;
     accepted_ = true;
     return Outcome::ok;
@@ -131,9 +130,8 @@ class Pair final : public Step {
       further_.resize(extra * n());
       for (std::size_t k = 0; k < extra; ++k) k_[stages + k] = further_.data() + k * n();
     }
-    const double most = extra > 0 ? largest_slope * largest_of_stages() : 0;
-    for (std::size_t k = stages; k < T.all_stages; ++k)
-      if (extra_stage(k, most, sound) == Status::stop) return Status::stop;
+    if constexpr (extra > 0)
+      if (further_stages(sound) == Status::stop) return Status::stop;
     data = std::copy(start_, start_ + n(), data);
     if (sound)
       Kernel::coefficients(purified_, k_, n(), data);
@@ -144,22 +142,10 @@ class Pair final : public Step {
 
   [[nodiscard]] int order() const override { return T.order; }
   [[nodiscard]] double stability() const override {
-    MaxNorm slopes, arguments;
-    for (std::size_t i = 0; i < n(); ++i) {
-      const double w = weights_.at(i, start_[i], y_[i]);
-      auto [slope, argument] = Kernel::probed(k_, i);
-      if constexpr (!T.last_in_error())
-        argument += (y_[i] - candidate_[i]) / purified_;  // the last slope is that at y₁
-      slopes.add(slope / w);
-      arguments.add(argument / w);
-    }
-    const double moved = std::abs(purified_) * arguments.value();
-    return moved > indistinct ? slopes.value() / arguments.value() / real_limit() : 0;
+    const auto [slopes, arguments] = Kernel::probed(k_, n(), purified_, y_.data(), candidate_, weight_of_step());
+    return std::abs(purified_) * arguments > indistinct ? slopes / arguments / real_limit() : 0;
   }
-  [[nodiscard]] double real_limit() const override {
-    static const double limit = runge_kutta::real_limit<T>();
-    return limit;
-  }
+  [[nodiscard]] double real_limit() const override { return Kernel::real_limit; }
   [[nodiscard]] const double* slope() const override { return accepted_ ? k_[last] : k_[0]; }
   [[nodiscard]] int undefined_component() const override {
     for (std::size_t i = 0; i < n(); ++i) {
@@ -207,47 +193,30 @@ class Pair final : public Step {
     return sum == 0;
   }
 
-  /// Stages 1 … last − 1, formed with h as it is (docs/algorithms.md, 'Every method').
-  template <std::size_t... I>
-  Outcome inner_stages(double h, std::index_sequence<I...>) {
-    Outcome outcome = Outcome::ok;
-    ((outcome == Outcome::ok ? void(outcome = stage<I + 1>(h)) : void()), ...);
-    return outcome;
-  }
-
-  template <std::size_t I>
-  Outcome stage(double h) {
-    Kernel::template argument<I>(y_.data(), h, k_, n(), stage_);
-    return evaluate(t_ + T.c[I] * h, stage_, I);
-  }
-
-  /// A stage of the extension; its k may turn out not to be finite, or larger than `most`.
-  Status extra_stage(std::size_t k, double most, bool& sound) {
-    Kernel::extension_argument(k, start_, purified_, k_, n(), stage_);
-    sound = sound && all_finite(stage_, n());
-    if (!sound) return Status::ok;
-    const Status status = f_(t1_ - (1 - T.c[k]) * purified_, stage_, k_[k]);
-    sound = size_of_stage(k) <= most;
+  /// Those of the extension; their slopes may turn out not to be finite, or too large.
+  Status further_stages(bool& sound) {
+    const auto weight = weight_of_step();
+    const double most = Kernel::largest_of_extension(k_, n(), weight);
+    Status status = Status::ok;
+    Kernel::further_stages(t1_, start_, purified_, k_, n(), stage_, [&](double t, const double* y, std::size_t k) {
+      sound = all_finite(y, n());
+      if (!sound) return false;
+      status = f_(t, y, k_[k]);
+      sound = Kernel::size_of_stage(k, k_, n(), weight) <= most;
+      return sound && status == Status::ok;
+    });
     return status;
   }
 
-  /// ‖k_k‖ in the weights of the accepted step.
-  [[nodiscard]] double size_of_stage(std::size_t k) const {
-    MaxNorm norm;
-    for (std::size_t i = 0; i < n(); ++i) norm.add(k_[k][i] / weights_.at(i, start_[i], y_[i]));
-    return norm.value();
-  }
-
-  [[nodiscard]] double largest_of_stages() const {
-    double largest = 0;
-    for (std::size_t k = 0; k < stages; ++k) largest = std::max(largest, size_of_stage(k));
-    return largest;
+  /// The weights of the accepted step.
+  [[nodiscard]] auto weight_of_step() const {
+    return [this](std::size_t i) { return weights_.at(i, start_[i], y_[i]); };
   }
 
   /// |h| ‖Σ E_k k_k‖ with weights max(|y|, |y*|, thr)
   [[nodiscard]] double error_norm() const {
     const auto weight = [this](std::size_t i) { return weights_.at(i, y_[i], candidate_[i]); };
-    return std::abs(purified_) * Kernel::template error<MaxNorm>(k_, n(), weight);
+    return std::abs(purified_) * Kernel::error(k_, n(), weight);
   }
 
   /// The cubic Hermite interpolant, where f is not sound at a stage of the extension.

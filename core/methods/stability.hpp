@@ -2,7 +2,6 @@
 // How far from its limit of stability an explicit pair is (docs/algorithms.md, 'Stability limit of an explicit step').
 
 #include <array>
-#include <cmath>
 #include <cstddef>
 
 #include "methods/tableau.hpp"
@@ -39,7 +38,7 @@ constexpr auto probe() {
 
 /// The first x > 0 where the stability polynomial of the higher formula leaves |R(−x)| ≤ 1.
 template <const auto& T>
-double real_limit() {
+constexpr double real_limit() {
   constexpr double step = 1. / 64;
   constexpr double roundoff = 1e-12;
   for (double x = step;; x += step) {
@@ -48,7 +47,7 @@ double real_limit() {
       y[i] = 1;
       for (std::size_t j = 0; j < i; ++j) y[i] -= x * T.A[i][j] * y[j];
     }
-    if (std::abs(y[T.stages - 1]) > 1 + roundoff) return x;
+    if (detail::absolute(y[T.stages - 1]) > 1 + roundoff) return x;
   }
 }
 

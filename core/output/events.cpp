@@ -5,11 +5,12 @@
 #include <cmath>
 #include <utility>
 
+#include "output/polynomial.hpp"
+
 namespace invariode {
 namespace {
 
 constexpr double location_ulps = 2;  // width of the final bracket, in ulp of t
-constexpr int fewest_points = 3;     // inside a step: an event need not be linear in y
 constexpr double tie_ulps = 4;       // roots this close are one instant
 constexpr int few_intervals = 3;     // that shrink do not yet accumulate
 
@@ -50,7 +51,7 @@ bool find_root(E&& e, double a, double ea, double b, double eb, double width, do
 Events::Events(std::vector<EventFunction> functions, std::size_t n, int max_degree)
     : functions_(std::move(functions)),
       n_(n),
-      intervals_(static_cast<std::size_t>(std::max(max_degree, fewest_points)) + 1),
+      intervals_(intervals_of_step(static_cast<std::size_t>(max_degree))),
       scan_{std::vector<double>(intervals_ + 1), std::vector<double>(intervals_ + 1)},
       last_(functions_.size()),
       sign_(functions_.size()),
@@ -129,7 +130,7 @@ void Events::state(Archive& archive) {
 
 Outcome Events::search(double t0, double t1, const double* y1, int degree, StepInterpolant& interpolant) {
   step_ = {t0, t1, y1, &interpolant};
-  intervals_ = static_cast<std::size_t>(std::max(degree, fewest_points)) + 1;
+  intervals_ = intervals_of_step(static_cast<std::size_t>(degree));
   assert(t0 != t1 && intervals_ < scan_.times.size());
   occurrences_.clear();
   terminal_ = acts_ = false;

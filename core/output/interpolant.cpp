@@ -6,6 +6,7 @@
 #include "manifold/active_set.hpp"
 #include "manifold/one_sided.hpp"
 #include "manifold/thresholds.hpp"
+#include "output/polynomial.hpp"
 
 namespace invariode {
 namespace {
@@ -25,7 +26,7 @@ void Interpolant::corrected(const Segment& segment, double t, double* y) const {
 
 void Interpolant::correct_ends(const double* e0, double theta, double* y) const {
   const double s = std::clamp(theta, 0.0, 1.0);
-  const double at0 = (1 - s) * (1 - s) * (1 + 2 * s), at1 = s * s * (3 - 2 * s);
+  const double at0 = (1 - s) * (1 - s) * (1 + 2 * s), at1 = part_of_end(s);
   const double* e1 = e0 + n_;
   for (std::size_t i = 0; i < n_; ++i) y[i] += e0[i] * at0 + e1[i] * at1;
 }

@@ -145,35 +145,40 @@ void EnsembleResult::keep(std::size_t i, Run& run, std::int64_t uncounted) {
 }
 
 void EnsembleResult::keep(const lanes::Ended& ended, const Solver& solver) {
-  const std::size_t i = ended.trajectory;
-  t[i] = ended.t;
-  for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = ended.y[c * ended.stride];
+  using lanes::Rows;
+  const lanes::Lane& lane = ended.lane;
+  const std::size_t i = lane.trajectory;
+  t[i] = lane[Rows::t];
+  for (std::size_t c = 0; c < n; ++c) y_end[i * n + c] = lane[Rows::y + c];
   state[i] = static_cast<std::int8_t>(ended.by_event ? State::terminal_event : State::reached_end);
-  count_of(i, "steps") = ended.steps;
-  count_of(i, "failed") = ended.failed;
+  count_of(i, "steps") = static_cast<std::int64_t>(lane[Rows::steps]);
+  count_of(i, "failed") = static_cast<std::int64_t>(lane[Rows::failed]);
   count_of(i, "nfev") = ended.evaluations;
   count_of(i, "nfev_check") = ended.checks;
-  if (m > 0) keep_held(ended, solver.weights().rtol());
+  if (m > 0) keep_held(lane, solver.weights().rtol());
 }
 
 /// Of the one invariant that was held in a lane, where each step was projected.
-void EnsembleResult::keep_held(const lanes::Ended& ended, double rtol) {
-  const std::size_t i = ended.trajectory;
-  const lanes::HeldToEnd& held = ended.held;
-  value[i] = held.value;
-  before[i] = held.before;
-  after[i] = held.after;
-  correction[i] = held.correction;
+void EnsembleResult::keep_held(const lanes::Lane& lane, double rtol) {
+  using lanes::Rows;
+  const std::size_t i = lane.trajectory;
+  const auto of = [&lane](std::size_t row) -> double { return lane[lane.rows.invariant + row]; };
+  const auto whole = [&of](std::size_t row) { return static_cast<std::int64_t>(of(row)); };
+  value[i] = of(Rows::value);
+  before[i] = of(Rows::before);
+  after[i] = of(Rows::after);
+  correction[i] = of(Rows::correction);
   std::vector<double> errors(n), corrections(n);
   for (std::size_t c = 0; c < n; ++c) {
-    errors[c] = held.errors[c * ended.stride];
-    corrections[c] = held.corrections[c * ended.stride];
+    errors[c] = of(Rows::errors + c);
+    corrections[c] = of(Rows::errors + n + c);
   }
-  const std::int64_t looks = (ended.steps + harm_period - 1) / harm_period;  // at the first step, too
-  count_of(i, "projections") = ended.steps;
-  count_of(i, "nfev_check") += held.checks;
-  count_of(i, "ng") = held.evaluations;
-  count_of(i, "ngjac") = held.jacobians;
+  const auto steps = static_cast<std::int64_t>(lane[Rows::steps]);
+  const std::int64_t looks = (steps + harm_period - 1) / harm_period;  // at the first step, too
+  count_of(i, "projections") = steps;
+  count_of(i, "nfev_check") += whole(Rows::checks);
+  count_of(i, "ng") = whole(Rows::evaluations);
+  count_of(i, "ngjac") = whole(Rows::jacobians);
   count_of(i, "harmed") = HarmDetector::harm(looks, errors, corrections, rtol).component + 1;
 }
 

@@ -77,7 +77,7 @@ class EnsembleResult {
 
  private:
   std::int64_t& count_of(std::size_t i, std::string_view name);
-  void keep_held(const lanes::Ended& ended, double rtol);
+  void keep_held(const lanes::Lane& lane, double rtol);
   void keep_outputs(std::size_t i, const RunResult& run);
   void measure_drift(std::size_t i, const RunResult& run, Invariants& invariants);
   void keep_happenings(std::size_t i, const RunResult& run);

@@ -8,8 +8,7 @@
 namespace invariode {
 namespace {
 
-/// What belongs to an event in `Crossed::watched`.
-constexpr std::size_t rows = 3;
+using lanes::Rows;
 
 void gather(const double* from, std::size_t stride, std::vector<double>& to) {
   for (std::size_t i = 0; i < to.size(); ++i) to[i] = from[i * stride];
@@ -53,42 +52,43 @@ EventSearch::EventSearch(const Solver& solver, const Ensemble& ensemble)
 
 /// The step that was made in the lane, with its interpolant.
 bool EventSearch::make_step(const lanes::Crossed& crossed) {
-  gather(crossed.y0, crossed.stride, y0_);
-  gather(crossed.k, crossed.stride, k_);
-  gather(crossed.y1, crossed.stride, y1_);
-  resume(*step_, crossed.t0, y0_, k_);
+  const lanes::Lane& lane = crossed.lane;
+  const double t0 = lane[Rows::t];
+  gather(&lane[Rows::y], lane.stride, y0_);
+  gather(&lane[lane.rows.slope], lane.stride, k_);
+  gather(crossed.y1, lane.stride, y1_);
+  resume(*step_, t0, y0_, k_);
   const Step::Attempt proposal = step_->attempt(crossed.h, crossed.t1);
   if (proposal.outcome != Outcome::ok) return false;
   if (projector_) {
-    const double* start = ensemble_.y0 + crossed.trajectory * ensemble_.n;
+    const double* start = ensemble_.y0 + lane.trajectory * ensemble_.n;
     if (invariants_->hold(solver_.settings().t0, start) != Status::ok) return false;
     std::copy(proposal.y, proposal.y + ensemble_.n, y_.begin());
     if (projector_->project(crossed.t1, y0_.data(), y_.data()).outcome != Outcome::ok) return false;
   }
   if (step_->accept(y1_.data()) != Outcome::ok) return false;
   interpolant_->restart();
-  interpolant_->accept(crossed.t0, y0_.data());
+  interpolant_->accept(t0, y0_.data());
   return interpolant_->segment().data != nullptr;
 }
 
 lanes::Found EventSearch::search(const lanes::Crossed& crossed, std::vector<Trajectory>& found) {
   if (!make_step(crossed)) return {};
+  const lanes::Lane& lane = crossed.lane;
   const std::int64_t calls = invariants_ ? invariants_->calls() : 0;
   const std::int64_t jacobians = invariants_ ? invariants_->jacobian_calls() : 0;
+  const auto row = [&lane](std::size_t e) { return lane.rows.events + Rows::of_event * e; };
+  for (std::size_t e = 0; e < events_.count(); ++e)
+    events_.go_on_from(e, {.last = lane[row(e) + Rows::last],
+                           .sign = static_cast<int>(lane[row(e) + Rows::sign]),
+                           .occurrences = static_cast<std::int64_t>(lane[row(e) + Rows::occurrences])});
+  if (events_.search(lane[Rows::t], crossed.t1, y1_.data(), step_->degree(), *interpolant_) != Outcome::ok) return {};
+  if (!keep(crossed.t1, found)) return {};
   for (std::size_t e = 0; e < events_.count(); ++e) {
-    const double* row = crossed.watched + rows * e * crossed.stride;
-    events_.go_on_from(e, {.last = row[0],
-                           .sign = static_cast<int>(row[crossed.stride]),
-                           .occurrences = static_cast<std::int64_t>(row[2 * crossed.stride])});
-  }
-  if (events_.search(crossed.t0, crossed.t1, y1_.data(), step_->degree(), *interpolant_) != Outcome::ok) return {};
-  if (!keep(crossed, found)) return {};
-  for (std::size_t e = 0; e < events_.count(); ++e) {
-    double* row = crossed.watched + rows * e * crossed.stride;
     const Events::Watch watch = events_.watch(e);
-    row[0] = watch.last;
-    row[crossed.stride] = watch.sign;
-    row[2 * crossed.stride] = static_cast<double>(watch.occurrences);
+    lane[row(e) + Rows::last] = watch.last;
+    lane[row(e) + Rows::sign] = watch.sign;
+    lane[row(e) + Rows::occurrences] = static_cast<double>(watch.occurrences);
   }
   return {.sound = true,
           .terminal = events_.terminal(),
@@ -99,9 +99,9 @@ lanes::Found EventSearch::search(const lanes::Crossed& crossed, std::vector<Traj
 }
 
 /// The occurrences with their states, as `Integration::find_events` keeps them.
-bool EventSearch::keep(const lanes::Crossed& crossed, std::vector<Trajectory>& found) {
+bool EventSearch::keep(double t1, std::vector<Trajectory>& found) {
   for (const Occurrence& occurrence : events_.occurrences()) {
-    if (occurrence.t == crossed.t1)
+    if (occurrence.t == t1)
       y_ = y1_;
     else if (interpolant_->value(occurrence.t, y_.data()) == Status::stop)
       return false;

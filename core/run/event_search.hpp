@@ -26,7 +26,7 @@ class EventSearch {
 
  private:
   bool make_step(const lanes::Crossed& crossed);
-  bool keep(const lanes::Crossed& crossed, std::vector<Trajectory>& found);
+  bool keep(double t1, std::vector<Trajectory>& found);
 
   const Solver& solver_;
   const Ensemble& ensemble_;

@@ -3,17 +3,10 @@
 
 #define INVARIODE_LANES baseline
 #include "run/lanes/block.hpp"
-#include "run/lanes/instructions.hpp"
 
 namespace invariode::lanes {
-namespace {
 
-constexpr int width = 8;
-constexpr auto pairs = baseline::kernels<width, true>(runge_kutta::Pairs());
-constexpr std::string_view name = baseline::native == 1 ? "scalar" : "baseline";
-
-}  // namespace
-
-constinit const Instructions of_baseline{name, width, std::size_t{baseline::native} * 64, pairs};
+constinit const Instructions of_baseline =
+    baseline::instructions<8, true>(baseline::native == 1 ? "scalar" : "baseline");
 
 }  // namespace invariode::lanes

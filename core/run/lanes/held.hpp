@@ -1,132 +1,74 @@
 #pragma once
 // An invariant that is held in all lanes at once: its projection (manifold/projection.hpp) and the tests of its guard
-// (manifold/guard.hpp), in the order of their operations. What there asks for a closer look, or for more than one
-// correction, is odd here: that trajectory is left to them, from its start. (INVARIODE_LANES: see pack.hpp.)
+// (manifold/guard.hpp), by their arithmetic (manifold/gradient.hpp). What there asks for a closer look, or for more
+// than one correction, is odd here: that trajectory is left to them, from its start. (INVARIODE_LANES: see pack.hpp.)
 
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
-#include <utility>
 
-#include "manifold/thresholds.hpp"
-#include "run/lanes/between.hpp"
+#include "manifold/gradient.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
-#include "weights.hpp"
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// Without an invariant it has no memory, and is not asked anything.
+/// Without an invariant it is not asked anything. `now` and `ready`: its rows of the trajectories that are in lanes,
+/// and of those that are to be made ready.
 template <int W>
 class Held {
   using P = Pack<W>;
   using M = Mask<W>;
-  // What belongs to a trajectory: rows of packs, and behind them the sums of `HarmDetector`, two for each component.
-  enum Row : std::size_t {
-    value,
-    before,
-    after,
-    correction,
-    norm,
-    evaluations,
-    jacobians,
-    checks,
-    next_look,
-    quiet,
-    acquitted,
-    end,
-    known,
-    rows
-  };
 
  public:
-  /// How many packs it needs.
-  static std::size_t memory(const Job& job) {
-    return job.invariant != nullptr ? 2 * size_of_state(job) + 8 * job.n : 0;
+  Held(const Job& job, P* now, P* ready, Host& host) : job_(job), now_(now), ready_(ready) {
+    if (job.invariant == nullptr) return;
+    for (P** one : {&w_, &jacobian_, &row_, &delta_, &point_, &y1_, &sizes_, &slope_}) *one = take<W>(host, job.n);
   }
-
-  Held(const Job& job, P* next) : job_(job) {
-    const auto take = [&next](std::size_t count) { return std::exchange(next, next + count); };
-    now_ = take(size_of_state(job));
-    ready_ = take(size_of_state(job));
-    for (P** one : {&w_, &jacobian_, &row_, &delta_, &point_, &y1_, &sizes_, &slope_}) *one = take(job.n);
-  }
-
-  // ------------------------------------------------------------------------------------------- trajectories come and
-  // go
-
-  void adopt(int lane, int from) { copy(now_, lane, ready_, from); }
-  void copy(int lane, int from) { copy(now_, lane, now_, from); }
-  [[nodiscard]] const double* suspended(int lane) const { return now_->lanes() + lane; }
-  /// The one trajectory, in lane 0.
-  void go_on(const Suspended& from) {
-    for (std::size_t i = 0; i < size_of_state(job_); ++i) now_[i].lanes()[0] = from.held[i * from.stride];
-  }
-  [[nodiscard]] HeldToEnd ended(int lane) const {
-    const double* state = now_->lanes() + lane;
-    return {.value = state[value * W],
-            .before = state[before * W],
-            .after = state[after * W],
-            .correction = state[correction * W],
-            .evaluations = static_cast<std::int64_t>(state[evaluations * W]),
-            .checks = static_cast<std::int64_t>(state[checks * W]),
-            .jacobians = static_cast<std::int64_t>(state[jacobians * W]),
-            .errors = state + rows * W,
-            .corrections = state + (rows + job_.n) * W};
-  }
-
-  // ---------------------------------------------------------------------------------------------------------- the
-  // start
 
   /// The tests of the start for the trajectories that are to be made ready: h is signed. Returns the odd ones.
   INVARIODE_SHARED M start(const P& t, const P* y, const P* f, const P& h, const P* p) {
-    for (std::size_t i = 0; i < size_of_state(job_); ++i) ready_[i] = P(0);
-    P g;
-    evaluate(invariant().g, t, y, &g, p);
-    ready_[value] = invariant().held ? g : P(invariant().value);
-    ready_[evaluations] = P(2);  // one before the run
-    ready_[jacobians] = ready_[next_look] = P(1);
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      w_[i] = weight(job_, i, absolute(y[i]));
-      point_[i] = y[i];
-    }
-    const P residual = g - ready_[value];
-    M odd = ~(absolute(residual) < P(infinity)) | linearize(t, p);
-    odd = odd | ~(absolute(residual) <= roundoff(ready_[value]));
-    if (job_.output_at_times() && job_.times[0] == job_.t0) ready_[after] = absolute(residual);
+    const P g = this->g(t, y, p);
+    held_ = ready_[Rows::value] = invariant().held ? g : P(invariant().value);
+    ready_[Rows::evaluations] = P(2);  // one before the run
+    ready_[Rows::jacobians] = ready_[Rows::next_look] = P(1);
+    for (std::size_t i = 0; i < job_.n; ++i) w_[i] = weight(job_, i, absolute(y[i]));
+    const P residual = g - held_;
+    M odd = linearize(t, y, p);
+    odd = odd | ~(absolute(residual) < P(infinity)) | ~(absolute(residual) <= roundoff());
+    if (job_.output_at_times() && job_.times[0] == job_.t0) ready_[Rows::after] = absolute(residual);
     return invariant().tested ? odd | start_tests(t, y, f, h, p) : odd;
   }
 
   // ----------------------------------------------------------------------------------------------------------- a step
 
-  /// y₁ from the candidates at t of steps from `from`, into `projected`. Returns the odd ones among those that are due.
-  INVARIODE_SHARED M project(const M& due, const P& t, const P* from, const P* candidate, const P* p) {
+  /// y₁ from the candidates of steps, into `projected`. Returns the odd ones among those that are due.
+  INVARIODE_SHARED M project(const M& due, const LaneStep<W>& step) {
+    const P* candidate = step.y1;
     for (std::size_t i = 0; i < job_.n; ++i) {
-      w_[i] = weight(job_, i, larger(absolute(from[i]), absolute(candidate[i])));
+      w_[i] = weight(job_, i, larger(absolute(step.y0[i]), absolute(candidate[i])));
       y1_[i] = candidate[i];
     }
+    held_ = now_[Rows::value];
+    norm_ = now_[Rows::norm];
     M odd = no_lane<W>(), doubtful = no_lane<W>();
-    norm_ = now_[norm];
     for (int iteration = 0; iteration < invariant().iterations; ++iteration) {
-      odd = odd | correct(iteration, t, from, p, doubtful);
-      odd = odd | mend(y1_, from, job_.n);
+      odd = odd | correct(iteration, step, doubtful);
+      odd = odd | mend(y1_, step.y0, job_.n);
     }
     LaneNorm<W> moved;
-    P crossed(1);
     for (std::size_t i = 0; i < job_.n; ++i) {
       moved.add((candidate[i] - y1_[i]) / w_[i]);
-      crossed = choose(candidate[i] * y1_[i] < P(0), P(0), crossed);
+      doubtful = doubtful | (candidate[i] * y1_[i] < P(0));
     }
     moved_ = moved.value();
     odd = odd | ~(moved_ <= P(largest_correction * job_.rtol));
     const M sound = due & ~odd;
-    now_[norm] = choose(sound, norm_, now_[norm]);
-    now_[evaluations] += choose(sound, P(invariant().iterations), P(0));
-    now_[jacobians] += choose(sound, P(invariant().iterations), P(0));
-    const M looked_at = sound & (doubtful | (crossed < P(1)));
-    if (bits(looked_at) != 0) odd = odd | measure_after(looked_at, t, p);
+    now_[Rows::norm] = choose(sound, norm_, now_[Rows::norm]);
+    count(Rows::evaluations, sound, invariant().iterations);
+    count(Rows::jacobians, sound, invariant().iterations);
+    if (any(sound & doubtful)) odd = odd | measure_after(sound & doubtful, step);
     return odd & due;
   }
   [[nodiscard]] const P* projected() const { return y1_; }
@@ -137,25 +79,26 @@ class Held {
   }
   /// Of accepted steps: the estimated errors of the candidates.
   INVARIODE_SHARED void note_harm(const M& noted, const P* error, const P* candidate) {
-    P *errors = now_ + rows, *corrections = errors + job_.n;
+    P *errors = now_ + Rows::errors, *corrections = errors + job_.n;
     for (std::size_t i = 0; i < job_.n; ++i) {
       errors[i] += choose(noted, absolute(error[i]) / w_[i], P(0));
       corrections[i] += choose(noted, absolute(y1_[i] - candidate[i]) / w_[i], P(0));
     }
   }
 
-  /// After accepted steps, `steps` of them by now, to t with the signed size h, f being the slope there. Returns those
-  /// that are suspicious.
-  INVARIODE_SHARED M judge(const M& due, const P& t, const P& h, const P* f, const P& steps, const P* p) {
-    note_drift(due);
+  /// After accepted steps, `steps` of them by now, f being the slope at their ends. Returns those that are suspicious.
+  INVARIODE_SHARED M judge(const M& due, const LaneStep<W>& step, const P* f, const P& steps) {
+    const P correction = moved_ / P(job_.rtol);
+    now_[Rows::before] = choose(due, larger(now_[Rows::before], before_), now_[Rows::before]);
+    now_[Rows::correction] = choose(due, larger(now_[Rows::correction], correction), now_[Rows::correction]);
     if (!invariant().tested) return no_lane<W>();
     M odd = P(suspicious_correction * job_.rtol) < moved_;
-    const M looks = due & (now_[next_look] <= steps);
-    if (bits(looks) != 0) odd = odd | changes_with_time(bits(looks), t, h, steps, p);
+    const M looks = due & (now_[Rows::next_look] <= steps);
+    if (any(looks)) odd = odd | changes_with_time(bits(looks), step, steps);
     P drift;
-    const M suspicion = due & suspicious(h, f, drift);
-    const M asked = suspicion & ((now_[quiet] <= steps) | (much_larger * now_[acquitted] < drift));
-    if (bits(asked) != 0) odd = odd | convicted(asked, drift, t, h, steps, p);
+    const M suspicion = due & suspicious(step.h, f, drift);
+    const M asked = suspicion & ((now_[Rows::quiet] <= steps) | (much_larger * now_[Rows::acquitted] < drift));
+    if (any(asked)) odd = odd | convicted(asked, drift, step, steps);
     return odd & due;
   }
 
@@ -163,39 +106,31 @@ class Held {
 
   /// Of accepted steps, some of which are looked into: g at both ends of these, as `StepInterpolant` asks for it.
   INVARIODE_SHARED void look_inside(const M& accepted, const M& looked, const LaneStep<W>& step) {
-    P start = now_[end], g;
-    const M known_at_start = P(0) < now_[known], asked = looked & ~known_at_start;
-    if (job_.projects && bits(asked) != 0) {
-      evaluate(invariant().g, step.t0, step.y0, &g, step.p);
-      start = choose(known_at_start, start, g);
+    const M known = P(0) < now_[Rows::known], asked = looked & ~known;
+    start_ = now_[Rows::end];
+    if (job_.projects && any(asked)) start_ = choose(known, start_, g(step.t0, step.y0, step.p));
+    if (job_.projects && any(looked)) {
+      now_[Rows::end] = choose(looked, g(step.t1, step.y1, step.p), now_[Rows::end]);
+      count(Rows::evaluations, looked, 1);
+      count(Rows::evaluations, asked, 1);
     }
-    start_ = start;
-    if (job_.projects && bits(looked) != 0) {
-      evaluate(invariant().g, step.t1, step.y1, &g, step.p);
-      now_[end] = choose(looked, g, now_[end]);
-      now_[evaluations] += choose(looked, P(1), P(0)) + choose(asked, P(1), P(0));
-    }
-    now_[known] = choose(accepted, choose(looked, P(1), P(0)), now_[known]);
+    now_[Rows::known] = choose(accepted, choose(looked, P(1), P(0)), now_[Rows::known]);
   }
 
   /// Values between the ends of steps, at θ: onto g = (1−θ) g₀ + θ g₁. Returns the odd ones.
   INVARIODE_SHARED M onto(const M& due, const P& t, const P& theta, const LaneStep<W>& step, P* y) {
-    const P target = (P(1) - theta) * start_ + theta * now_[end] - now_[value];
+    const P target = (P(1) - theta) * start_ + theta * now_[Rows::end] - held_;
     M odd = no_lane<W>(), open = due & (P(0) < theta) & (theta < P(1));
-    for (int iteration = 0; iteration < interpolation_iterations && bits(open) != 0; ++iteration) {
-      P g;
-      evaluate(invariant().g, t, y, &g, step.p);
-      const P residual = (g - now_[value]) - target;
-      for (std::size_t i = 0; i < job_.n; ++i) point_[i] = y[i];
-      odd = odd | (open & (linearize(t, step.p) | ~(absolute(residual) < P(infinity))));
-      now_[evaluations] += choose(open, P(1), P(0));
-      now_[jacobians] += choose(open, P(1), P(0));
-      const P distance = residual / norm_;
+    for (int iteration = 0; iteration < interpolation_iterations && any(open); ++iteration) {
+      const P residual = (g(t, y, step.p) - held_) - target;
+      odd = odd | (open & (linearize(t, y, step.p) | ~(absolute(residual) < P(infinity))));
+      count(Rows::evaluations, open, 1);
+      count(Rows::jacobians, open, 1);
+      invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
       LaneNorm<W> moved;
       for (std::size_t i = 0; i < job_.n; ++i) {
-        const P delta = w_[i] * (row_[i] * distance);
-        moved.add(delta / w_[i]);
-        y[i] = choose(open, y[i] - delta, y[i]);
+        moved.add(delta_[i] / w_[i]);
+        y[i] = choose(open, y[i] - delta_[i], y[i]);
       }
       odd = odd | (open & mend(y, step.y1, job_.n));
       open = open & ~(moved.value() <= P(last_correction));
@@ -205,183 +140,125 @@ class Held {
 
   /// What a search for events has cost.
   void count_search(int lane, const Found& found) {
-    now_[evaluations].lanes()[lane] += static_cast<double>(found.evaluations);
-    now_[jacobians].lanes()[lane] += static_cast<double>(found.jacobians);
+    now_[Rows::evaluations].lanes()[lane] += static_cast<double>(found.evaluations);
+    now_[Rows::jacobians].lanes()[lane] += static_cast<double>(found.jacobians);
   }
 
   /// The residual at outputs, and at the end.
   INVARIODE_SHARED void measure(const M& due, const P& t, const P* y, const P* p) {
-    P g;
-    evaluate(invariant().g, t, y, &g, p);
-    const P residual = absolute(g - now_[value]);
-    const M larger_or_nan = (now_[after] < residual) | ~(residual <= residual);
-    now_[after] = choose(due & larger_or_nan, residual, now_[after]);
+    const P residual = absolute(g(t, y, p) - now_[Rows::value]);
+    const M larger_or_nan = (now_[Rows::after] < residual) | ~(residual <= residual);
+    now_[Rows::after] = choose(due & larger_or_nan, residual, now_[Rows::after]);
   }
 
  private:
-  static std::size_t size_of_state(const Job& job) { return job.invariant != nullptr ? rows + 2 * job.n : 0; }
   [[nodiscard]] const Invariant& invariant() const { return *job_.invariant; }
-  void copy(P* to, int lane, const P* source, int from) {
-    for (std::size_t i = 0; i < size_of_state(job_); ++i) to[i].lanes()[lane] = source[i].lanes()[from];
+  P g(const P& t, const P* y, const P* p) const {
+    P value;
+    evaluate(invariant().g, t, y, &value, p);
+    return value;
   }
+  void count(std::size_t row, const M& where, int many) { now_[row] += choose(where, P(many), P(0)); }
+  [[nodiscard]] RowOf<P> gradient() const { return {jacobian_, nullptr, job_.n}; }
+  [[nodiscard]] P roundoff() const { return roundoff_of_terms(held_, gradient(), point_); }
 
-  /// ∇g at `point_`, its length in the weights, and the unit vector along it. Returns the lanes without such a vector.
-  M linearize(const P& t, const P* p) {
+  /// ∇g at y, its length in the weights, and the unit vector along it. Returns the lanes without such a vector.
+  M linearize(const P& t, const P* y, const P* p) {
+    for (std::size_t i = 0; i < job_.n; ++i) point_[i] = y[i];
     evaluate(invariant().jacobian, t, point_, jacobian_, p);
-    P sum(0);
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      row_[i] = jacobian_[i] * w_[i];
-      sum += row_[i] * row_[i];
-    }
+    for (std::size_t i = 0; i < job_.n; ++i) row_[i] = jacobian_[i] * w_[i];
+    const P sum = sum_of_squares(row_, job_.n);
     norm_ = square_root(sum);
     const P factor = P(1) / norm_;
     for (std::size_t i = 0; i < job_.n; ++i) row_[i] = row_[i] * factor;
     return ~((P(small_square) < sum) & (sum < P(large_square)));
   }
 
-  /// The size of what g sums at `point_`.
-  [[nodiscard]] P terms(const P& held) const {
-    P sum = absolute(held);
-    for (std::size_t i = 0; i < job_.n; ++i) sum += absolute(jacobian_[i] * point_[i]);
-    return sum;
-  }
-  [[nodiscard]] P roundoff(const P& held) const { return (roundoff_of_g * eps) * terms(held); }
-
-  /// One correction of `y1_`, by y − W u r / ‖∇g W‖ with the unit vector u.
-  M correct(int iteration, const P& t, const P* from, const P* p, M& doubtful) {
-    P g;
-    evaluate(invariant().g, t, y1_, &g, p);
-    const P residual = g - now_[value], length = norm_;
-    for (std::size_t i = 0; i < job_.n; ++i) point_[i] = y1_[i];
-    const M odd = linearize(t, p) | ~(absolute(residual) < P(infinity));
-    const P bent = larger(norm_ / length, length / norm_) - P(1);  // 0 there is no gradient before: infinity
+  /// One correction of `y1_`.
+  M correct(int iteration, const LaneStep<W>& step, M& doubtful) {
+    const P residual = g(step.t1, y1_, step.p) - held_, length = norm_;
+    const M odd = linearize(step.t1, y1_, step.p) | ~(absolute(residual) < P(infinity));
+    const P bent = bend(norm_, length);  // 0 there is no gradient before: infinity
     if (iteration == 0) {
       before_ = absolute(residual);
-      doubtful = P(large_residual) * terms(now_[value]) < before_;
+      doubtful = P(large_residual) * size_of_terms(held_, gradient(), point_) < before_;
     }
-    const P distance = residual / norm_;
-    for (std::size_t i = 0; i < job_.n; ++i) delta_[i] = w_[i] * (row_[i] * distance);
+    invariode::correction(w_, row_, residual / norm_, job_.n, delta_);
     const M bends = (P(slight_bend) < bent) & (P(0) < length);
-    if (bits(bends) != 0) doubtful = doubtful | (bends & bends_sharply(bent, from));
+    if (any(bends)) doubtful = doubtful | (bends & bends_sharply(bent, step.y0, y1_, delta_, job_.n));
     for (std::size_t i = 0; i < job_.n; ++i) y1_[i] = y1_[i] - delta_[i];
     return odd;
   }
 
-  [[nodiscard]] M bends_sharply(const P& bent, const P* from) const {
-    M sharp = P(sharp_bend) < bent;
-    for (std::size_t i = 0; i < job_.n; ++i)
-      sharp = sharp | (bend_of_correction * absolute(y1_[i] - from[i]) < bent * absolute(delta_[i]));
-    return sharp;
-  }
-
   /// Whether the corrections have led away from the manifold: `Projector::measure_after`, but for its last excuse.
-  M measure_after(const M& looked_at, const P& t, const P* p) {
-    P g;
-    evaluate(invariant().g, t, y1_, &g, p);
-    now_[evaluations] += choose(looked_at, P(1), P(0));
-    const P left = absolute(g - now_[value]);
+  M measure_after(const M& looked_at, const LaneStep<W>& step) {
+    const P left = absolute(g(step.t1, y1_, step.p) - held_);
+    count(Rows::evaluations, looked_at, 1);
     const double allowed = std::pow(slowest_newton, invariant().iterations);
-    const P most = larger(allowed * before_, roundoff(now_[value]));
-    return looked_at & ~(left <= most);
-  }
-
-  void note_drift(const M& due) {
-    const P rtol(job_.rtol);
-    now_[before] = choose(due, larger(now_[before], before_), now_[before]);
-    now_[correction] = choose(due, larger(now_[correction], moved_ / rtol), now_[correction]);
+    return looked_at & ~(left <= larger(allowed * before_, roundoff()));
   }
 
   /// `Guard::suspect`, of an invariant that does not change with t.
   [[nodiscard]] M suspicious(const P& h, const P* f, P& drift) const {
-    P rate(0), square(0);
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      rate += jacobian_[i] * f[i];
-      square += (f[i] / w_[i]) * (f[i] / w_[i]);
-    }
-    const P tolerated = job_.rtol * norm_;
-    const M drifts = (suspicious_drift * tolerated < absolute(h * rate)) |
-                     (harmful_drift * tolerated < absolute(invariant().interval * rate));
-    const P angle = absolute(rate) / (norm_ * square_root(square));
+    const P rate = gradient().dot(f), tolerated = job_.rtol * norm_;
+    const P angle = absolute(rate) / (norm_ * weighted_norm(f, w_, job_.n));
     drift = absolute(h * rate) / tolerated;
-    return drifts & (P(suspicious_angle) < angle);
+    return drifts(rate, h, std::abs(job_.tf - job_.t0), tolerated) & (P(suspicious_angle) < angle);
   }
 
   /// `Guard::acquitted_here`: with f where the linearization is. Those that are not acquitted would have to be
   /// confirmed.
-  M convicted(const M& asked, const P& drift, const P& t, const P& h, const P& steps, const P* p) {
-    evaluate(job_.f, t, point_, slope_, p);
+  M convicted(const M& asked, const P& drift, const LaneStep<W>& step, const P& steps) {
+    evaluate(job_.f, step.t1, point_, slope_, step.p);
     P drift_here;
-    const M odd = not_finite(slope_, job_.n) | suspicious(h, slope_, drift_here);
-    now_[quiet] = choose(asked, steps + smaller(steps, P(longest_pause)), now_[quiet]);
-    now_[acquitted] = choose(asked, drift, now_[acquitted]);
-    now_[checks] += choose(asked, P(1), P(0));
+    const M odd = not_finite(slope_, job_.n) | suspicious(step.h, slope_, drift_here);
+    now_[Rows::quiet] = choose(asked, steps + smaller(steps, P(longest_pause)), now_[Rows::quiet]);
+    now_[Rows::acquitted] = choose(asked, drift, now_[Rows::acquitted]);
+    count(Rows::checks, asked, 1);
     return asked & odd;
   }
 
   /// The looks of `Guard::rate` at g_t. (An invariant that changes with t is asked for it in each step there.)
-  M changes_with_time(unsigned looking, const P& t, const P& h, const P& steps, const P* p) {
+  M changes_with_time(unsigned looking, const LaneStep<W>& made, const P& steps) {
     P increment(0);
-    for (int l = 0; l < W; ++l) {
-      if (!has(looking, l)) continue;
-      increment.lanes()[l] = invariant().time_increment(t.lanes()[l], h.lanes()[l]);
+    for_each_lane(looking, [&](int l) {
+      increment.lanes()[l] = invariant().time_increment(made.t1.lanes()[l], made.h.lanes()[l]);
       const auto step = static_cast<std::int64_t>(steps.lanes()[l]);
       const std::int64_t half = step > 1 ? step / 2 : 1;
-      now_[next_look].lanes()[l] = static_cast<double>(step + (half < longest_pause ? half : longest_pause));
-      now_[evaluations].lanes()[l] += 2;
-    }
-    P later, earlier;
-    evaluate(invariant().g, t + increment, point_, &later, p);
-    evaluate(invariant().g, t - increment, point_, &earlier, p);
-    const P change = (later - now_[value]) - (earlier - now_[value]);
-    return to_mask<W>(looking) & ~(absolute(change) <= 2 * roundoff(now_[value]));
+      now_[Rows::next_look].lanes()[l] = static_cast<double>(step + (half < longest_pause ? half : longest_pause));
+    });
+    count(Rows::evaluations, to_mask<W>(looking), 2);
+    const P later = g(made.t1 + increment, point_, made.p), earlier = g(made.t1 - increment, point_, made.p);
+    const P change = (later - held_) - (earlier - held_);
+    return to_mask<W>(looking) & ~(absolute(change) <= roundoffs_of_change * roundoff());
   }
 
   /// `Guard::start_jacobian` and `Guard::start_rate`, whose linearization at the start has just been taken.
   M start_tests(const P& t, const P* y, const P* f, const P& h, const P* p) {
-    take_sizes(y);
-    P expected(0), sum(0), plus, minus, later, drift;
-    const P noise = roundoff(ready_[value]) / P(invariant().increment);
+    const double* direction = invariant().direction;
+    take_sizes(y, job_.threshold, job_.n, sizes_);
+    const Directional<P> along(gradient(), sizes_, [&](std::size_t j) { return direction[j]; });
+    const P noise = roundoff();
+    P drift;
     M odd = suspicious(h, f, drift);
     const auto displace = [&](double side) {
-      for (std::size_t i = 0; i < job_.n; ++i)
-        point_[i] = y[i] + side * (invariant().direction[i] * (invariant().increment * sizes_[i]));
-      return mend(point_, y, job_.n);
+      for (std::size_t i = 0; i < job_.n; ++i) point_[i] = y[i] + side * (cbrt_eps * sizes_[i] * P(direction[i]));
+      odd = odd | mend(point_, y, job_.n);
     };
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      const P term = invariant().direction[i] * (jacobian_[i] * sizes_[i]);
-      expected += term;
-      sum += absolute(term);
-    }
-    odd = odd | displace(-1);
-    evaluate(invariant().g, t, point_, &minus, p);
-    odd = odd | displace(1);
-    evaluate(invariant().g, t, point_, &plus, p);
-    evaluate(invariant().g, t + h, point_, &later, p);
-    const P a = plus - ready_[value], b = minus - ready_[value], c = later - ready_[value];
-    const P quotient = (a - b) / P(2 * invariant().increment);
-    const P allowed = jacobian_tolerance * larger(sum, absolute(quotient)) + noise;
-    odd = odd | (allowed < absolute(quotient - expected)) | ~((a <= c) & (c <= a));
-    ready_[evaluations] += P(4);
-    return odd;
-  }
-
-  /// `Invariants::sizes`
-  void take_sizes(const P* y) {
-    P largest(0);
-    for (std::size_t i = 0; i < job_.n; ++i) largest = larger(largest, absolute(y[i]));
-    largest = choose(largest < P(smallest_scale), P(1), largest);
-    for (std::size_t i = 0; i < job_.n; ++i) {
-      const double thr = job_.threshold[i];
-      const P size = absolute(y[i]);
-      const P least = thr < smallest_scale ? choose(size < P(smallest_scale), largest, P(0)) : smaller(P(thr), largest);
-      sizes_[i] = larger(size, least);
-    }
+    displace(-1);
+    const P minus = g(t, point_, p) - held_;
+    displace(1);
+    const P plus = g(t, point_, p) - held_, later = g(t + h, point_, p) - held_;
+    ready_[Rows::evaluations] += P(4);
+    return odd | along.contradicted((plus - minus) / P(2 * cbrt_eps), noise, cbrt_eps) | (plus < later) |
+           ~(later <= plus);
   }
 
   const Job& job_;
-  P *now_, *ready_;  // states
-  P *w_, *jacobian_, *row_, *delta_, *point_, *y1_, *sizes_, *slope_;
-  P norm_{0}, moved_{0}, before_{0}, start_{0};  // of the step in work
+  P *now_, *ready_;
+  P *w_ = nullptr, *jacobian_ = nullptr, *row_ = nullptr, *delta_ = nullptr, *point_ = nullptr, *y1_ = nullptr,
+    *sizes_ = nullptr, *slope_ = nullptr;
+  P held_{0}, norm_{0}, moved_{0}, before_{0}, start_{0};  // of the step in work
 };
 
 }  // namespace invariode::lanes::INVARIODE_LANES

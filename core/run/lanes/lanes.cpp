@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <vector>
 
-#include "run/lanes/instructions.hpp"
-
 namespace invariode::lanes {
 namespace {
 

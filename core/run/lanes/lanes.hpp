@@ -26,11 +26,8 @@ struct Invariant {
   Called g, jacobian;  ///< (1, lanes), (n, lanes)
   bool held;           ///< at its value at the start; else at `value`
   double value;
-  int iterations;  ///< of the projection
-  bool tested;     ///< whether f conserves it
-  // Of these tests:
-  double interval;                               ///< length of the integration
-  double increment;                              ///< of differences, relative: ε^{1/3}
+  int iterations;                                ///< of the projection
+  bool tested;                                   ///< whether f conserves it: what follows is of these tests
   const double* direction;                       ///< (n,) in which the Jacobian is compared with a difference
   double (*time_increment)(double t, double h);  ///< of differences with respect to t
 };
@@ -46,7 +43,6 @@ struct Job {
   double first_step;   ///< 0: chosen by the method
   double rtol;
   double max_steps;            ///< a trajectory that would need more is left
-  double real_limit;           ///< of the pair's stability on the negative real axis
   const double* threshold;     ///< (n,)
   const double* scale;         ///< (n,), or null: all 1
   const Invariant* invariant;  ///< or null: none is held
@@ -62,41 +58,66 @@ struct Job {
   [[nodiscard]] bool looks_inside() const { return output_at_times() || count_of_events > 0; }
 };
 
-/// What holding the invariant came to: its value, the largest residuals of candidates and at the end, the largest
-/// correction in units of rtol, evaluations of g, of f by its tests, and of its Jacobian, and sums of what the errors
-/// and the corrections of the components were in the looks of `HarmDetector`, with the stride of y.
-struct HeldToEnd {
-  double value, before, after, correction;  ///< `after`: at outputs and at the end
-  std::int64_t evaluations, checks, jacobians;
-  const double *errors, *corrections;
+/// What belongs to a trajectory, as rows of numbers: where it is and the next |h|, whether the last attempt failed,
+/// counts of steps, failures, looks at steps that stability limits, steps that were looked into; y (n,); f there (n,);
+/// its parameters; of each event its value and sign, and how often it has occurred; then what belongs to the invariant.
+struct Rows {
+  enum : std::size_t { t, h, retries, steps, failed, limited, looked, y };
+  enum : std::size_t { last, sign, occurrences, of_event };
+  /// The value, the largest residuals of candidates and at outputs or the end, the largest correction in units of rtol;
+  /// counts of its evaluations, of f by its tests, of its Jacobian; ‖∇g W‖; when g is looked at for a change with t,
+  /// and f for a rate, the drift that was acquitted; g at the end of the step, if known. Sums (n,) of the errors and
+  /// the corrections that `HarmDetector` looks at.
+  enum : std::size_t {
+    value,
+    before,
+    after,
+    correction,
+    evaluations,
+    checks,
+    jacobians,
+    norm,
+    next_look,
+    quiet,
+    acquitted,
+    end,
+    known,
+    errors
+  };
+  std::size_t slope, parameters, events, invariant, size;
+
+  explicit Rows(const Job& job)
+      : slope(y + job.n),
+        parameters(slope + job.n),
+        events(parameters + job.parameters),
+        invariant(events + of_event * job.count_of_events),
+        size(invariant + (job.invariant != nullptr ? errors + 2 * job.n : 0)) {}
 };
 
-/// A trajectory that has reached tf, or a terminal event: y (n,) with that stride.
+/// A trajectory in its lane: rows that are `stride` apart.
+struct Lane {
+  std::uint32_t trajectory;
+  const Rows& rows;
+  double* state;
+  std::size_t stride;
+
+  double& operator[](std::size_t row) const { return state[row * stride]; }
+};
+
+/// It has reached tf, or a terminal event. Evaluations of f, and those in search of its jumps.
 struct Ended {
-  std::uint32_t trajectory;
-  double t;
+  Lane lane;
   bool by_event;
-  const double* y;
-  std::size_t stride;
-  std::int64_t steps, failed, evaluations;
-  std::int64_t checks;  ///< evaluations of f in search of its jumps
-  HeldToEnd held;       ///< where there is an invariant
+  std::int64_t evaluations, checks;
 };
 
-/// A trajectory between two attempts: where it is, f there, |h| of the next attempt, whether the last one failed, and
-/// its counts; and what belongs to the invariant. y, k, p and `held` have that stride.
+/// It is between two attempts. `series`: of failed attempts, whose two points are (2, n).
 struct Suspended {
-  std::uint32_t trajectory;
-  double t, h;
-  bool retries;
-  double steps, failed, limited;
-  const double *y, *k, *p, *held, *watched;
-  std::size_t stride;
-  double looked;       ///< into so many steps
+  Lane lane;
   std::size_t output;  ///< the number of the next one
   std::int64_t checks;
-  SeriesMemory series;  ///< of failed attempts, and its points (n,)
-  const double *from, *latest;
+  SeriesMemory series;
+  const double* points;
 };
 
 /// A way on which f may jump, from (t0, y0) to (t1, y1), after so many attempts, the latest that failed of size
@@ -109,15 +130,12 @@ struct Suspicion {
   std::int64_t attempts;
 };
 
-/// A step in which the sign of an event changes: from (t0, y0), where the slope is k, with the signed size h to
-/// (t1, y1). `watched`: of each event its value and sign at t0, and how often it has occurred; at t1 when it has been
-/// searched. y0, k, y1 and `watched` have that stride.
+/// A step in which the sign of an event changes, from where the lane is, with the signed size h to (t1, y1), y1 (n,)
+/// with the stride of the lane. What is known of the events is that at t1 when it has been searched.
 struct Crossed {
-  std::uint32_t trajectory;
-  double t0, t1, h;
-  const double *y0, *k, *y1;
-  double* watched;
-  std::size_t stride;
+  Lane lane;
+  double t1, h;
+  const double* y1;
 };
 
 /// What a search has found. Unless it is sound the trajectory is to be left. `terminal`: it ends at (t, y), y (n,).
@@ -156,17 +174,17 @@ class Host {
   /// Whether f jumps there; evaluations of f in search of it are added to `checks`.
   virtual bool jumps(const Suspicion& suspicion, std::int64_t& checks) = 0;
   [[nodiscard]] virtual bool cancelled() const = 0;
+  /// Memory aligned to 64 bytes, until the host ends.
+  [[nodiscard]] virtual void* memory(std::size_t bytes) = 0;
 };
 
 /// The kernels of one pair.
 struct Pair {
   std::string_view method;
-  /// Bytes of memory, aligned to 64, that both of these need.
-  std::size_t (*memory)(const Job& job);
   /// Integrates what the host hands out, until it has no more.
-  void (*run)(const Job& job, Host& host, void* memory);
+  void (*run)(const Job& job, Host& host);
   /// Goes on with one trajectory, f having one lane. Null, but for the instructions that every processor has.
-  void (*go_on)(const Job& job, const Suspended& from, Host& host, void* memory);
+  void (*go_on)(const Job& job, const Suspended& from, Host& host);
 };
 
 /// An instruction set for which there are kernels.
@@ -179,6 +197,9 @@ struct Instructions {
   /// Null if the method is not a pair.
   [[nodiscard]] const Pair* pair(std::string_view method) const;
 };
+
+/// Each has an object file of its own, compiled with flags of its own; there are the last two on x86 only.
+extern const Instructions of_baseline, of_avx2, of_avx512;
 
 /// The instruction sets that this processor has, the best one first; the last one is that of every processor.
 [[nodiscard]] std::span<const Instructions* const> instructions();

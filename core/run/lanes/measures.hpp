@@ -33,6 +33,19 @@ INVARIODE_EACH Pack<W> weight(const Job& job, std::size_t i, const Pack<W>& size
   return larger(job.scale != nullptr ? job.scale[i] * size : size, Pack<W>(job.threshold[i]));
 }
 
+/// The steps that lanes make: from (t0, y0), with parameters p, by stages of the signed size h to (t1, y1), `purified`
+/// = t1 − t0; and the points that they have reached: their ends, unless an event cuts them.
+template <int W>
+struct LaneStep {
+  Pack<W> t0, t1, h, purified, reached_t;
+  const Pack<W>*y0, *y1, *p, *reached_y;
+};
+
+template <int W>
+Pack<W>* take(Host& host, std::size_t rows) {
+  return static_cast<Pack<W>*>(host.memory(rows * sizeof(Pack<W>)));
+}
+
 template <int W>
 Mask<W> no_lane() {
   return to_mask<W>(0);
@@ -56,7 +69,7 @@ INVARIODE_SHARED void replace(const Mask<W>& where, Pack<W>* v, const Pack<W>* i
 template <int W>
 INVARIODE_EACH Mask<W> mend(Pack<W>* v, const Pack<W>* instead, std::size_t n) {
   const Mask<W> odd = not_finite(v, n);
-  if (bits(odd) != 0) replace(odd, v, instead, n);
+  if (any(odd)) replace(odd, v, instead, n);
   return odd;
 }
 

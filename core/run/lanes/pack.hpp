@@ -3,18 +3,11 @@
 // INVARIODE_LANES, the name of an instruction set: each has types of its own, so that no function that was compiled for
 // one is linked in place of another's.
 
+#include <bit>
 #include <cmath>
 #include <cstdint>
 
-// Functions of which the kernels share one, and those that are a part of each: the compiler would take its decision for
-// both by their number.
-#if defined(__GNUC__)
-#define INVARIODE_SHARED [[gnu::noinline]]
-#define INVARIODE_EACH [[gnu::always_inline]] inline
-#else
-#define INVARIODE_SHARED
-#define INVARIODE_EACH inline
-#endif
+#include "number.hpp"
 
 namespace invariode::lanes::INVARIODE_LANES {
 
@@ -99,6 +92,11 @@ struct alignas(W < 8 ? W * sizeof(double) : 64) Pack : Layout<W> {
 constexpr unsigned one_lane(int lane) { return 1U << static_cast<unsigned>(lane); }
 constexpr bool has(unsigned set, int lane) { return (set & one_lane(lane)) != 0; }
 
+template <class F>
+void for_each_lane(unsigned set, F f) {
+  for (; set != 0; set &= set - 1) f(std::countr_zero(set));
+}
+
 /// The result of a function of registers, register by register.
 template <class Result, class F>
 Result each(F f) {
@@ -151,26 +149,18 @@ template <int W>
 Pack<W> choose(const Mask<W>& mask, const Pack<W>& yes, const Pack<W>& no) {
   return each<Pack<W>>([&](int c) { return RegisterOf<W>::choose(mask.v[c], yes.v[c], no.v[c]); });
 }
-/// std::max(a, b), std::min(a, b): the first where they do not compare.
-template <int W>
-Pack<W> larger(const Pack<W>& a, const Pack<W>& b) {
-  return choose(a < b, b, a);
-}
-template <int W>
-Pack<W> smaller(const Pack<W>& a, const Pack<W>& b) {
-  return choose(b < a, b, a);
-}
-
 template <int W>
 Pack<W> absolute(const Pack<W>& a) {
   return each<Pack<W>>(
       [&](int c) { return __builtin_bit_cast(NumbersOf<W>, __builtin_bit_cast(BitsOf<W>, a.v[c]) & INT64_MAX); });
 }
-/// The next larger double of numbers that are not negative.
+/// Spacing of doubles at |t|.
 template <int W>
-Pack<W> next(const Pack<W>& a) {
+Pack<W> ulp(const Pack<W>& t) {
+  const Pack<W> a = absolute(t);
   return each<Pack<W>>(
-      [&](int c) { return __builtin_bit_cast(NumbersOf<W>, __builtin_bit_cast(BitsOf<W>, a.v[c]) + 1); });
+             [&](int c) { return __builtin_bit_cast(NumbersOf<W>, __builtin_bit_cast(BitsOf<W>, a.v[c]) + 1); }) -
+         a;
 }
 template <int W>
 Pack<W> square_root(const Pack<W>& a) {
@@ -206,6 +196,10 @@ unsigned bits(const Mask<W>& mask) {
 #endif
   }
   return r;
+}
+template <int W>
+bool any(const Mask<W>& mask) {
+  return bits(mask) != 0;
 }
 template <int W>
 Mask<W> to_mask(unsigned bits) {

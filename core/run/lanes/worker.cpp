@@ -3,20 +3,22 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <string_view>
+#include <utility>
 
+#include "aim.hpp"
 #include "manifold/guard.hpp"
 #include "manifold/invariants.hpp"
-#include "methods/runge_kutta.hpp"
-#include "methods/stability.hpp"
 
 namespace invariode {
 namespace {
 
-constexpr double huge = std::numeric_limits<double>::max() / 16;  // as in integrate.cpp
-
 /// So many trajectories are looked at before the lanes are given up because they leave most of them.
 constexpr std::size_t trial = 64;
+
+/// So many occurrences of events may a trajectory have at least, wherever the limit is.
+constexpr std::size_t plenty = 100000;
+
+const lanes::Instructions& of_every_processor() { return *lanes::instructions().back(); }
 
 /// A function of one trajectory, whose parameters are where it looks for them.
 void evaluate_alone(void* context, const double* t, const double* y, double* out, const double* /*p*/) {
@@ -24,21 +26,23 @@ void evaluate_alone(void* context, const double* t, const double* y, double* out
     *out = std::numeric_limits<double>::quiet_NaN();  // the code for single runs finds out why
 }
 
-lanes::Called alone(Callback& function) { return {evaluate_alone, &function}; }
-
-/// So many occurrences of events may a trajectory have at least, wherever the limit is.
-constexpr std::size_t plenty = 100000;
-
-const lanes::Pair& pair_of(const lanes::Instructions& instructions, const Solver& solver) {
-  return *instructions.pair(solver.method().name);
+/// The functions of one trajectory: f, the events, and of the invariant g and its Jacobian.
+std::vector<Callback> functions_of(const Problem& problem) {
+  std::vector<Callback> functions{problem.f};
+  for (const EventFunction& event : problem.events) functions.push_back(event.function);
+  for (const InvariantBlock& block : problem.invariants) functions.insert(functions.end(), {block.g, block.jacobian});
+  return functions;
 }
 
-/// How far the method is stable on the negative real axis.
-template <const auto&... T>
-double real_limit(std::string_view method, runge_kutta::Tableaux<T...> /*pairs*/) {
-  double limit = 0;
-  ((T.name == method ? void(limit = runge_kutta::real_limit<T>()) : void()), ...);
-  return limit;
+/// The same, with one lane.
+LaneForm form_alone(std::vector<Callback>& functions, std::size_t events) {
+  LaneForm form;
+  const auto called = [&functions](std::size_t i) { return lanes::Called{evaluate_alone, &functions[i]}; };
+  form.instructions = &of_every_processor();
+  form.f = called(0);
+  for (std::size_t e = 1; e <= events; ++e) form.events.push_back(called(e));
+  if (functions.size() > events + 1) form.g = called(events + 1), form.jacobian = called(events + 2);
+  return form;
 }
 
 /// In which the Jacobians of invariants are compared with differences.
@@ -48,41 +52,25 @@ std::vector<double> directions(std::size_t n) {
   return direction;
 }
 
-lanes::Invariant make_invariant(const Solver& solver, const lanes::Called& g, const lanes::Called& jacobian,
-                                const std::vector<double>& direction) {
-  const Settings& settings = solver.settings();
+lanes::Invariant invariant_of(const Solver& solver, const LaneForm& form, const std::vector<double>& direction) {
   const std::vector<InvariantBlock>& blocks = solver.problem().invariants;
   if (blocks.empty()) return {};
-  return {.g = g,
-          .jacobian = jacobian,
+  return {.g = form.g,
+          .jacobian = form.jacobian,
           .held = blocks.front().held,
           .value = solver.problem().value.front(),
-          .iterations = settings.iterations,
-          .tested = settings.check,
-          .interval = std::abs(settings.tf - settings.t0),
-          .increment = std::cbrt(eps),
+          .iterations = solver.settings().iterations,
+          .tested = solver.settings().check,
           .direction = direction.data(),
           .time_increment = Invariants::time_increment};
 }
 
-std::vector<Callback> events_of(const Solver& solver) {
-  const std::vector<EventFunction>& events = solver.problem().events;
-  std::vector<Callback> functions(events.size());
-  std::ranges::transform(events, functions.begin(), &EventFunction::function);
-  return functions;
-}
-
-std::vector<lanes::Called> all_alone(std::vector<Callback>& functions) {
-  std::vector<lanes::Called> called(functions.size());
-  std::ranges::transform(functions, called.begin(), alone);
-  return called;
-}
-
-lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, const lanes::Called& f,
-                    const lanes::Invariant& invariant, const std::vector<lanes::Called>& events) {
+lanes::Job job_of(const Solver& solver, const Ensemble& ensemble, const LaneForm& form,
+                  const lanes::Invariant& invariant) {
   const Settings& settings = solver.settings();
   const Weights& weights = solver.weights();
-  return {.f = f,
+  const bool holds = invariant.g.function != nullptr, limited = settings.max_steps != Settings::unlimited;
+  return {.f = form.f,
           .n = ensemble.n,
           .parameters = ensemble.parameters,
           .y0 = ensemble.y0,
@@ -92,21 +80,17 @@ lanes::Job make_job(const Solver& solver, const Ensemble& ensemble, const lanes:
           .hmax = std::min(settings.hmax, huge),
           .first_step = settings.first_step,
           .rtol = weights.rtol(),
-          .max_steps = settings.max_steps == Settings::unlimited ? std::numeric_limits<double>::infinity()
-                                                                 : static_cast<double>(settings.max_steps),
-          .real_limit = real_limit(solver.method().name, runge_kutta::Pairs()),
+          .max_steps = limited ? static_cast<double>(settings.max_steps) : std::numeric_limits<double>::infinity(),
           .threshold = weights.threshold().data(),
           .scale = weights.scale().empty() ? nullptr : weights.scale().data(),
-          .invariant = invariant.g.function != nullptr ? &invariant : nullptr,
+          .invariant = holds ? &invariant : nullptr,
           .times = settings.times.data(),
           .count_of_times = settings.output_at_times ? settings.times.size() : 0,
           .corrects = settings.interpolation != Interpolation::raw,
-          .projects = settings.interpolation == Interpolation::projected && invariant.g.function != nullptr,
-          .events = events.data(),
-          .count_of_events = events.size()};
+          .projects = settings.interpolation == Interpolation::projected && holds,
+          .events = form.events.data(),
+          .count_of_events = form.events.size()};
 }
-
-const lanes::Instructions& of_every_processor() { return *lanes::instructions().back(); }
 
 const char* obstacle_of_invariants(const Solver& solver) {
   const Problem& problem = solver.problem();
@@ -147,7 +131,12 @@ const char* obstacle_to_lanes(const Solver& solver) {
   return limited ? "runs are limited" : nullptr;
 }
 
-LaneWorker::Memory::Memory(std::size_t bytes) : bytes_(static_cast<std::byte*>(::operator new(bytes, alignment))) {}
+LaneWorker::Order::Order(const Solver& solver, const Ensemble& ensemble, LaneForm functions,
+                         const std::vector<double>& direction)
+    : form(std::move(functions)),
+      pair(*form.instructions->pair(solver.method().name)),
+      invariant(invariant_of(solver, form, direction)),
+      job(job_of(solver, ensemble, form, invariant)) {}
 
 LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const LaneForm& form, Queue& queue,
                        EnsembleResult& result)
@@ -155,27 +144,16 @@ LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const Lan
       ensemble_(ensemble),
       queue_(queue),
       result_(result),
-      pair_(pair_of(*form.instructions, solver)),
-      alone_(pair_of(of_every_processor(), solver)),
-      f_(solver.problem().f),
-      g_(solver.problem().invariants.empty() ? Callback() : solver.problem().invariants.front().g),
-      jacobian_(g_ ? solver.problem().invariants.front().jacobian : Callback()),
-      watched_(events_of(solver)),
+      functions_(functions_of(solver.problem())),
       direction_(directions(ensemble.n)),
-      invariant_(make_invariant(solver, form.g, form.jacobian, direction_)),
-      invariant_alone_(make_invariant(solver, alone(g_), alone(jacobian_), direction_)),
-      events_(form.events),
-      events_alone_(all_alone(watched_)),
-      job_(make_job(solver, ensemble, form.f, invariant_, events_)),
-      job_alone_(make_job(solver, ensemble, alone(f_), invariant_alone_, events_alone_)),
-      memory_(pair_.memory(job_)),
-      memory_alone_(alone_.memory(job_alone_)),
-      jump_search_(f_, solver.weights()),
+      order_(solver, ensemble, form, direction_),
+      alone_(solver, ensemble, form_alone(functions_, form.events.size()), direction_),
+      jump_search_(solver.problem().f, solver.weights()),
       end_(ensemble.n) {}
 
 void LaneWorker::run() {
-  if (!events_.empty()) search_.emplace(solver_, ensemble_);
-  pair_.run(job_, *this, memory_.get());
+  if (order_.job.count_of_events > 0) search_.emplace(solver_, ensemble_);
+  order_.pair.run(order_.job, *this);
   result_.add_alone(left_why_);
 }
 
@@ -189,10 +167,10 @@ bool LaneWorker::take(std::uint32_t& trajectory) {
 }
 
 lanes::Found LaneWorker::search(const lanes::Crossed& step) {
-  set_parameters(step.trajectory);
-  const auto [place, is_new] = occurrences_.try_emplace(step.trajectory);
+  set_parameters(step.lane.trajectory);
+  const auto [place, is_new] = occurrences_.try_emplace(step.lane.trajectory);
   std::vector<Trajectory>& found = place->second;
-  if (is_new) found.resize(events_.size());
+  if (is_new) found.resize(order_.job.count_of_events);
   lanes::Found result = search_->search(step, found);
   std::size_t count = 0;
   for (const Trajectory& one : found) count += one.t.size();
@@ -202,8 +180,8 @@ lanes::Found LaneWorker::search(const lanes::Crossed& step) {
 
 void LaneWorker::keep(const lanes::Ended& ended) {
   result_.keep(ended, solver_);
-  if (const auto found = occurrences_.extract(ended.trajectory); !found.empty())
-    result_.keep_occurrences(ended.trajectory, found.mapped());
+  if (const auto found = occurrences_.extract(ended.lane.trajectory); !found.empty())
+    result_.keep_occurrences(ended.lane.trajectory, found.mapped());
   ++kept_;
   queue_.finish_one();
 }
@@ -224,8 +202,20 @@ void LaneWorker::leave(std::uint32_t trajectory, lanes::Why why) {
 
 void LaneWorker::go_on(const lanes::Suspended& suspended) {
   if (cancelled()) return;
-  set_parameters(suspended.trajectory);
-  alone_.go_on(job_alone_, suspended, *this, memory_alone_.get());
+  set_parameters(suspended.lane.trajectory);
+  alone_.pair.go_on(alone_.job, suspended, *this);
+}
+
+/// Piece after piece of as few allocations as possible: what a kernel reads together stands together.
+void* LaneWorker::memory(std::size_t bytes) {
+  const std::size_t size = (bytes + alignment - 1) / alignment * alignment;
+  if (memory_.empty() || size > left_in_memory_) {
+    left_in_memory_ = std::max(size, least_memory);
+    memory_.emplace_back(static_cast<std::byte*>(::operator new(left_in_memory_, std::align_val_t{alignment})));
+    next_memory_ = memory_.back().get();
+  }
+  left_in_memory_ -= size;
+  return std::exchange(next_memory_, next_memory_ + size);
 }
 
 bool LaneWorker::jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) {

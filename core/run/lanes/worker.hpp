@@ -40,40 +40,42 @@ class LaneWorker final : public lanes::Host {
   void leave(std::uint32_t trajectory, lanes::Why why) override;
   void go_on(const lanes::Suspended& suspended) override;
   bool jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) override;
+  void* memory(std::size_t bytes) override;
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
 
  private:
   void set_parameters(std::uint32_t trajectory);
 
-  /// Memory of a kernel, aligned as it needs it.
-  class Memory {
-   public:
-    explicit Memory(std::size_t bytes);
-    [[nodiscard]] void* get() const { return bytes_.get(); }
+  /// What a kernel is asked for.
+  struct Order {
+    Order(const Solver& solver, const Ensemble& ensemble, LaneForm functions, const std::vector<double>& direction);
+    Order(const Order&) = delete;
+    Order& operator=(const Order&) = delete;
 
-   private:
-    static constexpr std::align_val_t alignment{64};  // of the widest registers
-    struct Free {
-      void operator()(std::byte* bytes) const { ::operator delete(bytes, alignment); }
-    };
-    std::unique_ptr<std::byte, Free> bytes_;
+    const LaneForm form;
+    const lanes::Pair& pair;
+    const lanes::Invariant invariant;
+    const lanes::Job job;
+  };
+
+  static constexpr std::size_t alignment = 64;  // of the widest registers
+  static constexpr std::size_t least_memory = std::size_t{1} << 16U;
+  struct Free {
+    void operator()(std::byte* bytes) const { ::operator delete(bytes, std::align_val_t{alignment}); }
   };
 
   const Solver& solver_;
   const Ensemble& ensemble_;
   Queue& queue_;
   EnsembleResult& result_;
-  const lanes::Pair& pair_;
-  const lanes::Pair& alone_;   // with one lane
-  Callback f_, g_, jacobian_;  // for that
-  std::vector<Callback> watched_;
+  std::vector<Callback> functions_;  // of one trajectory
   std::vector<double> direction_;
-  lanes::Invariant invariant_, invariant_alone_;
-  std::vector<lanes::Called> events_, events_alone_;
-  lanes::Job job_, job_alone_;
+  Order order_, alone_;  // in lanes, and for those that go on alone
   std::optional<EventSearch> search_;
   std::unordered_map<std::uint32_t, std::vector<Trajectory>> occurrences_;  // of trajectories that have not ended
-  Memory memory_, memory_alone_;
+  std::vector<std::unique_ptr<std::byte, Free>> memory_;
+  std::byte* next_memory_ = nullptr;
+  std::size_t left_in_memory_ = 0;
   std::size_t kept_ = 0, left_ = 0;
   EnsembleResult::Left left_why_{};
   JumpSearch jump_search_;

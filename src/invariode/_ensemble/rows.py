@@ -12,8 +12,9 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, quietly, state, warn
-from .._functions.compiled import native_parameters
+from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
+from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._run.plan import Plan, solver
@@ -124,9 +125,31 @@ def _parameters(task: Task, plan: Plan) -> Array:
         same[:] = p
         return same
     try:
-        return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
-    except ValueError:  # arguments of different shapes
-        return np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
+        rows = np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
+    except (ValueError, TypeError):  # arguments of different shapes, or that are no numbers
+        rows = np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
+    _require_constants(task, p, rows)
+    return rows
+
+
+def _require_constants(task: Task, p: Array, rows: Array) -> None:
+    """That all trajectories have the arguments that are constants of compiled functions.
+
+    Raises
+    ------
+    ValueError
+        They differ.
+    """
+    arguments = count_of(p)
+    if not isinstance(arguments, Arguments):
+        return
+    others = [] if isinstance(task.args, np.ndarray) else map(arguments_of, task.args)
+    called = [task.problem.fun, *(one.fun for one in (*task.problem.invariants, *task.problem.events))]
+    objection = arguments.objection(rows, constants(called, p))
+    if objection is None and any(one.fixed(TRUTHS) != arguments.fixed(TRUTHS) for one in others):
+        objection = "arguments that are no numbers, or their shapes, differ from row to row"
+    if objection is not None:
+        raise ValueError(f"args of a compiled ensemble: {objection}. Compile one function for each, or pass floats")
 
 
 def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError]:

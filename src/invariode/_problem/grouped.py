@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 #: How a Jacobian may be computed from f, in words.
-JACOBIANS = ("complex-step", "differences")
+JACOBIANS = ("trace", "complex-step", "differences")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -421,7 +421,7 @@ class DescribingOptions(TypedDict, total=False):
         bool | int | str | Sequence[int] | Sequence[str] | None,
         Option(
             None,
-            "bool, indices or labels",
+            "bool, int, str or sequence of int or str",
             "Components that must not become negative, such as concentrations: short for `bounds` of 0 below. True "
             "means all.",
             command=True,

@@ -119,7 +119,8 @@ class Solution(Exports):
         ----------
         t_end : float
             The new end, in the direction of integration beyond the point where the run ended, whether the end of its
-            interval, an event, the callback or a limit ended it. May be infinite.
+            interval, an event, the callback or a limit ended it. May be infinite. Where the run has ended there already,
+            the solution is this one.
         t_eval : array_like, optional
             Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
             output if there are none. Those beyond `t_end` are left for a further extension.
@@ -141,7 +142,7 @@ class Solution(Exports):
         TypeError
             An option that an extension cannot change.
         ValueError
-            `t_end` is not beyond the end; the run failed; or the solution comes from a file or a pickle, without the
+            `t_end` is before the end; the run failed; or the solution comes from a file or a pickle, without the
             functions.
 
         Examples

@@ -410,6 +410,8 @@ def _extended(origin: RunOrigin, old: Solution, t_end: float, options: Extension
     if not (old.success or old.status == LIMIT_REACHED):
         raise ValueError(f"a run that failed cannot be extended: {old.message}")
     tf = number("t_end", t_end)
+    if tf == origin.t:
+        return old
     forward = origin.forward or float(np.sign(tf - origin.t))
     if not forward * (tf - origin.t) > 0:
         raise ValueError(

@@ -34,10 +34,9 @@ def wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> Valu
     if not isinstance(fun, CompiledFunction) or fun.inplace:
         return None
     t0 = problem.t_span[0]
-    p = [*(np.ravel(one(t0)) for one in problem.inputs), native_parameters(args, [fun])]
-    parameters = np.concatenate(p)
+    parameters = native_parameters((*(one(t0) for one in problem.inputs), *args), [fun])
     try:
-        returned = np.size(fun.jitted(t0, y0.view(float), *([parameters] if len(parameters) else [])))
+        returned = np.size(fun.at(t0, y0.view(float), parameters=parameters))
     except Exception:  # whatever the user's code raises: there NaN is right
         return None
     if returned == n:

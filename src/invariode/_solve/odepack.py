@@ -166,7 +166,7 @@ def odeint(
         "atol": _TOLERANCE if atol is None else atol,
         "max_step": number("hmax", hmax) or np.inf,
         "t_eval": asked.times,
-        "keep": "all",
+        "keep": "all" if full else "outputs",
         "callback": counter.callback,
         "breakpoints": None if tcrit is None else _critical_points(tcrit, asked.times),
         "first_step": min(number("h0", h0), abs(asked.times[-1] - asked.times[0])) or None,
@@ -307,12 +307,12 @@ def _rows(sol: Solution, asked: _Times) -> Array:
 
 def _message(sol: Solution, counter: _Counter, printed: bool) -> str:
     """How the run ended; a warning if that was not at the last time."""
-    from scipy.integrate import ODEintWarning
-
     message = "Integration successful." if sol.status == 0 else sol.message
     if sol.status == 2:
         message = f"More than mxstep = {counter.most} steps between two times, at t = {sol.t_end:.6g}: raise mxstep."
     if sol.status != 0:
+        from scipy.integrate import ODEintWarning
+
         warn(message, ODEintWarning)
     if printed:
         print(message)

@@ -9,7 +9,7 @@ if find_spec("sympy") is None:
     raise ModuleNotFoundError('invariode.symbolic needs sympy: pip install "invariode[symbolic]"', name="sympy")
 
 from .mechanics import hamiltonian, lagrangian
-from .multibody import from_mechanics
+from .multibody import from_mechanics, from_pydy
 from .systems import SymbolicSystem, equations
 
-__all__ = ["SymbolicSystem", "equations", "from_mechanics", "hamiltonian", "lagrangian"]
+__all__ = ["SymbolicSystem", "equations", "from_mechanics", "from_pydy", "hamiltonian", "lagrangian"]

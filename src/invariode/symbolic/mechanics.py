@@ -14,7 +14,7 @@ from .._solve.problem import Problem
 from .code import System, eliminated
 from .mechanism import Consistent, Correction
 from .noether import symmetries, vanishes
-from .systems import Law, Phase, constrained, label
+from .systems import Law, Mechanical, Phase, constrained, label
 from .vocabulary import Vocabulary
 
 #: Where the rank of a mass matrix is tested: a point without special symmetry.
@@ -50,10 +50,8 @@ class Hamiltonian(Phase):
         return self._problem(t_span, self._start(q0, p0), laws=laws, compiled=compiled, name=name)
 
 
-class Lagrangian(Phase):
+class Lagrangian(Mechanical):
     """d/dt ∂L/∂q' = ∂L/∂q + forces, with constraints."""
-
-    _second = "v"
 
     def problem(
         self,
@@ -202,7 +200,7 @@ def lagrangian(
     Returns
     -------
     Lagrangian
-        A `SymbolicSystem`, with ``problem(t_span, q0, v0)``.
+        A `SymbolicSystem`, with ``problem(t_span, q0, v0)`` and ``multipliers(sol)``.
 
     Raises
     ------
@@ -235,7 +233,7 @@ def lagrangian(
             raise TypeError(f"q must be functions of time, got {one!r}: make them with dynamicsymbols")
     words = Vocabulary([*q, *(one.diff(one.args[0]) for one in q)], parameters)
     n = len(q)
-    form = _Form(words, n, words.coded("L", L), _forces(words, q, forces))
+    form = Form(words, n, words.coded("L", L), _forces(words, q, forces))
     held = [words.coded(f"constraint {i + 1}", _zero(one)) for i, one in enumerate(constraints)]
     rolled = [words.coded(f"velocity constraint {i + 1}", _zero(one)) for i, one in enumerate(nonholonomic)]
     _require_constraints(form, held, rolled)
@@ -251,11 +249,11 @@ def lagrangian(
     return Lagrangian(words, system, laws, shown, points, mechanism)
 
 
-class _Form:
+class Form:
     """A Lagrangian in the symbols of the code, and what follows from it."""
 
-    def __init__(self, words: Vocabulary, n: int, L: Any, forces: list[Any]) -> None:
-        self.words, self.lagrangian, self.forces = words, L, forces
+    def __init__(self, words: Vocabulary, n: int, L: Any, forces: Sequence[Any] = ()) -> None:
+        self.words, self.lagrangian, self.forces = words, L, list(forces)
         self.q, self.v = words.y[:n], words.y[n:]
         self.by_q, self.p = [L.diff(one) for one in self.q], [L.diff(one) for one in self.v]
 
@@ -266,13 +264,17 @@ class _Form:
     def system(self, velocity_constraints: list[Any]) -> System:
         """The equations for v', bordered by those of the multipliers."""
         mass = sympy.Matrix([[p.diff(one) for one in self.v] for p in self.p])
-        force = [by_q + own - self.rate(p) for by_q, own, p in zip(self.by_q, self.forces, self.p, strict=True)]
+        force = [own + other for own, other in zip(self.own_forces(), self.forces, strict=True)]
         rows = sympy.Matrix([[one.diff(x) for x in self.v] for one in velocity_constraints])
         if velocity_constraints:
             m = len(velocity_constraints)
             mass = sympy.Matrix([[mass, -rows.T], [rows, sympy.zeros(m, m)]])
             force += [-self.rate(one) for one in velocity_constraints]
         return System(self.words.y, self.v, mass, force)
+
+    def own_forces(self) -> list[Any]:
+        """∂L/∂q - d/dt ∂L/∂v without its part in v'."""
+        return [by_q - self.rate(p) for by_q, p in zip(self.by_q, self.p, strict=True)]
 
     def laws(self, held: list[Any], rates: list[Any], rolled: list[Any]) -> list[Law]:
         """Energy and momenta that hold whatever the parameters are."""
@@ -343,7 +345,7 @@ def _forces(words: Vocabulary, q: list[Any], forces: Mapping[Any, Any] | Sequenc
     return [words.coded(f"the force on {one}", force) for one, force in zip(q, forces, strict=True)]
 
 
-def _require_constraints(form: _Form, held: list[Any], rolled: list[Any]) -> None:
+def _require_constraints(form: Form, held: list[Any], rolled: list[Any]) -> None:
     velocities = set(form.v)
     for i, one in enumerate(held):
         if one.free_symbols & velocities:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,24 +15,32 @@ from .._base.types import Span
 from .._laws.imposing import impose
 from .._solve.problem import Problem
 from .code import System
+from .energy import energy
+from .mechanics import Form
 from .mechanism import Consistent, Correction, Mechanism
 from .noether import vanishes
-from .systems import LAWS, POSITIONS, VELOCITIES, Law, SymbolicSystem, constrained, given_laws, label
+from .systems import LAWS, POSITIONS, VELOCITIES, Law, Mechanical, constrained, given_laws, label
 from .vocabulary import Vocabulary
 
 
-class Multibody(SymbolicSystem):
+class Multibody(Mechanical):
     """Equations of motion of SymPy's mechanics: y = (q, u), or (q, q') by Lagrange's method."""
 
-    def __init__(self, *arguments: Any, initial: Mapping[Any, Any] | None = None) -> None:
+    def __init__(self, *arguments: Any, start: Start | None = None) -> None:
         super().__init__(*arguments)
-        self._initial = initial
+        self._given = start
+
+    @property
+    def _positions(self) -> int:
+        return len(self._system.explicit)
 
     def problem(
         self,
-        t_span: Span,
-        y0: Any = None,
+        t_span: Span | None = None,
+        q0: Any = None,
+        v0: Any = None,
         *,
+        laws: bool = True,
         consistent: Consistent = "check",
         correction: Correction = "levels",
         compiled: bool | None = None,
@@ -42,11 +50,16 @@ class Multibody(SymbolicSystem):
 
         Parameters
         ----------
-        t_span : (float, float)
-            (t0, tf).
-        y0 : dict or array_like
-            Initial coordinates and speeds, by symbol or in the order of `states`. Default: the initial conditions of
-            PyDy's system.
+        t_span : (float, float), optional
+            (t0, tf). Default: the first and the last of the `times` of PyDy's system.
+        q0 : dict or array_like, optional
+            Initial coordinates, by symbol or in their order; without `v0` those and the speeds, in the order of
+            `states`. Default: the initial conditions of PyDy's system.
+        v0 : dict or array_like, optional
+            Initial speeds u, or by Lagrange's method velocities, by symbol or in their order.
+        laws : bool, default True
+            Whether the problem has the laws that were found as invariants, as for
+            `invariode.symbolic.mechanics.Lagrangian.problem`.
         consistent : {'check', 'project'}, default 'check'
             What is done with a start that is off the constraints by more than the run's tolerances: an
             `invariode.InvariantError`, or it is moved onto them, with a warning, by the least change in the metric of
@@ -61,12 +74,27 @@ class Multibody(SymbolicSystem):
             one warning that names them.
         """
         choice("consistent", consistent, ("check", "project"))
-        if y0 is None and self._initial is None:
-            raise TypeError(f"problem needs y0, the initial values of {', '.join(map(str, self.states))}")
-        start = self._words.start("y0", self._initial if y0 is None else y0, self.states)
+        span = self._span() if t_span is None else t_span
+        start = self._start_of(q0, v0)
         if self._mechanism is None and consistent == "project":
-            start = self._on_constraints(interval(t_span)[0], start)
-        return self._problem(t_span, start, compiled=compiled, name=name, consistent=consistent, correction=correction)
+            start = self._on_constraints(interval(span)[0], start)
+        return self._problem(
+            span, start, laws=laws, compiled=compiled, name=name, consistent=consistent, correction=correction
+        )
+
+    def _span(self) -> Span:
+        if self._given is None or self._given.times is None:
+            raise TypeError("problem needs t_span, the pair (t0, tf): only a system of PyDy's with times has one")
+        return self._given.times
+
+    def _start_of(self, q0: Any, v0: Any) -> list[float]:
+        if v0 is not None:
+            return self._start(q0, v0)
+        if q0 is None and self._given is not None:
+            q0 = self._given.y0
+        if q0 is None:
+            raise TypeError(f"problem needs q0 and v0, the initial values of {', '.join(map(str, self.states))}")
+        return self._words.start("q0", q0, self.states)
 
     def _on_constraints(self, t: float, start: list[float]) -> list[float]:
         """The nearest start that satisfies the constraints, positions first."""
@@ -86,6 +114,13 @@ class Multibody(SymbolicSystem):
         return [float(one) for one in found.y]
 
 
+class Start(NamedTuple):
+    """What a system of PyDy's says of its start."""
+
+    y0: Mapping[Any, Any]
+    times: tuple[float, float] | None
+
+
 def from_mechanics(
     method: Any,
     *,
@@ -97,23 +132,21 @@ def from_mechanics(
 
     Parameters
     ----------
-    method : sympy.physics.mechanics.KanesMethod or LagrangesMethod, or PyDy's System
-        After ``kanes_equations`` or ``form_lagranges_equations``. An object such as ``pydy.system.System`` contributes
-        its `eom_method`, `constants` and `initial_conditions`.
+    method : sympy.physics.mechanics.KanesMethod or LagrangesMethod
+        After ``kanes_equations`` or ``form_lagranges_equations``.
     invariants : sequence of sympy.Expr or sympy.Eq, or dict of names and these, optional
-        What the solution keeps, as for `equations`: the energy, or configuration constraints ``Eq(a, b)`` that the
-        method does not know.
+        What the solution keeps, as for `equations`: laws that are not found, or configuration constraints
+        ``Eq(a, b)`` that the method does not know.
     parameters : dict, optional
-        Other symbols and their values, which become `args` of the problem; for PyDy's system, in place of its
-        constants.
+        Other symbols and their values, which become `args` of the problem.
     points
         As for `equations`.
 
     Returns
     -------
     Multibody
-        A `SymbolicSystem`, with ``problem(t_span, y0)``; y = (q, u), or (q, q') by Lagrange's method. For PyDy's system
-        y0 may be left out.
+        A `SymbolicSystem`, with ``problem(t_span, q0, v0)``, and for Lagrange's method with ``multipliers(sol)``;
+        y = (q, u), or (q, q') by Lagrange's method.
 
     Raises
     ------
@@ -123,7 +156,9 @@ def from_mechanics(
     Notes
     -----
     Each evaluation of f solves the linear system of mass matrix and forces: no formula is solved for accelerations. The
-    method's own constraints, on configurations and velocities, are imposed by default.
+    method's own constraints, on configurations and velocities, are imposed by default. Laws are found as by
+    `lagrangian`; for Kane's method the energy, if nothing moves in a prescribed way and SymPy finds the potential of
+    the loads.
 
     Examples
     --------
@@ -134,40 +169,111 @@ def from_mechanics(
     >>> method = LagrangesMethod((x.diff()**2 + y.diff()**2) / 2 - y, [x, y], hol_coneqs=[x**2 + y**2 - 1])
     >>> _ = method.form_lagranges_equations()
     >>> pendulum = symbolic.from_mechanics(method)
-    >>> sol = pendulum.problem((0, 10), [1, 0, 0, 0], compiled=False).solve(rtol=1e-6)
+    >>> list(pendulum.laws)
+    ['constraint 1', 'rate of constraint 1', 'energy']
+    >>> sol = pendulum.problem((0, 10), [1, 0], [0, 0], compiled=False).solve(rtol=1e-6)
     >>> bool(abs(sol.residual).max() < 1e-13)
     True
     """
-    method, parameters, initial = _taken(method, parameters)
+    return _multibody(method, invariants, parameters, points, {}, None)
+
+
+def from_pydy(
+    system: Any,
+    *,
+    specifieds: Mapping[Any, Any] | None = None,
+    invariants: Iterable[Any] | Mapping[str, Any] = (),
+    parameters: Mapping[Any, Any] | None = None,
+    points: Sequence[Any] | None = None,
+) -> Multibody:
+    """A system of PyDy's, with its constants, specified quantities, initial conditions and times.
+
+    Parameters
+    ----------
+    system : pydy.system.System
+        What it has no values for is 1 (constants) or 0 (specified quantities, initial conditions), as in PyDy.
+    specifieds : dict, optional
+        Numbers or SymPy expressions of the time and the states for specified quantities, in place of the system's. They
+        are needed where it has functions, which cannot be differentiated.
+    invariants, points
+        As for `from_mechanics`.
+    parameters : dict, optional
+        In place of the system's constants of the same symbols.
+
+    Returns
+    -------
+    Multibody
+        As for `from_mechanics`; in ``problem()`` all arguments may be left out if the system has `times`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is no such system; a specified quantity is a function; as for `from_mechanics`.
+
+    Examples
+    --------
+    >>> from pydy.system import System  # doctest: +SKIP
+    >>> system = System(kane, constants={g: 9.81}, initial_conditions={q: 0.1}, times=[0, 10])  # doctest: +SKIP
+    >>> symbolic.from_pydy(system).problem().solve("dop853", rtol=1e-8).success  # doctest: +SKIP
+    True
+    """
+    try:
+        states, known = list(system.states), system.constants_symbols
+        constants = {**dict.fromkeys(sorted(known, key=str), 1.0), **system.constants, **(parameters or {})}
+        specified = {**dict.fromkeys(system.specifieds_symbols, 0.0), **_each(system.specifieds)}
+        y0 = {**dict.fromkeys(states, 0.0), **system.initial_conditions}
+        times = None if system.times is None or not len(system.times) else (system.times[0], system.times[-1])
+        method = system.eom_method
+    except AttributeError as missing:
+        raise TypeError(f"from_pydy takes a pydy.system.System: {missing}. For a method give from_mechanics") from None
+    specified |= specifieds or {}
+    for one, value in specified.items():
+        if callable(value) and not isinstance(value, sympy.Basic):
+            raise TypeError(f"{one} is specified by a function: give specifieds={{{one}: a SymPy expression}}")
+    return _multibody(method, invariants, constants, points, specified, Start(y0, times))
+
+
+def _each(specifieds: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Specified quantities and their values, one by one: PyDy also takes several with one array or function."""
+    if {"symbols", "values"} <= specifieds.keys():
+        specifieds = {tuple(specifieds["symbols"]): specifieds["values"]}
+    values: dict[Any, Any] = {}
+    for symbols, value in specifieds.items():
+        several = symbols if isinstance(symbols, tuple) else (symbols,)
+        each = [value] * len(several) if callable(value) else np.broadcast_to(value, len(several)).tolist()
+        values |= dict(zip(several, each, strict=True))
+    return values
+
+
+def _multibody(
+    method: Any,
+    invariants: Iterable[Any] | Mapping[str, Any],
+    parameters: Mapping[Any, Any] | None,
+    points: Sequence[Any] | None,
+    specified: Mapping[Any, Any],
+    start: Start | None,
+) -> Multibody:
+    if not isinstance(method, (KanesMethod, LagrangesMethod)):
+        raise TypeError(
+            f"method must be a KanesMethod or a LagrangesMethod, got {method!r}; from_pydy takes PyDy's System"
+        )
     q, u = list(method.q), list(method.u)
-    words = Vocabulary([*q, *u], parameters)
-    made = (_by_kane if isinstance(method, KanesMethod) else _by_lagrange)(method, words, len(q))
+    words = Vocabulary([*q, *u], parameters, specified)
     given = [_at_its_level(words, law, len(q)) for law in given_laws(words, invariants)]
+    named = {law.name for law in given}
+    made = (_by_kane if isinstance(method, KanesMethod) else _by_lagrange)(method, words, len(q), named)
     laws, renamed = _without_duplicates(words, made.laws, given)
     mechanism = made.mechanism
     if mechanism is not None:
         mechanism = mechanism._replace(names=[renamed.get(name, name) for name in mechanism.names])
     shown = [(sympy.Symbol(f"{label(one)}'"), words.shown(e)) for one, e in zip(q, made.system.explicit, strict=True)]
-    return Multibody(words, made.system, laws, shown, points, mechanism, initial=initial)
+    return Multibody(words, made.system, laws, shown, points, mechanism, start=start)
 
 
 class _Made(NamedTuple):
     system: System
     laws: list[Law]
     mechanism: Mechanism | None
-
-
-def _taken(
-    method: Any, parameters: Mapping[Any, Any] | None
-) -> tuple[Any, Mapping[Any, Any] | None, Mapping[Any, Any] | None]:
-    """Method, parameters and initial conditions of PyDy's system, or what was given."""
-    initial = None
-    if all(hasattr(method, one) for one in ("eom_method", "constants", "initial_conditions")):
-        parameters = {**dict(method.constants), **(parameters or {})}
-        initial, method = dict(method.initial_conditions), method.eom_method
-    if not isinstance(method, (KanesMethod, LagrangesMethod)):
-        raise TypeError(f"method must be a KanesMethod, a LagrangesMethod or a System of PyDy's, got {method!r}")
-    return method, parameters, initial
 
 
 def _formed(method: Any, *names: str) -> list[Any]:
@@ -177,7 +283,8 @@ def _formed(method: Any, *names: str) -> list[Any]:
         raise ValueError(f"{error}: call its kanes_equations or form_lagranges_equations first") from None
 
 
-def _by_kane(method: Any, words: Vocabulary, n: int) -> _Made:
+def _by_kane(method: Any, words: Vocabulary, n: int, named: Container[str]) -> _Made:
+    """`named`: laws that need not be found."""
     mass, force = _formed(method, "mass_matrix", "forcing")
     rates = method.kindiffdict()
     explicit = [words.coded(f"the derivative of {one}", rates[one.diff(words.time)]) for one in list(method.q)]
@@ -189,10 +296,13 @@ def _by_kane(method: Any, words: Vocabulary, n: int) -> _Made:
         rolled = [words.coded("a velocity constraint", e) for e in method._k_nh * method.u + method._f_nh]
     laws = [Law(f"constraint {i + 1}", one, 0.0, False, POSITIONS) for i, one in enumerate(held)]
     laws += [Law(f"velocity constraint {i + 1}", one, 0.0, False, VELOCITIES) for i, one in enumerate(rolled)]
-    return _Made(System(words.y, explicit, matrix, right), laws, None)
+    system = System(words.y, explicit, matrix, right)
+    if "energy" not in named and (found := energy(method, words, system, held, rolled)) is not None:
+        laws.append(Law("energy", found, None, proposed=True))
+    return _Made(system, laws, None)
 
 
-def _by_lagrange(method: Any, words: Vocabulary, n: int) -> _Made:
+def _by_lagrange(method: Any, words: Vocabulary, n: int, named: Container[str]) -> _Made:
     full, right_side = _formed(method, "mass_matrix_full", "forcing_full")
     right = [words.coded("the forces", e) for e in right_side[n:, 0]]
     matrix = sympy.Matrix(len(right), len(right), [words.coded("the mass matrix", e) for e in full[n:, n:]])
@@ -201,6 +311,9 @@ def _by_lagrange(method: Any, words: Vocabulary, n: int) -> _Made:
     rates = [words.coded("a constraint", one) for one in method.coneqs or []]
     m = len(held)
     laws, mechanism = constrained(words, held, rates[:m], rates[m:], matrix[:n, :n], right[:n])
+    form = Form(words, n, words.coded("L", method._L[0]))
+    form.forces = [total - own for total, own in zip(right, form.own_forces(), strict=False)]
+    laws += [law for law in form.laws(held, rates[:m], rates[m:]) if law.name not in named]
     return _Made(system, laws, mechanism)
 
 
@@ -216,10 +329,13 @@ def _at_its_level(words: Vocabulary, law: Law, n: int) -> Law:
 
 
 def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> tuple[list[Law], dict[str, str]]:
-    """The laws of the method, those under the names that the user gave them who has them too, and the user's others."""
+    """The laws of the method, those under the names that the user gave them who has them too, and the user's others. A
+    law that was found gives way to one of the user's that differs by a constant."""
     symbols = [words.t, *words.y, *words.p]
     renamed: dict[str, str] = {}
     others = []
+    wanted = [law.formula for law in given if law.value is None]
+    own = [one for one in own if not (one.proposed and any(_says_the_same(one.formula, law, words) for law in wanted))]
     for law in given:
         known = law.value is not None and [
             one.name
@@ -232,6 +348,14 @@ def _without_duplicates(words: Vocabulary, own: list[Law], given: list[Law]) -> 
         else:
             others.append(law)
     return [*(_renamed(law, renamed) for law in own), *others], renamed
+
+
+def _says_the_same(law: Any, other: Any, words: Vocabulary) -> bool:
+    """Whether they differ by a constant, or their sum is one."""
+    symbols = [words.t, *words.y]
+    there = {one: sympy.Rational(i + 2, i + 3) for i, one in enumerate(symbols)}
+    both = (law - other, law + other)
+    return any(vanishes(one - one.xreplace(there), [*symbols, *words.p]) for one in both)
 
 
 def _renamed(law: Law, names: Mapping[str, str]) -> Law:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import sympy
 
-from .._base.arguments import Array, choice, distinct, interval
-from .._base.types import Span
+from .._base.arguments import Array, choice, distinct, extra_arguments, interval
+from .._base.types import Points, Span
 from .._problem.invariants import Invariants
 from .._results.points import HasPoints
 from .._solve.problem import Problem
@@ -87,8 +87,13 @@ class SymbolicSystem(HasPoints):
         words, shape = self._words, (len(self._points), -1)
         flat = [e for row in self._points for e in row]
         code = sympy.lambdify([words.t, words.y, words.p], flat, modules="numpy", cse=True)
-        args = sol._invariants.args or words.args  # those of the run, which may have been replaced
+        args = self._args_of(sol)
         return lambda t, y: np.reshape(code(t, y, args), shape)
+
+    def _args_of(self, sol: Any) -> tuple[Any, ...]:
+        """Those of the run, which may have been replaced; a file does not know them."""
+        known: tuple[Any, ...] = getattr(getattr(sol, "_invariants", None), "args", ())
+        return known or self._words.args
 
     def _problem(
         self,
@@ -195,12 +200,62 @@ class Phase(SymbolicSystem):
 
     _second: str
 
+    @property
+    def _positions(self) -> int:
+        """How many components of the state are coordinates."""
+        return len(self.states) // 2
+
     def _start(self, q0: Any, second: Any) -> list[float]:
         """The state, of q by symbol or in their order, and p by symbol, v by coordinate, or in the order of q."""
-        n = len(self.states) // 2
+        n = self._positions
         q, p = self.states[:n], self.states[n:]
         last = q if isinstance(second, Mapping) and not any(one in p for one in second) else p
         return [*self._words.start("q0", q0, q), *self._words.start(f"{self._second}0", second, last)]
+
+
+class Mechanical(Phase):
+    """M v' = Q + Φᵀ λ, with constraints."""
+
+    _second = "v"
+
+    def multipliers(self, sol: Points, args: Iterable[Any] | None = None) -> Array:
+        """The multipliers λ at the points of a solution.
+
+        Parameters
+        ----------
+        sol : Solution
+            Of a problem of this system.
+        args : tuple, optional
+            The arguments with which it was solved. Default: those of its problem, if the solution knows it, else the
+            values in `parameters`. Give them for trajectories of ensembles and for loaded solutions.
+
+        Returns
+        -------
+        ndarray, (m, n_t)
+            Those of the constraints, then those of the velocity constraints; of least norm if constraints are
+            redundant.
+
+        Raises
+        ------
+        ValueError
+            There are no constraints with multipliers: Kane's method eliminates them.
+        """
+        if self._mechanism is None:
+            raise ValueError(
+                "the equations have no multipliers: they have no constraints, or Kane's method has eliminated them; "
+                "Lagrange's method keeps them"
+            )
+        words, n, mass = self._words, self._positions, self._mechanism.mass
+        rows = self._system.mass[n:, :n]
+        matrix = sympy.Matrix([[mass, -rows.T], [rows, sympy.zeros(rows.rows)]])
+        both = matrix.row_join(sympy.Matrix(self._system.force))
+        code = sympy.lambdify([words.t, words.y, words.p], both, modules="numpy", cse=True)
+        used = self._args_of(sol) if args is None else extra_arguments(args)
+        columns = []
+        for t, y in zip(sol.t, np.asarray(sol.y).T, strict=True):
+            at = np.asarray(code(t, y, used), dtype=float)
+            columns.append(np.linalg.lstsq(at[:, :-1], at[:, -1])[0][n:])
+        return np.array(columns).reshape(-1, rows.rows).T
 
 
 def label(state: Any) -> str:

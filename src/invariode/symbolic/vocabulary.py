@@ -26,11 +26,15 @@ def parsed(what: str, value: Any) -> Any:
 class Vocabulary:
     """What the symbols of a system mean, and their names in the code: t, y[0], y[1], ..., p[0], p[1], ....
 
-    States are symbols or functions of time; the rates of functions can be states, too.
+    States are symbols or functions of time; the rates of functions can be states, too. `specified` are formulas or
+    numbers that stand for other functions of time.
     """
 
-    def __init__(self, states: Sequence[Any], parameters: Mapping[Any, Any] | None) -> None:
+    def __init__(
+        self, states: Sequence[Any], parameters: Mapping[Any, Any] | None, specified: Mapping[Any, Any] | None = None
+    ) -> None:
         self.states = list(states)
+        self._specified = {one: parsed(f"the specified {one}", value) for one, value in (specified or {}).items()}
         self.parameters = {key: number(f"parameter {key}", value) for key, value in (parameters or {}).items()}
         for one in self.parameters:
             if not isinstance(one, sympy.Symbol):
@@ -69,7 +73,10 @@ class Vocabulary:
         ValueError
             It has symbols or functions that are neither state nor parameter nor time.
         """
-        translated = parsed(what, expression).xreplace(self._to_code)
+        given = parsed(what, expression)
+        if self._specified:
+            given = given.xreplace(self._specified).doit()  # with the derivatives of the formulas
+        translated = given.xreplace(self._to_code)
         free = {s for s in translated.free_symbols if s not in self._to_user}
         times = {s for s in free if s == self.time or (s.name == "t" and isinstance(self.time, sympy.Symbol))}
         translated = translated.xreplace(dict.fromkeys(times, self.t))

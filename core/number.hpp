@@ -1,0 +1,34 @@
+#pragma once
+// What a template on the number asks of it: of doubles here, of packs of them by functions of the same names
+// (run/lanes/pack.hpp). Where something is true is a bool of doubles, and a mask of packs.
+
+#include <cmath>
+
+// Functions of which the code for packs shares one, and those that are a part of each caller: the compiler would take
+// its decision for both by their number.
+#if defined(__GNUC__)
+#define INVARIODE_SHARED [[gnu::noinline]]
+#define INVARIODE_EACH [[gnu::always_inline]] inline
+#else
+#define INVARIODE_SHARED
+#define INVARIODE_EACH inline
+#endif
+
+namespace invariode {
+
+inline bool any(bool condition) { return condition; }
+inline double choose(bool condition, double yes, double no) { return condition ? yes : no; }
+inline double absolute(double x) { return std::abs(x); }
+inline double square_root(double x) { return std::sqrt(x); }
+
+/// std::max(a, b), std::min(a, b): the first where they do not compare.
+template <class Real>
+Real larger(const Real& a, const Real& b) {
+  return choose(a < b, b, a);
+}
+template <class Real>
+Real smaller(const Real& a, const Real& b) {
+  return choose(b < a, b, a);
+}
+
+}  // namespace invariode

@@ -1,0 +1,33 @@
+#pragma once
+// Polynomials between the ends of a step: of doubles, or of packs of them, one trajectory in each lane.
+
+#include <cstddef>
+
+namespace invariode {
+
+/// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
+template <class Real>
+void nested_polynomial(const Real* coefficients, std::size_t size, std::size_t n, const Real& theta, Real* out) {
+  const Real* c = coefficients + (size - n);
+  for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
+  for (std::size_t j = size / n - 1; j-- > 0;) {
+    const Real factor = j % 2 == 1 ? Real(1) - theta : theta;
+    c -= n;
+    for (std::size_t i = 0; i < n; ++i) out[i] = c[i] + factor * out[i];
+  }
+}
+
+/// The part that a correction of the end has at θ ∈ [0, 1]: flat at both.
+template <class Real>
+Real part_of_end(const Real& theta) {
+  return theta * theta * (Real(3) - 2 * theta);
+}
+
+/// Into so many intervals a step is cut whose extension has that degree: at their ends the signs of events are
+/// compared.
+constexpr std::size_t intervals_of_step(std::size_t degree) {
+  constexpr std::size_t fewest_points = 3;  // inside of the step: an event need not be linear in y
+  return (degree < fewest_points ? fewest_points : degree) + 1;
+}
+
+}  // namespace invariode
