@@ -40,7 +40,7 @@ void add_segments(Dense& dense, const ConstVector& t, const ConstMatrix& y, cons
     const double t0 = t.data()[s], t1 = end.data()[s];
     const double* next = y.data() + (s + 1) * n;
     if (t1 == t0) {  // a jump
-      require(s > 0 && begin == stop && t.data()[s + 1] == t0, "jumps do not match");
+      require(begin == stop && t.data()[s + 1] == t0, "jumps do not match");
       dense.output.start(t0, next);
       continue;
     }

@@ -164,6 +164,20 @@ def test_actions_are_taken_once_and_both_states_are_there(method, at):
     assert (np.diff(two.t) == 0).sum() == len(jumps)
 
 
+@explicit_and_implicit
+@pytest.mark.parametrize("at", [(0.0,), (4.0,), (0.0, 0.0), (0.0, 4.0)])
+def test_beyond_a_jump_at_its_end_a_continuous_solution_extends_the_step_beside_it(method, at, tmp_path):
+    """In a file too."""
+    about = {"breakpoints": [(t, dose) for t in at], "dense_output": True, **TIGHT}
+    sol = iv.solve_ivp(decay, (0, 4), [1.0], method, **about)
+    outside = sol.sol([-1e-3, 4 + 1e-3])[0]
+    steps = iv.solve_ivp(decay, (0, 4), [1.0 + at.count(0.0)], method, dense_output=True, **TIGHT).sol
+    np.testing.assert_allclose(outside, steps([-1e-3, 4 + 1e-3])[0], rtol=1e-5)
+    sol.save(tmp_path / "a")
+    t = np.linspace(-1, 5, 13)
+    np.testing.assert_array_equal(iv.load(tmp_path / "a").sol(t), sol.sol(t))
+
+
 def test_a_dict_has_actions_by_time(tmp_path):
     """It means the same as the list of its pairs, in runs and in files."""
     pairs = [(2.0, None), (1.0, dose)]

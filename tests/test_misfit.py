@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -68,6 +69,57 @@ def test_a_restart_on_a_jump_costs_no_accuracy(method_code):
     assert sol.success
     exact = np.array([-FRICTION - 0.25 * math.cos(6 - math.pi), 0.25 * math.sin(6 - math.pi)])
     assert np.abs(sol.y[:, -1] - exact).max() <= 200 * rtol
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Stiffness that fades
+
+
+def fading(t, highest, width):
+    """From that to 1e-3 around t = 20, by a factor of ten over about 2.3 widths."""
+    return 10 ** (-3 + (math.log10(highest) + 3) / (1 + math.exp(min((t - 20) / width, 700))))
+
+
+def damped(highest, width):
+    return lambda t, y: [y[1], -y[0] - fading(t, highest, width) * y[1]]
+
+
+def two_masses(t, y):
+    force = fading(t, 1e6, 0.5) * (y[2] - y[3])
+    return [y[2], y[3], -1.5 * y[0] + 0.5 * y[1] - force, 0.5 * y[0] - 1.5 * y[1] + force]
+
+
+def follower(t, y):
+    return [-10 * fading(t, 1e5, 0.4) * (y[0] - math.cos(t)), y[0] - y[1]]
+
+
+FADING = {  # with a tolerance at which ode23s sees where the stiffness ends
+    "slow": (damped(1e6, 2.0), [1.0, 0.0], 1e-5),
+    "fast": (damped(1e5, 0.5), [1.0, 0.0], 1e-5),
+    "two masses": (two_masses, [1.0, -0.5, 0.0, 0.0], 1e-5),
+    "follower": (follower, [1.0, 0.0], 1e-3),
+}
+
+
+@functools.cache
+def faded(what):
+    """At t = 60, and the error of ode23s, which takes a Jacobian in each step."""
+    fun, y0, rtol = FADING[what]
+    exact = iv.solve_ivp(fun, (0, 60), y0, "radau", rtol=1e-10, atol=1e-11, max_step=0.05).y[:, -1]
+    anew = iv.solve_ivp(fun, (0, 60), y0, "ode23s", rtol=rtol, atol=rtol).y[:, -1]
+    return exact, np.abs(anew - exact).max()
+
+
+@pytest.mark.parametrize("what", FADING)
+@pytest.mark.parametrize("method", ["ode15s", "ode23t", "ode23tb", "radau"])
+def test_a_jacobian_from_stiffer_times_costs_no_accuracy(method, what):
+    """Newton's updates are too small then to show what they leave. Errors are at most a few times those of a method of
+    order 2 that always has the right Jacobian, or a few tolerances (without looks: up to 3e8 of them)."""
+    fun, y0, rtol = FADING[what]
+    exact, error_of_ode23s = faded(what)
+    sol = iv.solve_ivp(fun, (0, 60), y0, method, rtol=rtol, atol=rtol)
+    assert sol.success
+    assert np.abs(sol.y[:, -1] - exact).max() <= 3 * error_of_ode23s + 10 * rtol
 
 
 # ----------------------------------------------------------------------------------------------------------------------

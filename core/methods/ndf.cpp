@@ -22,7 +22,6 @@ constexpr double kappa[most] = {0, -37.0 / 200, -1.0 / 9, -0.0823, -0.0415, 0, 0
 
 constexpr double newton_cut = 0.3;  // of h, where a current Jacobian does not help
 constexpr int old_jacobian = 20;    // steps
-constexpr int look_period = 10;     // steps with one J
 
 constexpr double safety_same = 1.2, safety_lower = 1.3, safety_higher = 1.4;  // 1/c after a success
 constexpr double retry_same = 0.833, retry_lower = 0.769;
@@ -126,12 +125,6 @@ Step::Attempt Ndf::attempt(double h, double t1) {
     predict();
     result = solver_.solve(c, t1, predictor_.data(), psi_.data(), weight_.data(), d_.data(), candidate_.data());
   }
-  if (result == Newton::Result::converged && look_due(c)) {
-    bool doubtful = false;
-    const Outcome outcome = solver_.doubt(c, psi_.data(), d_.data(), doubtful);
-    if (doubtful) result = Newton::Result::failed;
-    if (outcome == Outcome::stop) result = Newton::Result::stop;
-  }
   if (result == Newton::Result::converged) error_ = norm(d_.data()) * error_constant(order_);
   return proposal(result);
 }
@@ -164,13 +157,6 @@ void Ndf::predict() {
 double Ndf::optimal_h(int k, double error, double safety) const {
   const double shrink = safety * std::pow(error / weights_.rtol(), 1.0 / (k + 1));
   return shrink > 1 / largest_growth ? h_ / shrink : h_ * largest_growth;
-}
-
-/// Whether J is looked at: one that is not stiff cannot be much too large. Residuals of M y' = f have no scale.
-bool Ndf::look_due(double c) {
-  const int age = solver_.jacobian_age();
-  return !solver_.matrix_free() && solver_.mass() == nullptr && age > 0 && age % look_period == 0 &&
-         solver_.stiff(c, weight_.data());
 }
 
 /// Whether an error failure may be due to J: projection hides from Newton's iteration that an old one is wrong, and in

@@ -62,7 +62,6 @@ class Ndf final : public ImplicitMethod<Newton> {
   /// |h| that formula k would choose, if its error at the present |h| is `error`.
   [[nodiscard]] double optimal_h(int k, double error, double safety) const;
   [[nodiscard]] bool misleading_jacobian();
-  [[nodiscard]] bool look_due(double c);
 
   Options options_;
   int order_ = 1;                    // k of the next attempt

@@ -13,8 +13,9 @@ namespace {
 constexpr double slowest_rate = 0.9;
 constexpr double rate_memory = 0.9;       // what remains of the last rate in the present one
 constexpr double roundoff_units = 100;    // of ε: an update of this size relative to the predictor is roundoff
-constexpr double unchanged = 0.95;        // part of a residual that is left where J is much too large
 constexpr double large_stiffness = 10;    // c ‖J‖ above which an old Jacobian may do harm
+constexpr int look_period = 10;           // steps with one J between two looks at it,
+constexpr double look_growth = 2;         // fewer where a residual has grown so much since the last one
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
 
@@ -397,13 +398,15 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   std::copy(p, p + n, y);
   const double roundoff = roundoff_units * eps * norm(p);
   convergence_.begin(weights_.rtol(), roundoff);
+  if (jacobian_age() == 0) looked_at_ = 0;
+  double before = 0;
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
   place_ = {c, t1, y, w};
   for (;;) {
     if (const Result evaluated = newton_result(evaluate(t1, y, f_value_.data())); evaluated != Result::converged)
       return evaluated;
     residual(c, psi, d);
-    if (!matrix_free()) before_ = norm(residual_.data());
+    const double last = std::exchange(before, matrix_free() ? 0 : norm(residual_.data()));
     if (const Result ready = newton_result(precondition(residual_.data())); ready != Result::converged) return ready;
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
       convergence_.settle(tolerance);
@@ -416,21 +419,41 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
       y[i] = p[i] + d[i];
     }
     switch (convergence_.judge(size)) {
-      case Convergence::Verdict::converged: return Result::converged;
+      case Convergence::Verdict::converged:
+        if (matrix_free() || mass() != nullptr || noisy() || jacobian_age() == 0) return Result::converged;
+        if (convergence_.iterations() > 1) return judge_by_residuals(size, last, before);
+        return look_due(before) ? look(psi, d, size, before) : Result::converged;
       case Convergence::Verdict::diverged: return Result::failed;
       case Convergence::Verdict::go_on: break;
     }
   }
 }
 
-Outcome Newton::doubt(double c, const double* psi, const double* d, bool& doubtful) {
+/// Whether J is looked at after a first iteration, which was judged by a rate of the past. One that is not stiff cannot
+/// be much too large, and the solution is not farther off than its residual.
+bool Newton::look_due(double before) {
+  if (before <= most_left * weights_.rtol()) return false;
+  if (jacobian_age() % look_period != 0 && before <= look_growth * looked_at_) return false;
+  return stiff(place_.c, place_.w);
+}
+
+/// Takes one f, for the residual after an update of that size.
+Newton::Result Newton::look(const double* psi, const double* d, double size, double before) {
+  looked_at_ = before;
+  switch (evaluate_apart(place_.t, place_.y, f_value_.data())) {
+    case Outcome::stop: return Result::stop;
+    case Outcome::not_finite: return Result::converged;
+    case Outcome::ok: break;
+  }
+  residual(place_.c, psi, d);
   const double* w = place_.w;
-  if (const Outcome outcome = evaluate_apart(place_.t, place_.y, f_value_.data()); outcome != Outcome::ok)
-    return outcome;
-  residual(c, psi, d);
-  const double after = max_norm(sum_.size(), [&](std::size_t i) { return residual_[i] / w[i]; });
-  doubtful = after > unchanged * before_ && after > weights_.rtol();
-  return Outcome::ok;
+  return judge_by_residuals(size, before, max_norm(sum_.size(), [&](std::size_t i) { return residual_[i] / w[i]; }));
+}
+
+/// `failed`: J is much too large, and updates too small to show it. Residuals, from one to the next, tell what is left
+/// after an update of that size.
+Newton::Result Newton::judge_by_residuals(double size, double last, double residual) const {
+  return left_by(size, residual / last, residual) > most_left * weights_.rtol() ? Result::failed : Result::converged;
 }
 
 Outcome Newton::precondition(double* b) { return matrix_free() ? matrix_free()->precondition(b) : Outcome::ok; }
@@ -449,6 +472,7 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
 
 void Newton::state(Archive& archive) {
   convergence_.state(archive);
+  archive(looked_at_);
   if (matrix_free()) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
     return matrix_free() ? set_up_again(c, archive) : lu_->factor(mass_matrix(), c, jacobian());

@@ -2,6 +2,7 @@
 // The simplified Newton iteration of implicit methods: one iteration matrix for several steps, and one rule for when an
 // iteration has converged (docs/algorithms.md, 'Newton'; Shampine & Reichelt, The MATLAB ODE Suite, 1997, section 2).
 
+#include <algorithm>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -92,6 +93,8 @@ class AgingJacobian {
   bool renew_if_old();
   /// The same before an attempt with c, for a J by differences that is roundoff in part, where that has begun to count.
   void renew_if_noise(double c);
+  /// Roundoff in a J of this run has counted: a new one is not better than the old.
+  [[nodiscard]] bool noisy() const { return noisy_; }
   bool renew_if_undefined() { return work_.undefined_jacobian && renew(); }
   /// It is to be taken anew before the next attempt.
   [[nodiscard]] bool renewal_due() const { return renew_; }
@@ -200,6 +203,15 @@ class InitialSlopes {
   MassSolver solver_;
 };
 
+/// What an iteration has left, if the last update had that size and residuals fall at that rate: no more than the
+/// residual, in components that f does not drive apart.
+inline double left_by(double size, double rate, double residual) {
+  return rate < 1 ? std::min(size * rate / (1 - rate), residual) : residual;
+}
+/// How much of that a J from before may leave, in units of rtol. (HIRES at 1e-6 leaves between 5 and 20, and its counts
+/// are published.)
+inline constexpr double most_left = 20;
+
 /// The part of the error that Newton's iteration may leave, which GMRES may leave in its last linear system
 /// (Brown & Hindmarsh, 1989, and CVODE's default).
 inline constexpr double linear_part = 0.05;
@@ -221,9 +233,6 @@ class Newton : public AgingJacobian {
   Outcome prepare(double c, double t1);
   /// d from p and ψ, all (n,); y becomes p + d. `w`: the weights of the norm.
   Result solve(double c, double t1, const double* p, const double* psi, const double* w, double* d, double* y);
-  /// Whether J may be much too large where `solve` has ended: the residual of its d is what it was before the last
-  /// update, and more than steps may be off. Newton's updates are then too small to show it. Takes one f.
-  Outcome doubt(double c, const double* psi, const double* d, bool& doubtful);
   /// v becomes (M − c J)⁻¹ M v, with the factors at hand, or with J where `solve` has ended.
   Result damp(double* v);
   void state(Archive& archive);
@@ -236,6 +245,9 @@ class Newton : public AgingJacobian {
   };
 
   void residual(double c, const double* psi, const double* d);
+  bool look_due(double before);
+  Result look(const double* psi, const double* d, double size, double before);
+  [[nodiscard]] Result judge_by_residuals(double size, double last, double residual) const;
   Result solve_linear(double tolerance, double* b);
   Outcome precondition(double* b);
 
@@ -244,7 +256,7 @@ class Newton : public AgingJacobian {
   Convergence convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
-  double before_ = 0;             // the residual before the last update, in the norm
+  double looked_at_ = 0;          // the residual at the last look at this J, in the norm
   std::vector<double> f_value_, residual_, sum_;
 };
 

@@ -147,6 +147,7 @@ Newton::Result Radau::solve_stages() {
   for (;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
     if (evaluated != Newton::Result::converged) return evaluated;
+    residual_ = norm(residuals_.data() + (stages() - 1) * n());
     bool negligible = convergence_.iterations() > 0;
     const auto solved =
         solver_.solve(mass(), weight_.data(), tolerance, residuals_.data(), scratch_.data(), negligible);
@@ -157,7 +158,8 @@ Newton::Result Radau::solve_stages() {
     }
     if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && solver_.has_matrices())
       if (const auto tried = try_part(size); tried != Newton::Result::converged) return tried;
-    switch (convergence_.judge(update_stages())) {
+    update_size_ = update_stages();
+    switch (convergence_.judge(update_size_)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged: return Newton::Result::failed;
       case Convergence::Verdict::go_on: break;
@@ -300,9 +302,23 @@ double Radau::next_h() const {
   return factor * h_;
 }
 
+/// Whether J is much too large, and updates were too small to show it: f at the end of the step, which is at hand,
+/// tells the residual of the last stage. Projection would add its own; residuals of M y' = f have no scale.
+bool Radau::misled(const double* y1) {
+  if (!solver_.has_matrices() || solver_.mass() != nullptr || solver_.noisy()) return false;
+  if (!std::equal(y1, y1 + n(), candidate_.begin())) return false;
+  const double* last_row = formula_->A_inverse + (stages() - 1) * stages();
+  for (std::size_t i = 0; i < n(); ++i) scratch_[i] = signed_h_ * f_[i];
+  for (std::size_t j = 0; j < stages(); ++j)
+    for (std::size_t i = 0; i < n(); ++i) scratch_[i] -= last_row[j] * Z(j)[i];
+  const double after = norm(scratch_.data());
+  return left_by(update_size_, after / residual_, after) > most_left * weights_.rtol();
+}
+
 Outcome Radau::accept(const double* y1) {
   if (const Outcome outcome = solver_.evaluate(t1_, y1, scratch_.data()); outcome != Outcome::ok) return outcome;
   std::swap(f_, scratch_);
+  const bool too_old = misled(y1);
   formula_->transform(formula_->coefficients, n(), increments_.data(), polynomial_.data());
   if (!slope_.empty()) {
     formula_->transform(formula_->A_inverse, n(), increments_.data(), residuals_.data());
@@ -311,7 +327,7 @@ Outcome Radau::accept(const double* y1) {
   }
   last_y_.swap(y_);
   commit(y1);
-  if (solver_.has_matrices() && convergence_.rate() > fast) solver_.renew();
+  if (too_old || (solver_.has_matrices() && convergence_.rate() > fast)) solver_.renew();
   const double h = next_h();
   last_h_ = h_;
   last_error_ = std::max(error_, smallest_error * weights_.rtol());

@@ -72,6 +72,7 @@ class Radau final : public ImplicitMethod<RadauSystems> {
   Newton::Result solve_for_error(const double* f);
   [[nodiscard]] double factor_of_error() const;
   [[nodiscard]] double next_h() const;
+  [[nodiscard]] bool misled(const double* y1);
   void choose_order(double h);
   [[nodiscard]] bool may_raise_order() const;
   void lower_order();
@@ -87,9 +88,10 @@ class Radau final : public ImplicitMethod<RadauSystems> {
   std::vector<Matrix> stage_masses_;      // M(t) at the stages
   std::vector<double> f_;                 // f at (t, y): y' too, unless there is a mass matrix
   std::vector<double> gap_, scratch_;
-  double memory_h_ = 0;                 // signed h of the polynomial; 0 before the first step
-  double last_h_ = 0, last_error_ = 0;  // |h| and error of the last accepted step; 0: there was none
-  int steps_until_raise_ = 0;           // of the order, at least
+  double residual_ = 0, update_size_ = 0;  // of the last stage before the last update, and that update
+  double memory_h_ = 0;                    // signed h of the polynomial; 0 before the first step
+  double last_h_ = 0, last_error_ = 0;     // |h| and error of the last accepted step; 0: there was none
+  int steps_until_raise_ = 0;              // of the order, at least
 };
 
 }  // namespace invariode

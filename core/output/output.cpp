@@ -45,6 +45,17 @@ void DenseOutput::append(const DenseOutput& next, std::size_t first) {
   }
 }
 
+/// The segment that begins at knot k; if that is a jump or the end, the last step before it, or else the first one
+/// after it. The number of segments, if none is a step.
+std::size_t DenseOutput::step_near(std::size_t k) const {
+  const auto is_step = [this](std::size_t s) { return end_[s] != knots_.t[s]; };
+  for (std::size_t s = std::min(k + 1, end_.size()); s-- > 0;)
+    if (is_step(s)) return s;
+  for (std::size_t s = k + 1; s < end_.size(); ++s)
+    if (is_step(s)) return s;
+  return end_.size();
+}
+
 Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
   if (n_ == 0) return Status::ok;
   Interpolant interpolant(n_, m_, mode_, raw_, projector, bounds_ ? &*bounds_ : nullptr);
@@ -56,12 +67,11 @@ Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Pr
     const auto after = std::upper_bound(knots.begin(), knots.end(), t[p],
                                         [forward](double a, double b) { return forward * a < forward * b; });
     const std::size_t k = after == knots.begin() ? 0 : static_cast<std::size_t>(after - knots.begin()) - 1;
-    if (knots[k] == t[p] || end_.empty()) {
+    const std::size_t s = step_near(k);
+    if (knots[k] == t[p] || s == end_.size()) {
       std::copy(y + k * n_, y + (k + 1) * n_, out);
       continue;
     }
-    std::size_t s = std::min(k, end_.size() - 1);
-    while (s > 0 && end_[s] == knots[s]) --s;  // beyond a jump that ended the run
     const std::size_t stop = s + 1 < offset_.size() ? offset_[s + 1] : data_.size();
     const Segment segment{knots[s], end_[s], data_.data() + offset_[s], stop - offset_[s]};
     if (interpolant.value(segment, t[p], out) == Status::stop) return Status::stop;

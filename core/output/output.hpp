@@ -97,6 +97,7 @@ class DenseOutput {
   Status evaluate(const double* t, std::size_t count, double* out, Projector* projector) const;
 
  private:
+  [[nodiscard]] std::size_t step_near(std::size_t k) const;
   void append(const DenseOutput& next, std::size_t first);
 
   std::size_t n_, m_;
