@@ -18,10 +18,10 @@ from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
 from .._run.plan import Plan, solver
 from .outcomes import Outcomes, in_order, travelling
-from .processes import may_start, solve_rows
 from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
+from .worker_processes import may_start, solve_rows
 
 _STATUS = {
     "reached_end": 0,
