@@ -72,11 +72,12 @@ struct Arguments {
   }
 };
 
-/// `given`: None, or (function, complex form, the same without warnings).
+/// `given`: None, or (function, complex form, the same without warnings, its first and second derivatives).
 Differentiable make_differentiable(const nb::object& given, const std::string& name, const Arguments& arguments,
                                    bool with_v, std::size_t m, Functions& functions) {
   if (given.is_none()) return {};
-  const auto [function, complex, quiet] = nb::cast<std::tuple<nb::object, nb::object, nb::object>>(given);
+  const auto [function, complex, quiet, slope, curvature] =
+      nb::cast<std::tuple<nb::object, nb::object, nb::object, nb::object, nb::object>>(given);
   const auto rows = static_cast<std::ptrdiff_t>(m);
   Differentiable::Forms forms;
   forms.function = functions.of_motion(function, name, arguments.of(with_v), {.rows = rows});
@@ -84,6 +85,10 @@ Differentiable make_differentiable(const nb::object& given, const std::string& n
     const Returns returns{.rows = rows, .complex = true};
     forms.complex = functions.of_motion(complex, name, arguments.of(with_v, true), returns);
     forms.quiet = functions.of_motion(quiet, name, arguments.of(with_v, true), returns);
+  }
+  if (!slope.is_none()) {
+    forms.slope = functions.of_motion(slope, name, arguments.of(with_v), {.rows = rows});
+    forms.curvature = functions.of_motion(curvature, name, arguments.of(with_v), {.rows = rows});
   }
   return {forms, static_cast<std::size_t>(with_v ? arguments.n_q + arguments.n_v : arguments.n_q), m};
 }

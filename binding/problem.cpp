@@ -129,22 +129,27 @@ Lapack read_lapack(const nb::object& capsules) {
 }
 
 LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
-  LinearTerms linear{
-      .source = {.kind = spec.kind, .function = {}, .complex_f = {}, .found_pattern = spec.found_pattern > 0},
-      .jacobian = Matrix::without_values(spec.structure),
-      .mass = {},
-      .lapack = {},
-      .krylov = {}};
+  LinearTerms linear{.source = {.kind = spec.kind,
+                                .function = {},
+                                .complex_f = {},
+                                .rate = {},
+                                .found_pattern = spec.found_pattern > 0},
+                     .jacobian = Matrix::without_values(spec.structure),
+                     .mass = {},
+                     .lapack = {},
+                     .krylov = {}};
   nb::object known = spec.jacobian;  // values or pattern
-  if (spec.kind == Jacobian::Kind::function || spec.kind == Jacobian::Kind::complex_steps) {
+  const bool is_function = spec.kind == Jacobian::Kind::function || spec.kind == Jacobian::Kind::derived;
+  if (is_function || spec.kind == Jacobian::Kind::complex_steps) {
     nb::object code = std::exchange(known, nb::none());
     if (nb::isinstance<nb::tuple>(code)) std::tie(code, known) = nb::cast<std::pair<nb::object, nb::object>>(code);
-    if (spec.kind == Jacobian::Kind::function)
+    if (is_function)
       linear.source.function = functions.matrix(code);
     else
       linear.source.complex_f = functions.complex_vector(code, "fun(t, y)", spec.structure.n);
   }
   if (!known.is_none()) read_matrix(known, linear.jacobian);
+  if (!spec.rate.is_none()) linear.source.rate = functions.vector(spec.rate, "∂f/∂t", spec.structure.n);
   if (!spec.lapack.is_none()) linear.lapack = read_lapack(spec.lapack);
   if (spec.kind == Jacobian::Kind::products) {
     KrylovTerms& krylov = linear.krylov.emplace();
@@ -240,7 +245,8 @@ void define_linear(nb::module_& module) {
           "__init__",
           [](LinearSpec* self, const std::string& structure, std::size_t n, std::size_t lower, std::size_t upper,
              const std::string& kind, nb::object jacobian, nb::object mass, nb::object null_basis, nb::object lapack,
-             std::int64_t found_pattern, nb::object product, nb::object preconditioner, std::size_t dimension) {
+             std::int64_t found_pattern, nb::object product, nb::object preconditioner, std::size_t dimension,
+             nb::object rate) {
             new (self) LinearSpec{{choose(structure_names, structure, "structure"), n, lower, upper},
                                   choose(jacobian_names, kind, "kind of Jacobian"),
                                   std::move(jacobian),
@@ -250,12 +256,13 @@ void define_linear(nb::module_& module) {
                                   found_pattern,
                                   std::move(product),
                                   std::move(preconditioner),
-                                  dimension};
+                                  dimension,
+                                  std::move(rate)};
           },
           nb::kw_only(), nb::arg("structure"), nb::arg("n"), nb::arg("lower"), nb::arg("upper"), nb::arg("kind"),
           nb::arg("jacobian").none(), nb::arg("mass").none(), nb::arg("null_basis").none(), nb::arg("lapack").none(),
           nb::arg("found_pattern") = 0, nb::arg("product").none() = nb::none(),
-          nb::arg("preconditioner").none() = nb::none(), nb::arg("dimension") = 0)
+          nb::arg("preconditioner").none() = nb::none(), nb::arg("dimension") = 0, nb::arg("rate").none() = nb::none())
       .def_prop_ro(
           "kind", [](const LinearSpec& l) { return name_in(jacobian_names, l.kind); }, "As it was given.")
       .def_prop_ro(

@@ -60,17 +60,18 @@ struct BreakpointSpec {
 struct LinearSpec {
   Structure structure;
   Jacobian::Kind kind;
-  nb::object jacobian;    // its values; its function, of complex steps f at complex y (either with the pattern of a
-                          // sparse one); or for sparse differences the pattern
-  nb::object mass;        // None, the values of a constant one, or M(t)
-  nb::object null_basis;  // (starts, rows, values) of Z
-  nb::object lapack;      // None, or capsules by name
-  std::int64_t found_pattern;          // evaluations of f that found the pattern; 0: it was given
+  nb::object jacobian;         // its values; its function, of complex steps f at complex y (each with the pattern of a
+                               // sparse one); or for sparse differences the pattern
+  nb::object mass;             // None, the values of a constant one, or M(t)
+  nb::object null_basis;       // (starts, rows, values) of Z
+  nb::object lapack;           // None, or capsules by name
+  std::int64_t found_pattern;  // evaluations of f that found the pattern; 0: it was given
   nb::object product, preconditioner;  // of the kind `products`: functions, or None
   std::size_t dimension;               // of its Krylov space
+  nb::object rate;                     // ∂f/∂t, or None
 
   int visit(visitproc visit, void* arg) const {
-    return visit_all(visit, arg, {jacobian, mass, null_basis, lapack, product, preconditioner});
+    return visit_all(visit, arg, {jacobian, mass, null_basis, lapack, product, preconditioner, rate});
   }
 };
 

@@ -146,7 +146,7 @@ class Keeper {
   Keeper(const nb::object& kept, double every) : kept_(kept), every_(every) {}
 
   explicit operator bool() const { return !kept_.is_none(); }
-  [[nodiscard]] bool due() const { return *this && Clock::now() >= next_; }
+  [[nodiscard]] bool due() const { return *this && (!last_ || Clock::now() - *last_ >= every_); }
   /// With the interpreter held. False: the function raised.
   bool keep(Run& run, const Solver& solver) {
     if (!*this) return true;
@@ -159,7 +159,7 @@ class Keeper {
       error.restore();
       return false;
     }
-    next_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(every_);
+    last_ = Clock::now();
     return true;
   }
 
@@ -168,9 +168,9 @@ class Keeper {
   static constexpr std::size_t everything = std::numeric_limits<std::size_t>::max();
 
   const nb::object& kept_;
-  std::chrono::duration<double> every_;
+  std::chrono::duration<double> every_;  // perhaps longer than the clock can count
   Run::Marks marks_;
-  Clock::time_point next_;  // long ago: the start is kept
+  std::optional<Clock::time_point> last_;  // none: the start is kept
 };
 
 /// Where a run begins: at a state, or where another one was.

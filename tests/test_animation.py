@@ -191,6 +191,8 @@ def test_a_film_takes_as_long_as_it_is_told(films):
         ({"points": hand, "links": [(0, 2)]}, "links must name points by indices from 0 to 1, got 2"),
         ({"points": hand, "trace": ["a"]}, "trace must name points by indices from 0 to 1, got 'a'"),
         ({"points": hand, "fps": 0}, "fps must be positive"),
+        ({"points": hand, "fps": np.inf}, "duration times fps must be at most 108000 frames, got 6 s at inf"),
+        ({"points": hand, "duration": 1e300}, r"duration times fps .*, got 1e\+300 s at "),
         ({"points": hand, "duration": -1}, "duration must be positive"),
         ({"points": lambda t, y: [*y, 0], "ax": "plane"}, 'give axes with projection="3d"'),
     ],

@@ -164,6 +164,27 @@ def test_actions_are_taken_once_and_both_states_are_there(method, at):
     assert (np.diff(two.t) == 0).sum() == len(jumps)
 
 
+def test_a_dict_has_actions_by_time(tmp_path):
+    """It means the same as the list of its pairs, in runs and in files."""
+    pairs = [(2.0, None), (1.0, dose)]
+    by_time, listed = ({"breakpoints": given, **TIGHT} for given in (dict(pairs), pairs))
+    sol, same = (iv.solve_ivp(decay, (0, 4), [1.0], **about) for about in (by_time, listed))
+    np.testing.assert_allclose(sol.y[0, -1], decayed(1.0), rtol=1e-5)
+    np.testing.assert_array_equal(sol.y, same.y)
+    problem = iv.Problem(decay, (0, 4), [1.0])
+    problem.solve(**by_time, max_steps=1).save(tmp_path / "a")
+    went_on = iv.load(tmp_path / "a", problem, breakpoints=dict(pairs)).extend(4, max_steps=None)
+    np.testing.assert_array_equal(went_on.y, same.y)
+    with pytest.raises(TypeError, match=r"the action in breakpoints must be a function action\(t, y\), got 5"):
+        iv.solve_ivp(decay, (0, 4), [1.0], breakpoints={1.0: 5})
+    with pytest.raises(TypeError, match="a time in breakpoints must be a real number, got 'noon'"):
+        iv.solve_ivp(decay, (0, 4), [1.0], breakpoints={"noon": dose})
+
+
+def decay(t, y):
+    return -y
+
+
 @dealt(9, method=iv.METHODS, how=["event", "callback", "limit"])
 def test_what_ends_the_run_at_a_breakpoint_leaves_the_action_to_the_extension(method, how):
     """But a limit, which is looked at when the breakpoint has been passed."""
@@ -363,7 +384,11 @@ def test_a_measured_force(method, kind):
 
 
 WRONG = [
-    ({"breakpoints": 3}, TypeError, r"breakpoints must be a list of times or of pairs \(t, action\), got 3"),
+    (
+        {"breakpoints": 3},
+        TypeError,
+        r"breakpoints must be a list of times or of pairs .* or a dict of actions by time, got 3",
+    ),
     ({"breakpoints": ["soon"]}, TypeError, "a time in breakpoints must be a real number, got 'soon'"),
     ({"breakpoints": [np.inf]}, ValueError, "a time in breakpoints must be finite, got inf"),
     ({"breakpoints": [(1, 2, 3)]}, ValueError, r"must be times or pairs \(t, action\), got \(1, 2, 3\)"),

@@ -201,6 +201,12 @@ def changed(path, **about):
         np.savez(file, **arrays | {"about": np.array(json.dumps(now))})
 
 
+def told(path):
+    """What a state file says of itself."""
+    with np.load(path) as archive:
+        return json.loads(str(archive["about"]))
+
+
 def test_other_versions_are_refused_by_their_number(tmp_path):
     path = tmp_path / "run.checkpoint"
     problem().solve(checkpoint=path)
@@ -282,6 +288,23 @@ def test_wrong_arguments_of_load(tmp_path):
         iv.load(tmp_path / "a", problem(), invariants=lambda t, y: y)
     with pytest.raises(ValueError, match=r"comes from a file, .* load\(path, problem\)"):
         iv.load(tmp_path / "a").extend(4)
+
+
+@pytest.mark.parametrize("every", [1e9, 1e300, np.inf])
+def test_intervals_longer_than_any_clock_counts_write_at_the_start_and_at_the_end(every, tmp_path):
+    """The start and the end of each run: nanoseconds in 64 bits are 9.2e9 s."""
+    path = tmp_path / "run"
+    steps = problem().solve(checkpoint=iv.Checkpoint(path, every=every), max_steps=4).stats.steps
+    assert steps == 4
+    assert told(path)["sequence"] == 2
+    assert iv.load(path, problem()).extend(3, max_steps=None).stats.steps > steps + 2
+    assert told(path)["sequence"] <= 4
+
+
+@pytest.mark.parametrize("every", [np.nan, -1.0, -np.inf, 0])
+def test_an_interval_is_positive(every, tmp_path):
+    with pytest.raises(ValueError, match="every of Checkpoint must "):
+        iv.Checkpoint(tmp_path / "run", every=every)
 
 
 def test_an_extension_writes_as_often_as_its_run(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import pickle
+from collections import OrderedDict
 from functools import cache
 
 import numpy as np
@@ -17,7 +18,8 @@ from invariode._functions.compiled import Compiled
 
 mpmath = pytest.importorskip("mpmath")
 pytest.importorskip("numba")
-machine_code = pytest.importorskip("invariode._functions.machine_code")
+machine = pytest.importorskip("invariode._functions.graph.machine")
+elementary_code = pytest.importorskip("invariode._functions.elementary_code")
 
 POINTS = 16_000  # a fourth of them in each range of arguments
 BITS = 90  # of reference values
@@ -216,8 +218,8 @@ def in_lanes(form, width, y, p):
     return found
 
 
-@pytest.mark.parametrize(("name", "width", "bits"), _core.LANES)
-def test_lanes_have_the_bits_of_one_number(name, width, bits):
+@pytest.mark.parametrize("width", sorted({width for _, width, _ in _core.LANES}))
+def test_lanes_have_the_bits_of_one_number(width):
     random = np.random.default_rng(5)
     edges = [one for rows in EDGES.values() for one, _ in rows]
     few = np.array([*edges, 51471.5, -1e9, 1e300, -700.0, 695.0, 1e-310])
@@ -225,7 +227,7 @@ def test_lanes_have_the_bits_of_one_number(name, width, bits):
     p = np.concatenate([random.choice(few, (64 * width, 1)), random.uniform(0, 20, (64 * width, 1))])
     compiled = iv.compile(all_of_them)
     alone = compiled.native(6, 6, 1, False)
-    form = lanes._lane_code(Compiled(compiled, 6, 6, 1), width, bits)
+    form = lanes._lane_code(Compiled(compiled, 6, 6, 1), width)
     assert not isinstance(form, str), form
     expected = np.empty_like(y)
     for at, row, out in zip(p, y, expected, strict=True):
@@ -272,24 +274,9 @@ def test_helpers_get_them_too():
 def test_calls_that_are_not_inlined_have_the_same_bits(monkeypatch):
     x = np.linspace(-3, 3, 50)
     inlined = values("cos", x)
-    monkeypatch.setattr(machine_code, "MOST_INLINED", 0)
+    monkeypatch.setattr(elementary_code, "MOST_INLINED", 0)
+    monkeypatch.setattr(machine, "_kept", OrderedDict())
     np.testing.assert_array_equal(values("cos", x, native.__wrapped__), inlined)
-
-
-def test_an_unknown_numba_is_one_warning_and_the_librarys_functions(monkeypatch):
-    monkeypatch.setattr("invariode._functions.compiled._warned", False)
-    monkeypatch.setattr(lanes, "FEWEST", 1)
-    y0 = np.random.default_rng(3).uniform(-1, 1, (20, 2))
-    with monkeypatch.context() as changed:
-        changed.setattr(machine_code, "linked", lambda text: text.has_gone)
-        fun = iv.compile(far_pendulum)
-        with pytest.warns(UserWarning, match=r"does not take other elementary functions.*libm's are used"):
-            found = iv.solve_ensemble(fun, (0, 3), y0, args=(1.5,), workers=1)
-        iv.compile(far_pendulum).native(2, 2, 1, False)  # without a second warning
-    expected = iv.solve_ensemble(iv.compile(far_pendulum, elementary="libm"), (0, 3), y0, args=(1.5,), workers=1)
-    np.testing.assert_array_equal(found.y_end, expected.y_end)
-    assert "lanes," in found.stats.lanes  # which then have the library's too
-    assert found.stats.lanes == expected.stats.lanes
 
 
 def test_the_choice_stays_with_the_function():

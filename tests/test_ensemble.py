@@ -215,6 +215,26 @@ def test_an_exception_becomes_the_status_of_its_trajectory(workers):
     assert out.messages[first] == f"RuntimeError: mu is {mu[first, 0]:.3f}"
 
 
+@pytest.mark.parametrize("method", ["ode45", "ode15s"])
+def test_a_compiled_f_of_another_length_is_told_as_of_a_single_run(method):
+    """Its values are NaN in the core, which alone would say that fun is not finite at the start."""
+    pytest.importorskip("numba")
+    of_p = iv.compile(values)
+    many = {"args": [(2.0,), (3.0,), (2.0,), (1.0,)], "on_failure": "return"}
+    out = iv.solve_ensemble(of_p, (0, 1), np.ones((4, 2)), method, **many)
+    np.testing.assert_array_equal(out.status, [0, -4, 0, -4])
+    assert np.isnan(out.y[[1, 3]]).all()
+    assert out.messages.keys() == {1, 3}
+    for i, text in out.messages.items():
+        with pytest.raises(ValueError, match=r"compile\(values\) returned") as alone:
+            iv.solve_ivp(of_p, (0, 1), np.ones(2), method, args=many["args"][i])
+        assert text == f"ValueError: {alone.value}"
+
+
+def values(t, y, p):
+    return np.ones(int(p[0]))
+
+
 def test_a_process_that_dies_takes_only_its_trajectory_with_it():
     y0, mu = rows()
     out = iv.solve_ensemble(dying, SPAN, y0, args=mu, workers=2)

@@ -291,6 +291,20 @@ def test_every_field_of_a_file_is_of_its_type_and_shape_or_is_named(tmp_path):
         iv.load(tmp_path / "b")
 
 
+@pytest.mark.parametrize("name", ["format", "version"])
+@pytest.mark.parametrize(
+    "value",
+    [{}, {"a": 1}, [], [1], None, True, 1, 1.5, np.inf, "", "x" * 5000, 10**4000],
+    ids=lambda value: str(value)[:9],
+)
+def test_whatever_a_header_says_is_told_in_a_few_words(name, value, tmp_path):
+    problem().solve().save(tmp_path / "a")
+    rewritten(tmp_path / "a", lambda arrays, about: about.update({name: value, "invariode": value}))
+    with pytest.raises(ValueError, match=r"a (was not written by|is of kind 'solution' in version )") as told:
+        iv.load(tmp_path / "a")
+    assert len(str(told.value)) < 1000
+
+
 @pytest.mark.parametrize(("name", "value"), [("status", "0"), ("t_end", None), ("nfev", True)])
 def test_what_could_not_be_read_is_not_written(name, value, tmp_path):
     sol = problem().solve()

@@ -14,7 +14,6 @@ from invariode._functions import lanes
 from problems import PROBLEMS
 
 numba = pytest.importorskip("numba")
-from invariode._functions import machine_code  # noqa: E402
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
 pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")
@@ -249,7 +248,7 @@ def test_a_limit_of_steps_is_that_of_single_solves():
         ({"events": iv.Event(iv.compile(lambda t, y, p: y[0] - p[0]), samples=9)}, "samples"),
         ({"limits": iv.Limits(time=100.0)}, "limited"),
         ({"nonnegative": True}, "bounds"),
-        ({"invariants": iv.Invariants(iv.compile(energy), names="energy")}, "give jac"),
+        ({"invariants": iv.Invariants(energy, names="energy"), "args": [(1.0,)] * SIZE}, "not made by"),
         ({"invariants": [ENERGY, iv.Invariants(iv.compile(lambda t, y, p: y[0]), names="x")]}, "several invariants"),
         ({"invariants": ENERGY, "fsal": "evaluate"}, "evaluated again"),
     ],
@@ -269,27 +268,17 @@ def array_made(t, y, p):
     return np.array([y[1], -p[0] * y[0]])
 
 
-@pytest.mark.parametrize("fun", [growing, array_made])
-def test_functions_without_a_form_for_lanes_say_why(fun):
-    found = solve(iv.compile(fun))
+@pytest.mark.parametrize(("fun", "by"), [(growing, "auto"), (array_made, "numba")])
+def test_functions_without_a_form_for_lanes_say_why(fun, by):
+    found = solve(iv.compile(fun, by=by))
     assert found.stats.lanes.startswith("one at a time: ")
-    assert "return a tuple" in found.stats.lanes
+    assert "has no graph" in found.stats.lanes
     assert found.success.all()
 
 
 def test_few_trajectories_are_not_worth_the_compiler(monkeypatch):
     monkeypatch.setattr(lanes, "FEWEST", 1000)
     assert "fewer than 1000" in solve(iv.compile(lotka_volterra)).stats.lanes
-
-
-def test_an_unknown_numba_is_one_warning_and_the_same_result(monkeypatch):
-    monkeypatch.setattr(lanes, "_warned", False)
-    monkeypatch.setattr(machine_code, "declarations", lambda *functions: numba.has_gone)
-    with pytest.warns(UserWarning, match="this version of numba has no lanes"):
-        found = solve(iv.compile(lotka_volterra))
-    assert "not known" in found.stats.lanes
-    same(found, solve(COMPILED["polynomials"], lanes=1))
-    assert "not known" in solve(iv.compile(lotka_volterra)).stats.lanes  # without a second warning
 
 
 @pytest.mark.parametrize("wrong", [2, True, "all", None])

@@ -167,7 +167,7 @@ def test_gradients_of_a_compiled_invariant_are_exact():
 
 
 def test_a_compiled_invariant_that_is_not_analytic_has_differences():
-    held = iv.Invariants(iv.compile(lambda t, y: abs(y[0] * y[3] - y[1] * y[2])), names=["momentum"])
+    held = iv.Invariants(iv.compile(lambda t, y: abs(y[0] * y[3] - y[1] * y[2]), by="numba"), names=["momentum"])
     sol = iv.solve_ivp(kepler, (0, 1), ORBIT, invariants=held)
     assert sol.stats.derivatives == "central differences"
 
@@ -200,7 +200,7 @@ def test_parameters_pass_as_args():
     sol = iv.solve_ivp(iv.compile(spring), (0, 1), [1, 0], **options)
     np.testing.assert_allclose(sol.y[:, -1], python.y[:, -1], rtol=1e-10)
     with pytest.raises(TypeError, match="args of native functions must be real numbers"):
-        iv.solve_ivp(iv.compile(spring), (0, 1), [1, 0], args=("a",))
+        iv.solve_ivp(iv.compile(spring, by="numba"), (0, 1), [1, 0], args=("a",))
 
 
 class TestCompile:
@@ -236,9 +236,10 @@ class TestCompile:
 
     def test_what_numba_cannot_compile_is_said(self):
         with pytest.raises(TypeError, match="numba cannot compile this function"):
-            iv.solve_ivp(iv.compile(lambda t, y: (t.nothing,)), (0, 1), [1.0])
+            iv.solve_ivp(iv.compile(lambda t, y: (t.nothing,), by="numba"), (0, 1), [1.0])
+        fun = iv.compile(lambda t, y, a: (y[1], -a * y[0]), by="numba")
         with pytest.raises(TypeError, match=r"f\(t, y, p\), p an array of 1: p\[0\] is the first"):
-            iv.solve_ivp(iv.compile(lambda t, y, a: (y[1], -a * y[0])), (0, 1), [1.0, 0.0], args=(3.0,))
+            iv.solve_ivp(fun, (0, 1), [1.0, 0.0], args=(3.0,))
         with pytest.raises(TypeError, match=r"compile takes a function f\(t, y\)"):
             iv.compile(3)
 
@@ -344,7 +345,7 @@ class TestCompile:
         assert iv.compile(iv.compile(kepler, inplace=True)).inplace
 
     def test_threads_compile_one_function_once(self, monkeypatch):
-        fun, failed, jitted, njit = iv.compile(lambda t, y: (y[1], -y[0])), [], [], numba.njit
+        fun, failed, jitted, njit = iv.compile(lambda t, y: (y[1], -y[0]), by="numba"), [], [], numba.njit
 
         def slow(*args, **options):
             time.sleep(0.05)  # the others come meanwhile
@@ -518,6 +519,6 @@ class TestArguments:
     def test_they_have_no_form_for_lanes(self):
         rows = np.ones((1000, 2))
         for fun, lanes in ((self.writing, "one at a time: f writes to y or p"), (self.honest, "lanes")):
-            out = iv.solve_ensemble(iv.compile(fun), (0, 1), rows, "ode23", args=(1.0,))
+            out = iv.solve_ensemble(iv.compile(fun, by="numba"), (0, 1), rows, "ode23", args=(1.0,))
             assert lanes in out.stats.lanes
             np.testing.assert_allclose(out.y_end, rows * [np.cos(1) + np.sin(1), np.cos(1) - np.sin(1)], 1e-2)

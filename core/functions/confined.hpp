@@ -35,6 +35,7 @@ class Confined {
   Jacobian::Source within(Jacobian::Source source) {
     source.function = within(source.function);
     source.complex_f = complex_within(source.complex_f);
+    source.rate = within(source.rate);
     return source;
   }
   /// A product J v, a function of (y, v).

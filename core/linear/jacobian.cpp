@@ -8,6 +8,7 @@
 
 #include "linear/groups.hpp"
 #include "linear/pattern.hpp"
+#include "linear/time_derivative.hpp"
 
 namespace invariode {
 namespace {
@@ -97,7 +98,8 @@ Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* 
   switch (kind_) {
     case Kind::products:
     case Kind::constant: return Status::ok;
-    case Kind::function: {
+    case Kind::function:
+    case Kind::derived: {
       ++count_;
       constexpr double nowhere = 0;  // the state of no components, which may have no address: M(t) alone is without one
       return source_.function(t, y != nullptr ? y : &nowhere, matrix_);
@@ -107,6 +109,14 @@ Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* 
       return examined_ ? difference_in_found_pattern(f, t, y, slope) : difference(f, t, y, slope);
     case Kind::complex_steps: return examined_complex_steps(f, t, y, slope);
   }
+  return Status::ok;
+}
+
+Status Jacobian::time_derivative(Callback& f, double t, const double* y, const double* slope, double h, double* ft) {
+  const std::size_t n = matrix_.n();
+  if (!source_.rate) return invariode::time_derivative(f, t, y, slope, h, n, ft);
+  if (source_.rate(t, y, ft) == Status::stop) return Status::stop;
+  if (!all_finite(ft, n)) std::fill(ft, ft + n, 0.0);
   return Status::ok;
 }
 

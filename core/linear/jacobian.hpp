@@ -1,6 +1,6 @@
 #pragma once
-// The Jacobian of f: a constant matrix, a user function, differences or complex steps (docs/algorithms.md,
-// 'Jacobians').
+// The Jacobian of f: a constant matrix, a user function, one that was derived from f, differences or complex steps
+// (docs/algorithms.md, 'Jacobians'); and the derivative in t.
 
 #include <cstddef>
 #include <cstdint>
@@ -31,13 +31,15 @@ namespace invariode {
 class Jacobian {
  public:
   /// `products` has no matrix and no entries: J is known by its products with vectors (linear/matrix_free.hpp).
-  enum class Kind { constant, function, differences, complex_steps, products };
+  /// `derived`: a function that follows from f, and is right.
+  enum class Kind { constant, function, derived, differences, complex_steps, products };
 
   /// Where its entries come from. `complex_f`: f of complex y, pairs of reals in and out.
   struct Source {
     Kind kind = Kind::differences;
-    MatrixFunction function;     ///< of that kind
+    MatrixFunction function;     ///< of these kinds
     Callback complex_f;          ///< of complex steps
+    Callback rate;               ///< ∂f/∂t, where it is known
     bool found_pattern = false;  ///< the sparse structure was found from values of f, and may lack entries
   };
 
@@ -48,6 +50,9 @@ class Jacobian {
   /// The matrix may come out not finite.
   Status evaluate(Callback& f, double t, const double* y, const double* slope);
   [[nodiscard]] bool needs_slope() const;
+  /// ∂f/∂t at (t, y), where f is `slope`, into ft (n,): exact where it is known, else by `time_derivative`. 0 where it
+  /// is not finite.
+  Status time_derivative(Callback& f, double t, const double* y, const double* slope, double h, double* ft);
   /// The matrix is not the derivative of f. Where f changes, by these displacements, with components of y that the
   /// structure excludes, a pattern grows, and bands, which cannot, are computed from groups of columns that f does not
   /// mix. Otherwise increments are too small. The matrix is evaluated again.

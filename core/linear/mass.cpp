@@ -7,8 +7,6 @@
 #include <stdexcept>
 #include <utility>
 
-#include "linear/time_derivative.hpp"
-
 namespace invariode {
 namespace {
 
@@ -224,7 +222,7 @@ Status MassSlope::evaluate(double t, const double* y, double h, double* out) {
   const double* ft = nullptr;
   if (mass_.singular()) {
     if (jacobian_.evaluate(f_, t, y, out) == Status::stop) return Status::stop;
-    if (time_derivative(f_, t, y, out, h, rate_.size(), rate_.data()) == Status::stop) return Status::stop;
+    if (jacobian_.time_derivative(f_, t, y, out, h, rate_.data()) == Status::stop) return Status::stop;
     ft = rate_.data();
   }
   if (!factored_ || !factors_stay()) {

@@ -77,6 +77,13 @@ Differentiable::Differentiable(const Forms& forms, std::size_t n, std::size_t m)
       z_(2 * (1 + n)),
       w_(2 * m) {}
 
+Status Differentiable::derived(Callback& form, double t, const double* x, double dt, const double* dx, double* out) {
+  std::copy(x, x + n_, z_.begin());
+  z_[n_] = dt;
+  std::copy(dx, dx + n_, z_.begin() + static_cast<std::ptrdiff_t>(n_) + 1);
+  return form(t, z_.data(), out);
+}
+
 /// w = form(t + s dt, x + s dx) with a complex s.
 Status Differentiable::complex_at(Callback& form, double t, const double* x, double dt, const double* dx, double re,
                                   double im) {
@@ -86,6 +93,7 @@ Status Differentiable::complex_at(Callback& form, double t, const double* x, dou
 }
 
 Status Differentiable::slope(double t, const double* x, double dt, const double* dx, double* out) {
+  if (exact()) return derived(forms_.slope, t, x, dt, dx, out);
   if (by_complex_steps()) {
     if (complex_at(forms_.complex, t, x, dt, dx, 0, tiny) == Status::stop) return Status::stop;
     for (std::size_t i = 0; i < m_; ++i) out[i] = w_[2 * i + 1] / tiny;
@@ -123,6 +131,7 @@ Status Differentiable::curvature(double t, const double* x, double dt, const dou
     std::fill(out, out + m_, 0.0);
     return Status::ok;
   }
+  if (exact()) return derived(forms_.curvature, t, x, dt, dx, out);
   if (!by_complex_steps()) return second_difference(t, x, dt, dx, out);
   double h = widest * reach(t, x, n_, dt, dx), before = std::numeric_limits<double>::infinity();
   std::size_t rows = 0;  // of the table, since φ was last not finite
@@ -175,7 +184,7 @@ Status Differentiable::rotated(double t, const double* x, double dt, const doubl
   return Status::ok;
 }
 
-double Differentiable::relative_error() const { return by_complex_steps() || m_ == 0 ? 0 : second_error; }
+double Differentiable::relative_error() const { return exact() || by_complex_steps() || m_ == 0 ? 0 : second_error; }
 
 Status Differentiable::second_difference(double t, const double* x, double dt, const double* dx, double* out) {
   const double h = second_increment * reach(t, x, n_, dt, dx);

@@ -23,14 +23,15 @@ struct SparseColumns {
   SparseColumns(const SparseMatrix& pattern, std::size_t first_component);
 };
 
-/// A function (t, x) -> (m) with x of n components, and its first and second derivatives: by complex steps where there
-/// is a complex form of it, else by differences of order 4.
+/// A function (t, x) -> (m) with x of n components, and its first and second derivatives: by functions for them where
+/// these are known, by complex steps where there is a complex form of it, else by differences of order 4.
 class Differentiable {
  public:
   /// `function` of t and x. Its complex form, if there is one, takes 1 + n complex numbers, (t, x), and gives m of
-  /// them. `quiet`: the same, for points that may be outside its domain.
+  /// them. `quiet`: the same, for points that may be outside its domain. `slope` and `curvature`: d/ds and d²/ds² of
+  /// function(t + s dt, x + s dx) at s = 0, functions of t and (x, dt, dx).
   struct Forms {
-    Callback function, complex, quiet;
+    Callback function, complex, quiet, slope, curvature;
   };
 
   Differentiable() = default;
@@ -39,9 +40,10 @@ class Differentiable {
   [[nodiscard]] std::size_t n() const { return n_; }
   [[nodiscard]] std::size_t m() const { return m_; }
   [[nodiscard]] bool by_complex_steps() const { return static_cast<bool>(forms_.complex); }
-  /// Calls of the user's function, real and complex.
+  /// Calls of the user's function, real and complex, and of its derivatives.
   [[nodiscard]] std::int64_t calls() const {
-    return forms_.function.calls() + forms_.complex.calls() + forms_.quiet.calls();
+    return forms_.function.calls() + forms_.complex.calls() + forms_.quiet.calls() + forms_.slope.calls() +
+           forms_.curvature.calls();
   }
 
   Status value(double t, const double* x, double* out) { return forms_.function(t, x, out); }
@@ -56,6 +58,8 @@ class Differentiable {
   Status jacobian(double t, const double* x, const double* size, SparseColumns& columns);
 
  private:
+  [[nodiscard]] bool exact() const { return static_cast<bool>(forms_.slope); }
+  Status derived(Callback& form, double t, const double* x, double dt, const double* dx, double* out);
   Status complex_at(Callback& form, double t, const double* x, double dt, const double* dx, double re, double im);
   Status odd_difference(double t, const double* x, double dt, const double* dx, double* out);
   Status rotated(double t, const double* x, double dt, const double* dx, double h, const double* sizes, double* out);

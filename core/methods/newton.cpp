@@ -6,8 +6,6 @@
 #include <cmath>
 #include <utility>
 
-#include "linear/time_derivative.hpp"
-
 namespace invariode {
 namespace {
 
@@ -186,6 +184,7 @@ Status AgingJacobian::take_beside(Callback& f, double t, const double* y) {
 /// user's function is wrong.
 Status AgingJacobian::mend(Callback& f, double t, const double* y, const double* slope) {
   if (jacobian_.computed()) return jacobian_.complete(f, t, y, slope, check_->direction());
+  if (jacobian_.kind() == Jacobian::Kind::derived) return Status::ok;
   const bool too_small = std::abs(check_->predicted()) < 0.5 * std::abs(check_->change());  // which costs steps only
   if (!misfit_ && !too_small)
     misfit_ = Misfit{.kind = Misfit::Kind::matrix,
@@ -347,7 +346,7 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
                              double* slope, double* ft, double* second) {
   const std::size_t n = jacobian.jacobian().n();
   const Mass* mass = jacobian.mass();
-  if (time_derivative(f_, t, y, f, h, n, ft) == Status::stop) return Status::stop;
+  if (jacobian.time_derivative(f_, t, y, f, h, ft) == Status::stop) return Status::stop;
   if (mass && mass->singular()) {
     std::copy(f, f + n, slope);
     solver_.slope(*mass, ft, slope);

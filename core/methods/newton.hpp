@@ -101,6 +101,10 @@ class AgingJacobian {
   [[nodiscard]] bool stiff(double c, const double* w);
 
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }
+  /// ∂f/∂t, as `Jacobian::time_derivative`.
+  Status time_derivative(Callback& f, double t, const double* y, const double* slope, double h, double* ft) {
+    return jacobian_.time_derivative(f, t, y, slope, h, ft);
+  }
   /// M, as it was last evaluated; null: the identity.
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }

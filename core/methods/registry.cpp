@@ -51,7 +51,8 @@ double calls_per_jacobian(const Jacobian& jacobian) {
   switch (jacobian.kind()) {
     case Jacobian::Kind::constant:
     case Jacobian::Kind::products: return 0;
-    case Jacobian::Kind::function: return 1;
+    case Jacobian::Kind::function:
+    case Jacobian::Kind::derived: return 1;
     case Jacobian::Kind::differences:
     case Jacobian::Kind::complex_steps: break;
   }

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <numbers>
 
-#include "linear/time_derivative.hpp"
 #include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
 
@@ -46,7 +45,7 @@ Step::Attempt Rosenbrock::attempt(double h, double t1) {
 /// J and ∂f/∂t, if this is the first attempt of the step, and the factors of W = M − h d J.
 Outcome Rosenbrock::linearize() {
   if (solver_.repair(t_, y(), f0_.data()) == Status::stop) return Outcome::stop;
-  if (!ft_known_ && time_derivative(f_, t_, y(), f0_.data(), signed_h_, n(), ft_.data()) == Status::stop)
+  if (!ft_known_ && solver_.time_derivative(f_, t_, y(), f0_.data(), signed_h_, ft_.data()) == Status::stop)
     return Outcome::stop;
   ft_known_ = true;
   return solver_.prepare(signed_h_ * d, t1_, [this] {

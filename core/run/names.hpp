@@ -81,6 +81,7 @@ inline constexpr Named<Structure::Kind> structure_names[] = {
 
 inline constexpr Named<Jacobian::Kind> jacobian_names[] = {{"constant", Jacobian::Kind::constant},
                                                            {"function", Jacobian::Kind::function},
+                                                           {"derived", Jacobian::Kind::derived},
                                                            {"differences", Jacobian::Kind::differences},
                                                            {"complex-step", Jacobian::Kind::complex_steps},
                                                            {"products", Jacobian::Kind::products}};

@@ -58,6 +58,7 @@ void Run::wrap_in_pieces(Problem& problem) {
   Jacobian::Source& source = problem.linear->source;
   source.function = piece_.within(source.function);
   source.complex_f = piece_.within(source.complex_f);
+  source.rate = piece_.within(source.rate);
   if (std::optional<KrylovTerms>& krylov = problem.linear->krylov) {
     krylov->product = piece_.within(krylov->product);
     krylov->preconditioner = piece_.within(krylov->preconditioner);

@@ -10,7 +10,8 @@ from types import FunctionType as _FunctionType
 from ._base.failures import FailureWarning, InvariantError, SolveError
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
-from ._functions.compiled import CompiledFunction, compile
+from ._functions.compile import compile
+from ._functions.compiled import CompiledFunction
 from ._laws.imposing import ImposeResult, impose
 from ._mechanics.system import MechanicalSystem
 from ._problem.dissipation import Dissipated

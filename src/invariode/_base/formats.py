@@ -163,6 +163,11 @@ def header(kind: str) -> dict[str, Any]:
     return {"format": _FORMAT + kind, "version": VERSION, "invariode": _ours()}
 
 
+def _word(value: Any) -> str:
+    """What stands in a header, which may be anything."""
+    return value if isinstance(value, str) and len(value) < 40 else shown(value)
+
+
 def kind_of(path: Any, about: Any, *expected: str) -> str:
     """The kind of a file from its header, which is taken out. A ValueError unless it is expected, and of this version
     of the format."""
@@ -171,7 +176,7 @@ def kind_of(path: Any, about: Any, *expected: str) -> str:
     if kind not in _KINDS or kind == given:
         raise unreadable(path, f"was not written by {_KINDS[expected[0]][0]}")
     number, writer = about.pop("version", 0), about.pop("invariode", "0.2")
-    what = f"is of kind '{kind}' in version {number} of the format, written by invariode {writer}"
+    what = f"is of kind '{kind}' in version {_word(number)} of the format, written by invariode {_word(writer)}"
     if kind not in expected:
         raise unreadable(path, f"{what}: read it with {_KINDS[kind][1]}")
     if number != VERSION:

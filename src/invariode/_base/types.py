@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -34,7 +34,7 @@ EventsLike: TypeAlias = EventFunction | Sequence[EventFunction] | None
 
 #: One number or several. `ArrayLike` has strings too.
 Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array
-BreakpointsLike: TypeAlias = Sequence[float | tuple[float, Function | None]] | Array
+BreakpointsLike: TypeAlias = Sequence[float | tuple[float, Function | None]] | Mapping[float, Function | None] | Array
 Span: TypeAlias = Sequence[float] | Array
 #: A name in `METHODS`, or SciPy's name or class. The registry may grow, so that names are not part of the type.
 MethodName: TypeAlias = str | type[Any]

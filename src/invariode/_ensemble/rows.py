@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
@@ -12,10 +12,12 @@ import numpy as np
 
 from .. import _core
 from .._base.arguments import Array, quietly, state, warn
-from .._functions.compiled import native_parameters
+from .._functions.compiled import constants, native_parameters
 from .._functions.lanes import Lanes, choose_lanes
+from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
+from .._run.call_errors import wrong_length
 from .._run.plan import Plan, solver
 from .outcomes import Outcomes, in_order, travelling
 from .solution import EnsembleEvents
@@ -48,6 +50,8 @@ _NG, _NGDIFF = (_core.COUNTS.index(name) for name in ("ng", "ngdiff"))
 # States that only trajectories of an ensemble have.
 _NOT_FINITE = -1
 _INCONSISTENT = {-2: "not_found", -3: "index_too_high"}
+#: Trajectories that failed, and runs that tell why they ended.
+Failures = Sequence[tuple[int, _core.Run]]
 
 
 def attempted(
@@ -87,9 +91,12 @@ def _on_threads(
     run = _core.integrate_all(solvers, rows, _parameters(task, plan), report, lanes.for_core())
     dtype = y0.dtype
     states = run.take_states()
+    failures = run.failures() if (_CODES[states] < 0).any() else []
+    misshapen = _misshapen(task, failures)
     value, before, after, correction = run.take_drift()
     stiff_since, discontinuity = run.take_remarks()
     status, y_end = _CODES[states], run.take_end().view(dtype)
+    status[list(misshapen)] = _RAISED
     y_end[status == _RAISED] = np.nan
     return Outcomes(
         y=run.take_y().view(dtype),
@@ -100,7 +107,7 @@ def _on_threads(
         clipped_amount=run.take_clipped(),
         stiff_since=stiff_since,
         discontinuity=discontinuity,
-        messages=_messages(task, plan, run, states),
+        messages=_messages(task, plan, failures, misshapen, states),
         events=[in_order(trajectory, t, y.view(dtype)) for trajectory, t, y in run.take_events()],
         value=value,
         residual_before=before,
@@ -118,18 +125,51 @@ def _parameters(task: Task, plan: Plan) -> Array:
         same[:] = p
         return same
     try:
-        return np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
-    except ValueError:  # arguments of different shapes
-        return np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
+        rows = np.ascontiguousarray(task.args, dtype=float).reshape(size, -1)
+    except (ValueError, TypeError):  # arguments of different shapes, or that are no numbers
+        rows = np.stack([native_parameters(row, [task.problem.fun]) for row in task.args])
+    _require_constants(task, p, rows)
+    return rows
 
 
-def _messages(task: Task, plan: Plan, run: _core.EnsembleRun, states: Array) -> dict[int, str]:
+def _require_constants(task: Task, p: Array, rows: Array) -> None:
+    """That all trajectories have the arguments that are constants of compiled functions.
+
+    Raises
+    ------
+    ValueError
+        They differ.
+    """
+    arguments = count_of(p)
+    if not isinstance(arguments, Arguments):
+        return
+    others = [] if isinstance(task.args, np.ndarray) else map(arguments_of, task.args)
+    called = [task.problem.fun, *(one.fun for one in (*task.problem.invariants, *task.problem.events))]
+    objection = arguments.objection(rows, constants(called, p))
+    if objection is None and any(one.fixed(TRUTHS) != arguments.fixed(TRUTHS) for one in others):
+        objection = "arguments that are no numbers, or their shapes, differ from row to row"
+    if objection is not None:
+        raise ValueError(f"args of a compiled ensemble: {objection}. Compile one function for each, or pass floats")
+
+
+def _misshapen(task: Task, failures: Failures) -> dict[int, ValueError]:
+    """Trajectories whose f returns a wrong number of values, for which a single solve raises."""
+    args = task.args
+    errors = (
+        (i, wrong_length(task.problem, task.y0[i], args if isinstance(args, tuple) else tuple(args[i])))
+        for i, failure in failures
+        if failure.state == "start_undefined"
+    )
+    return {i: error for i, error in errors if error is not None}
+
+
+def _messages(
+    task: Task, plan: Plan, failures: Failures, misshapen: Mapping[int, ValueError], states: Array
+) -> dict[int, str]:
     """Why trajectories failed, in their order."""
     messages: dict[int, str] = {}
-    if len(states) and not (_CODES[states] < 0).any():
-        return messages
-    for i, failure in run.failures():
-        exception = plan.exception(failure)
+    for i, failure in failures:
+        exception = misshapen.get(i) or plan.exception(failure)
         messages[i] = plan.verdict(failure)[1] if exception is None else _as_text(exception)
     for i in np.flatnonzero(states == _NOT_FINITE).tolist():
         try:

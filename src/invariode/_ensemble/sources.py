@@ -253,7 +253,7 @@ def _with_code(cloudpickle: Any, value: Any) -> bytes:
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # an extra, imported when it is used
         def reducer_override(self, obj: Any) -> Any:
             if isinstance(obj, CompiledFunction) and obj.__module__ == "__main__":
-                return CompiledFunction, (obj.fun, obj.inplace, obj.elementary)
+                return obj.made_again()
             return super().reducer_override(obj)
 
     with io.BytesIO() as file:

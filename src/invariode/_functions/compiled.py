@@ -23,13 +23,14 @@ from _ctypes import CFuncPtr
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from types import BuiltinFunctionType, FunctionType, MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _core
-from .._base.arguments import Array, call_name, choice, shown, warn
+from .._base.arguments import Array, call_name, shown
 from .._base.extras import extra
+from .layout import TRUTHS, Arguments, Constant, Numbers, Parameters, count_of
 
 _VECTOR = "void (double t, const double* y, double* out, const double* p)"
 _EVENT = "double (double t, const double* y, const double* p)"
@@ -116,7 +117,12 @@ class CompiledFunction:
         Whether it fills an output.
     elementary : {"own", "libm"}
         Whose elementary functions it calls.
+    how : str
+        How it was compiled: "trace" or "numba", and why not the other; by numba, as long as it was not.
     """
+
+    #: Whether its further arguments may be anything, not only numbers.
+    takes_any = False
 
     def __init__(self, fun: Callable[..., Any], inplace: bool, elementary: str = "own") -> None:
         self.fun = fun
@@ -125,9 +131,8 @@ class CompiledFunction:
         self.__name__ = call_name(fun, "compiled")
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
+        self.how = "numba"
         self._made: dict[tuple[Any, ...], _core.Native] = {}
-        self._own: set[Shape] = set()
-        self._copying: set[Shape] = set()
         self.lane_forms: dict[tuple[Any, ...], Any] = {}  # of `lanes`
         self._jitted: Any = None
         self._jitted_complex: Any = None
@@ -135,6 +140,10 @@ class CompiledFunction:
 
     def __call__(self, *args: Any) -> Any:
         return self.fun(*args)
+
+    def at(self, t: float, *vectors: Array, parameters: Array) -> Any:
+        """The Python function, with the arguments of the problem as numbers one after the other."""
+        return self.fun(t, *vectors, *([parameters] if len(parameters) else []))
 
     def __repr__(self) -> str:
         return f"compile({self.__name__})"
@@ -145,12 +154,16 @@ class CompiledFunction:
             named: Any = reduce(getattr, self.__qualname__.split("."), sys.modules[self.__module__])
         except (AttributeError, KeyError):
             named = None
-        return self.__qualname__ if named is self else (CompiledFunction, (self.fun, self.inplace, self.elementary))
+        return self.__qualname__ if named is self else self.made_again()
+
+    def made_again(self) -> tuple[Any, ...]:
+        """How it is made of its function: a callable and its arguments."""
+        return CompiledFunction, (self.fun, self.inplace, self.elementary)
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
-        """The machine code for n components, `size` values and that many parameters. With `second` the function takes
-        two vectors, of n - second and second components, which follow each other in y."""
-        return self._machine_code(Shape(n, size, parameters, event, second))
+        """The machine code for n components, `size` values and that many parameters, or `Arguments`. With `second` the
+        function takes two vectors, of n - second and second components, which follow each other in y."""
+        return self._machine_code(Shape(n, size, int(parameters), event, second))
 
     def complex_native(
         self, n: int, size: int, parameters: int, second: int = 0, *, real_time: bool = False
@@ -168,15 +181,6 @@ class CompiledFunction:
         except (AttributeError, NotImplementedError) as error:  # what cmath lacks; a comparison, which is found late
             raise self._cannot_compile(error) from error
 
-    @property
-    def jitted(self) -> Any:
-        """The function as numba's own, for real numbers."""
-        return self._jit(is_complex=False)
-
-    def result_type(self, n: int, size: int, parameters: int) -> Any:
-        """numba's type of what the function returns for n components, where that is `size` values."""
-        return self._result(self.jitted, Shape(n, size, parameters, event=False), copies=False)
-
     def _machine_code(self, shape: Shape) -> _core.Native:
         with self._making:
             made = self._made.get(shape)
@@ -188,26 +192,20 @@ class CompiledFunction:
     def _make(self, shape: Shape) -> Any:
         """Its arguments are arrays that it may only read. What numba does not compile for these, because it writes to
         them or hands them to a function of a fixed signature, gets copies."""
-        refused = _numba().core.errors.NumbaError
+        refused = numba_or_say_so().core.errors.NumbaError
         try:
-            code = self._code(shape, copies=False)
+            return self._code(shape, copies=False)
         except refused:
             try:
-                code = self._code(shape, copies=True)
+                return self._code(shape, copies=True)
             except refused as error:
                 raise self._cannot_compile(error, shape.parameters) from error
-            self._copying.add(shape)
-        own = _with_own_functions(code) if self.elementary == "own" else None
-        if own is None:
-            return code
-        self._own.add(shape)
-        return own
 
     def _code(self, shape: Shape, *, copies: bool) -> Any:
         """numba's code, whose arguments are read-only or copies."""
         from .numba_additions import copied, read_only
 
-        numba = _numba()
+        numba = numba_or_say_so()
         jitted = self._jit(shape.is_complex)
         names = ["t", *shape.vectors, *(["out"] if self.inplace and not shape.event else [])]
         names += ["p"] if shape.parameters else []
@@ -235,17 +233,9 @@ class CompiledFunction:
         signature = double(double, pointer, pointer) if shape.event else numba.void(double, numbers, numbers, pointer)
         return numba.cfunc(signature, error_model="numpy")(namespace["code"])
 
-    def works_on_copies(self, n: int, size: int, parameters: int, event: bool) -> bool:
-        """Whether what was made for n components, with `size` values, gets copies of y and p."""
-        return Shape(n, size, parameters, event) in self._copying
-
-    def has_own_functions(self, n: int, size: int, parameters: int, event: bool) -> bool:
-        """Whether what was made for n components, with `size` values, calls our elementary functions."""
-        return Shape(n, size, parameters, event) in self._own
-
     def _jit(self, is_complex: bool) -> Any:
         """For numba; 1/0 is inf: no exceptions."""
-        numba = _numba()
+        numba = numba_or_say_so()
         if is_complex:
             if self._jitted_complex is None:
                 from .numba_additions import ComplexCompiler
@@ -267,7 +257,7 @@ class CompiledFunction:
 
     def _stores(self, result: Any, size: int) -> list[str]:
         """Lines that store the result r, of numba's type `result`, in `out`."""
-        types = _numba().types
+        types = numba_or_say_so().types
         if isinstance(result, types.Array) and result.ndim > 1:
             return [
                 f"if r.size == {size}:",
@@ -304,8 +294,8 @@ class CompiledFunction:
 
     def _stores_of_rows(self, result: Any, size: int) -> list[str]:
         """The same for a tuple of tuples."""
-        lengths = [len(row) if isinstance(row, _numba().types.BaseTuple) else 1 for row in result]
-        if len(set(lengths)) > 1 or not all(isinstance(row, _numba().types.BaseTuple) for row in result):
+        lengths = [len(row) if isinstance(row, numba_or_say_so().types.BaseTuple) else 1 for row in result]
+        if len(set(lengths)) > 1 or not all(isinstance(row, numba_or_say_so().types.BaseTuple) for row in result):
             raise TypeError(
                 f"compile({self.__name__}): the function returns rows of {', '.join(map(str, lengths))} values: "
                 "return rows of one length"
@@ -318,7 +308,7 @@ class CompiledFunction:
 
     def _result(self, jitted: Any, shape: Shape, copies: bool) -> Any:
         """numba's type of what the function returns."""
-        numba = _numba()
+        numba = numba_or_say_so()
         number = numba.types.complex128 if shape.is_complex else numba.types.double
         vector, values = (numba.types.Array(kind, 1, "C", readonly=not copies) for kind in (number, numba.types.double))
         time = number if shape.complex_time else numba.types.double
@@ -338,80 +328,7 @@ class CompiledFunction:
         return TypeError(text)
 
 
-def compile(
-    fun: Callable[..., Any], *, inplace: bool = False, elementary: Literal["own", "libm"] = "own"
-) -> CompiledFunction:
-    """A function that is compiled to machine code, by numba, when it is used in a problem.
-
-    Parameters
-    ----------
-    fun : callable
-        ``f(t, y)`` or, for a problem with `args`, ``f(t, y, p)`` with p of shape (k,), in the part of Python that numba
-        compiles; it returns a number, a tuple (fast), a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or
-        with its rows one after the other.
-        If it raises, or a list or array has the wrong length, the values are NaN, 'cannot be evaluated here' (an f that
-        returns another number of values at the start is an error). If it is already compiled by numba or by this
-        function, its Python function is used. A function that writes to y or p gets copies of them in each call, which
-        takes longer.
-    inplace : bool, default False
-        ``f(t, y, out)`` or ``f(t, y, out, p)`` fills `out` instead.
-    elementary : {"own", "libm"}, default "own"
-        Whose sin, cos, exp, log and powers such as x^1.5 of real numbers it calls. Our own are inlined, also into the
-        form for lanes of `invariode.solve_ensemble`, have errors below one unit in the last place, and the same bits
-        on every processor. "libm": those of the platform's mathematical library, one call for each number.
-
-    Returns
-    -------
-    CompiledFunction
-        For `fun`, `jac`, invariants and their Jacobians, events and actions; still a Python function.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        numba, the extra `compiled`, is not installed.
-    ValueError
-        `elementary` is neither.
-    TypeError
-        When it is used: numba cannot compile the function, or it takes other arguments or returns another number of
-        values than it should.
-
-    Examples
-    --------
-    >>> import invariode as iv
-    >>> decay = iv.compile(lambda t, y, p: -p[0] * y[0])
-    >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,))
-    >>> bool(abs(sol.y[0, -1] - np.exp(-2)) < 1e-3)
-    True
-    """
-    if not callable(fun):
-        raise TypeError(f"compile takes a function f(t, y), got {shown(fun)}")
-    numba = _numba()
-    choice("elementary", elementary, ("own", "libm"))
-    if isinstance(fun, CompiledFunction):
-        inplace, elementary, fun = inplace or fun.inplace, "libm" if fun.elementary == "libm" else elementary, fun.fun
-    elif isinstance(fun, numba.core.dispatcher.Dispatcher):
-        fun = fun.py_func
-    return CompiledFunction(fun, inplace, elementary)
-
-
-_warned = False
-
-
-def _with_own_functions(code: Any) -> Any | None:
-    """numba's code with our elementary functions; None: it calls none, or numba is one that we do not know."""
-    global _warned
-    try:
-        from . import machine_code
-
-        return machine_code.with_own(code)
-    except Exception as error:  # whatever internals of numba and llvmlite have changed
-        if not _warned:
-            warn(f"this version of numba does not take other elementary functions: {error!r}. libm's are used")
-            _warned = True
-        return None
-
-
-def _numba() -> Any:
+def numba_or_say_so() -> Any:
     return extra("numba", "invariode.compile needs", "compiled")
 
 
@@ -423,11 +340,17 @@ def is_native(fun: object) -> bool:
 
 
 class NativeWithInputs(NamedTuple):
-    """Machine code whose parameters begin with the values at t of inputs, `size` numbers."""
+    """Machine code whose parameters begin with the values at t of inputs, of these shapes."""
 
     fun: Any
     inputs: list[_core.PiecewisePolynomial]
-    size: int
+    shapes: list[tuple[int, ...]]
+
+    def count(self, parameters: int) -> int:
+        """How many numbers it takes if there are so many parameters."""
+        entries = [Numbers(np.ones(shape) if shape else 1.0, varying=True) for shape in self.shapes]
+        further = parameters if isinstance(parameters, Arguments) else Arguments.single(parameters)
+        return Arguments([*entries, *further.entries])
 
 
 _POINTERS = (CompiledFunction, CFuncPtr, NativeWithInputs)
@@ -453,15 +376,17 @@ def to_native(name: str, fun: Any, n: int, size: int, args: Array, event: bool =
     if isinstance(fun, CoreFunction):
         return fun.for_core(n, size, args)
     if isinstance(fun, NativeWithInputs):
-        code = to_native(name, fun.fun, n, size, np.concatenate([np.zeros(fun.size), args]), event)
+        count = fun.count(count_of(args))
+        compiled = isinstance(fun.fun, CompiledFunction)
+        code = fun.fun.native(n, size, count, event) if compiled else to_native(name, fun.fun, n, size, args, event)
         return _core.Native(address=code.address, event=event, owner=code, inputs=fun.inputs)
     if isinstance(fun, CompiledFunction):
-        return fun.native(n, size, len(args), event, second)
+        return fun.native(n, size, count_of(args), event, second)
     if not is_native(fun):
         return fun
     wanted = _EVENT if event else _VECTOR
     if _is_cfunc(fun):
-        numba = _numba()
+        numba = numba_or_say_so()
         pointer, double = numba.types.CPointer(numba.types.double), numba.types.double
         expected = (double, (double, pointer, pointer)) if event else (numba.void, (double, pointer, pointer, pointer))
         if (fun._sig.return_type, tuple(fun._sig.args)) != expected:
@@ -561,18 +486,29 @@ _NO_PARAMETERS = np.zeros(0)
 
 
 def native_parameters(args: tuple[Any, ...], functions: Iterable[Any]) -> Array:
-    """The arguments of native functions: the values of `args` one after the other. Empty if no function is native.
+    """The arguments of native functions: the numbers of `args` one after the other. Empty if no function is native.
 
     Raises
     ------
     TypeError
-        They are not real numbers.
+        They are not real numbers, and a function takes nothing else.
     """
-    if not args or not any(map(is_native, functions)):
+    if not args:
         return _NO_PARAMETERS
-    if len(args) == 1 and type(args[0]) is float:  # the common case
-        return np.array(args)
-    try:
-        return np.concatenate([np.zeros(0), *(np.asarray(a, dtype=float).ravel() for a in args)])
-    except (TypeError, ValueError):
+    natives = [one for one in functions if is_native(one)]
+    if not natives:
+        return _NO_PARAMETERS
+    numbers = Parameters.of(args)
+    if any(isinstance(one, Constant) for one in numbers.arguments.entries) and not all(map(_takes_any, natives)):
         raise TypeError(f"args of native functions must be real numbers, got {shown(args)}") from None
+    return numbers
+
+
+def constants(functions: Iterable[Any], parameters: Array) -> int:
+    """Up to which rank the numbers of the arguments are constants of the code of these functions."""
+    traced = [one.fun if isinstance(one, NativeWithInputs) else one for one in functions]
+    return max((one.constants(count_of(parameters)) for one in traced if _takes_any(one)), default=TRUTHS)
+
+
+def _takes_any(fun: Any) -> bool:
+    return _takes_any(fun.fun) if isinstance(fun, NativeWithInputs) else getattr(fun, "takes_any", False)

@@ -12,6 +12,8 @@ from numpy.exceptions import ComplexWarning
 from .. import _core
 from .._base.arguments import EPS, Array
 from .compiled import CompiledFunction, is_native, native_parameters, to_native
+from .graph.derived import derived, native
+from .layout import count_of
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
 _TINY = 1e-40
@@ -33,8 +35,10 @@ class Forms(NamedTuple):
     """A function in the forms the core takes."""
 
     function: Any
-    complex: Any  # for complex t and x; None: there is no such form
-    quiet: Any  # the same, for points outside its domain
+    complex: Any = None  # for complex t and x; None: there is no such form
+    quiet: Any = None  # the same, for points outside its domain
+    slope: Any = None  # its first derivative along a direction, of (t, (x, dt, dx)); None: it is not known
+    curvature: Any = None  # the second one
 
 
 class Quiet:
@@ -65,7 +69,7 @@ class Derivatives:
 
     Attributes
     ----------
-    kind : {'complex step', 'differences'}
+    kind : {'traced', 'complex step', 'differences'}
         How derivatives are formed.
     """
 
@@ -81,13 +85,21 @@ class Derivatives:
         self._args, self._name, self._parts = args, name, tuple(len(part) for part in parts)
         self._parameters = native_parameters(args, [function])
         self.m = _count_values(function, t, parts, args, name, self._parameters) if m is None else m
-        self.kind: Literal["complex step", "differences"] = "differences"
+        self.kind: Literal["traced", "complex step", "differences"] = "differences"
         x = np.concatenate(parts)
         form = self._of_numbers(function, is_complex=False)
-        self.forms = Forms(form, None, None)
+        self._exact = derived(function, len(x), self.m, count_of(self._parameters), sum(self._parts[1:]))
+        self.forms = Forms(form)
         self._core = self._bound(self.forms)
         if not np.isfinite(here := self._core.value(t, x)).all():
             raise ValueError(f"{name} is not finite at t = {t}: {here}")
+        if self._exact is not None:
+            self.kind = "traced"
+            n, count = 2 * len(x) + 1, len(self._parameters)
+            along = (native(one, function, n, self.m, count) for one in (self._exact.slope(), self._exact.curvature()))
+            self.forms = Forms(form, None, None, *along)
+            self._core = self._bound(self.forms)
+            return
         candidate = self._of_numbers(function, is_complex=True)
         if candidate is not None and self._takes_complex(t, x, self._bound(Forms(form, candidate, candidate))):
             self.kind = "complex step"
@@ -96,7 +108,7 @@ class Derivatives:
 
     def _of_numbers(self, function: Any, is_complex: bool) -> Any:
         """The function as the core calls it; None: it has no complex form."""
-        n, second, count = sum(self._parts), sum(self._parts[1:]), len(self._parameters)
+        n, second, count = sum(self._parts), sum(self._parts[1:]), count_of(self._parameters)
         if not is_complex:
             return to_native(self._name, function, n, self.m, self._parameters, second=second)
         if not is_native(function):
@@ -138,6 +150,8 @@ class Derivatives:
         n = len(x)
         if self.m * n < _LARGE:
             return full_pattern(self.m, n)
+        if self._exact is not None:
+            return compressed(self._exact.pattern.matrix(np.ones(self._exact.entries)).toarray())
         entries = np.zeros((self.m, n), dtype=bool)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -221,7 +235,7 @@ def _count_values(
 ) -> int:
     """How many values the function has."""
     if isinstance(function, CompiledFunction) and not function.inplace:
-        returned = np.asarray(function(t, *(part.copy() for part in parts), *([parameters] if len(parameters) else [])))
+        returned = np.asarray(function.at(t, *(part.copy() for part in parts), parameters=parameters))
     elif is_native(function):
         raise ValueError(
             f"{name} is native, so the number of its values is unknown: give it as "

@@ -346,8 +346,6 @@ FORMULAS = {
     "exp": Formula(exponential, is_small_exponent, exponential_of_large, one_at_a_time=False),
     "log": Formula(logarithm, is_normal_and_positive, logarithm_of_any, one_at_a_time=False),
 }
-#: Names of the mathematical library.
-LIBRARY = tuple(FORMULAS)
 #: Constant exponents of its power that have formulas, and their names.
 POWERS = {n / 2: f"half_power_{n}".replace("-", "minus_") for n in (-5, -3, -1, 3, 5)}
 FORMULAS |= {

@@ -23,6 +23,8 @@ from .._base.arguments import (
 )
 from .._functions.compiled import CoreFunction, as_python, complex_form, is_native, native_parameters, to_native
 from .._functions.derivatives import compared, somewhere
+from .._functions.graph.derived import derived
+from .._functions.layout import count_of
 from .._problem.invariants import Invariants
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
@@ -253,6 +255,8 @@ def bind(
         if one.names is not None and len(one.names) != m:
             raise ValueError(f"invariant {name} returns {m} values and has {len(one.names)} names: {one.names}")
         kind = one.jac
+        if kind is None and y.dtype.kind != "c" and (exact := derived(one.fun, n, m, count_of(p))) is not None:
+            kind = exact.dense()
         if kind == "complex-step" and np.iscomplexobj(y):
             raise ValueError(f'invariant {name}: jac="complex-step" is for real problems, and y0 is complex')
         forms = one.fun

@@ -26,7 +26,7 @@ _INSTEAD = 'or use jac="differences"'
 def compiled_at_complex(fun: Any, n: int, parameters: int) -> _core.Native | None:
     """Machine code of a compiled f for complex y. None: it is not made by `compile`, or not for complex numbers."""
     if isinstance(fun, NativeWithInputs):
-        code = compiled_at_complex(fun.fun, n, parameters + fun.size)
+        code = compiled_at_complex(fun.fun, n, fun.count(parameters))
         return code and _core.Native(address=code.address, event=False, owner=code, inputs=fun.inputs)
     return complex_form(fun.native(n, n, parameters, event=False)) if isinstance(fun, CompiledFunction) else None
 

@@ -25,8 +25,10 @@ class Krylov:
     dimension: int  # of the Krylov space; 0: the method's own
 
 
-def krylov(given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: Array) -> Krylov:
-    """What a problem gives and its linear solver, checked.
+def krylov(
+    given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]
+) -> Krylov:
+    """What a problem gives and its linear solver, checked. `exact`: the product that follows from f, or None.
 
     Raises
     ------
@@ -42,7 +44,7 @@ def krylov(given: Matrices, chosen: GMRES, y0: Array, args: tuple[Any, ...], p: 
             "linear_solver=GMRES(preconditioner=...), which solves (M - c J) x = b approximately"
         )
     return Krylov(
-        product=_product(given.jac, chosen.jac_product, y0, args, p),
+        product=_product(given.jac, chosen.jac_product, y0, args, p, exact),
         preconditioner=None if chosen.preconditioner is None else _SetUp(chosen.preconditioner, args, y0),
         dimension=chosen.dimension or 0,
     )
@@ -53,13 +55,15 @@ def is_operator(given: object) -> bool:
     return isinstance(given, LinearOperator)
 
 
-def _product(jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Array) -> Any:
+def _product(jac: Any, jac_product: Any, y0: Array, args: tuple[Any, ...], p: Array, exact: Callable[[], Any]) -> Any:
     if jac_product is not None:
         if jac is not None:
             raise ValueError("jac and GMRES(jac_product=) say the same: give one of them")
         n = y0.view(float).size
         return to_native("jac_product", jac_product, 2 * n, n, p, second=n)
-    if jac is None or (isinstance(jac, str) and jac == "differences"):
+    if jac is None or (isinstance(jac, str) and jac == "trace"):
+        return exact()
+    if isinstance(jac, str) and jac == "differences":
         return None
     if isinstance(jac, str):
         raise ValueError(

@@ -15,13 +15,15 @@ from scipy.sparse.linalg import splu
 
 from .. import _core
 from .._base.arguments import Array, warn
-from .._functions.compiled import is_native, to_native
+from .._functions.compiled import NativeWithInputs, is_native, to_native
+from .._functions.graph.derived import Derived, derived, native
+from .._functions.layout import count_of
 from .._problem.bounds import Bounds
 from .._problem.matrices import Matrices, as_matrix, require_shape
 from .complex_steps import compiled_at_complex, python_at_complex
 from .krylov import Krylov, is_operator
 from .null_space import null_space, roundoff, whole
-from .sparsity import find_pattern
+from .sparsity import find_pattern, is_large, is_sparse_enough
 
 _DENSE_LIMIT = 2**30  # bytes: a larger dense Jacobian draws a warning
 _SMALL = 64  # n up to which no linear algebra differs from processor to processor (`dense_by_lapack` in matrix.cpp)
@@ -90,8 +92,9 @@ class _Jacobian(NamedTuple):
 class Start:
     """f, as users write it, with what it is called with at the start.
 
-    `complex_by_default`: complex steps are the default of a compiled f. Not if the core keeps f within bounds, or if a
-    second compilation may be in vain.
+    `traced`: the same function with a graph, if Jacobians are made of that. `complex_by_default`: complex steps are the
+    default of an f that numba compiles. Not if the core keeps f within bounds, or if a second compilation may be in
+    vain.
     """
 
     fun: Any
@@ -101,6 +104,23 @@ class Start:
     parameters: Array
     bounds: Bounds | None = None
     complex_by_default: bool = True
+    traced: Any = None
+
+    @property
+    def exact(self) -> Derived | None:
+        """The exact derivatives of f."""
+        n = len(self.y)
+        return None if np.iscomplexobj(self.y) else derived(self.traced, n, n, count_of(self.parameters))
+
+    @property
+    def product(self) -> Any:
+        """∂f/∂y times v, of (t, (y, v)). None: it is not known."""
+        exact = self.exact
+        return exact and self.derivative(exact.product(), len(self.y), vectors=2)
+
+    def derivative(self, made: Any, size: int, vectors: int = 1) -> Any:
+        """A derivative of `traced` for the core."""
+        return native(made, self.traced, vectors * len(self.y), size, len(self.parameters))
 
 
 def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) -> _core.Linear:
@@ -124,6 +144,7 @@ def prepare(given: Matrices, start: Start, matrix_free: Krylov | None = None) ->
         null_basis=_NO_COLUMNS if mass is None else _columns(_null_basis(storage, mass, start.t)),
         lapack=_lapack(),
         found_pattern=found,
+        rate=_rate(given, start),
         **({} if matrix_free is None else vars(matrix_free)),
     )
 
@@ -163,6 +184,9 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     """One that is computed from f, by complex steps or differences, in a structure that is given or found."""
     y0, found, pattern = start.y, 0, None
     storage = partial(_Storage, n=len(y0), complex=np.iscomplexobj(y0))
+    exact = start.exact
+    if exact is not None and given.jac != "differences":
+        return _exact_jacobian(given, bands, start, exact)
     if bands is not None:
         held = storage("banded", lower=bands[0], upper=bands[1])
     elif given.jac_sparsity is None or isinstance(given.jac_sparsity, str):
@@ -184,6 +208,40 @@ def _computed(given: Matrices, bands: tuple[int, int] | None, start: Start) -> _
     return _Jacobian(held, "complex-step", (at_complex, pattern), found)
 
 
+def _exact_jacobian(given: Matrices, bands: tuple[int, int] | None, start: Start, exact: Derived) -> _Jacobian:
+    """Of the graph of f: in bands if these are given, sparse if that is chosen or pays. Its pattern is that of the
+    graph, whatever was given."""
+    n, way, pattern = len(start.y), given.jac_sparsity, None
+    if bands is not None:
+        held, made = _Storage("banded", n, False, *bands), exact.banded(*bands)
+        _require_bands(bands, exact)
+    elif way != "dense" and (way is not None or (is_large(given, n) and is_sparse_enough(exact.entries, n))):
+        held, made = _Storage("sparse", n, False), exact.sparse()
+        pattern = _columns(exact.pattern.matrix(np.ones(exact.entries)))
+    else:
+        held, made = _Storage("dense", n, False), exact.dense()
+    return _Jacobian(held, "derived", (start.derivative(made, made.size), pattern))
+
+
+def _require_bands(bands: tuple[int, int], exact: Derived) -> None:
+    lower, upper = exact.bands
+    if lower > bands[0] or upper > bands[1]:
+        warn(
+            f"the bands of the Jacobian, lower = {bands[0]}, upper = {bands[1]}, miss entries: those of fun have lower = "
+            f"{lower}, upper = {upper}. Steps may be short; give jac=Banded({lower}, {upper}), or these as lband and "
+            "uband"
+        )
+
+
+def _rate(given: Matrices, start: Start) -> Any:
+    """∂f/∂t, if f has a graph and no inputs, whose rates are not known."""
+    exact = start.exact
+    differences = isinstance(given.jac, str) and given.jac == "differences"
+    if differences or exact is None or isinstance(start.traced, NativeWithInputs):
+        return None
+    return start.derivative(exact.rate(), len(start.y))
+
+
 def _complex_steps(jac: str | None, start: Start) -> Any:
     """f for complex y, where complex steps were chosen, or f is compiled. None: differences."""
     if jac == "differences" or (jac is None and (np.iscomplexobj(start.y) or not start.complex_by_default)):
@@ -193,7 +251,7 @@ def _complex_steps(jac: str | None, start: Start) -> Any:
             'jac="complex-step" is for real y, and y0 is complex: fun need not be analytic. Use jac="differences", or '
             "write the problem in real and imaginary parts"
         )
-    compiled = compiled_at_complex(start.fun, len(start.y), len(start.parameters))
+    compiled = compiled_at_complex(start.fun, len(start.y), count_of(start.parameters))
     if compiled is not None or jac is None:
         return compiled
     return python_at_complex(start.fun, start.t, start.y, start.args)

@@ -36,24 +36,30 @@ def find_pattern(
     way = given.jac_sparsity
     reals = y.view(float)
     n = len(reals)
-    if way == "dense" or n == 0 or (way is None and (n < _LARGE or not _sparse(given.mass))):
+    if way == "dense" or n == 0 or (way is None and not is_large(given, n)):
         return None
     form = to_native("fun", fun, n, n, parameters) if is_native(fun) else _Anywhere(fun, y)
     within = {} if bounds is None else bounds._asdict()
     problem = _core.Problem(n=n, complex=y.dtype.kind == "c", fun=form, args=args, parameters=parameters, **within)
     most = int(_PART_OF_DENSE * n) if way is None else 4 * n + 100
     found, evaluations, each = _core.sparsity(t, reals, problem, most, way is None)
-    if found is None or (way is None and (len(found[1]) > _FULL * n**2 or each > _PART_OF_COLUMNS * n)):
+    if found is None or (way is None and not (is_sparse_enough(len(found[1]), n) and each <= _PART_OF_COLUMNS * n)):
         return None
     starts, rows = found
     return (starts, rows, np.ones(len(rows))), evaluations
 
 
-def _sparse(mass: Any) -> bool:
-    """Whether M leaves the iteration matrix sparse."""
-    if mass is None or sp.issparse(mass):
-        return True
+def is_large(given: Matrices, n: int) -> bool:
+    """Whether sparse linear algebra may pay: not with a dense M, which makes the iteration matrix dense."""
+    mass = given.mass
+    if n < _LARGE or mass is None or sp.issparse(mass):
+        return n >= _LARGE
     return not callable(mass) and bool(np.count_nonzero(mass) <= _FULL * np.size(mass))
+
+
+def is_sparse_enough(entries: int, n: int) -> bool:
+    """Whether so many entries are few."""
+    return entries <= _FULL * n**2
 
 
 class _Anywhere:

@@ -141,7 +141,7 @@ class Motion:
         if not callable(mass) and not is_native(mass):
             return "nothing", _columns(_square(mass, n))
         if isinstance(mass, CompiledFunction) and not mass.inplace:
-            returned: Any = np.asarray(mass(start.t, start.q.copy(), *([p] if len(p) else [])), dtype=float)
+            returned: Any = np.asarray(mass.at(start.t, start.q.copy(), parameters=p), dtype=float)
         elif is_native(mass):
             returned = np.ones((n, n))
         else:
@@ -374,7 +374,8 @@ class FunctionOfState(CoreFunction):
 
     def __call__(self, t: Any, y: Array, *args: Any) -> Any:
         if isinstance(self._function, CompiledFunction) and args:
-            args = (native_parameters(args, [self._function]),)
+            parameters = native_parameters(args, [self._function])
+            return self._function.at(t, y[: self._n_q], y[self._n_q :], parameters=parameters)
         return self._function(t, y[: self._n_q], y[self._n_q :], *args)
 
     @property

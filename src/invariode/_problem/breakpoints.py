@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,10 +20,12 @@ class Breakpoint(NamedTuple):
 
 
 def to_breakpoints(name: str, given: object) -> list[Breakpoint]:
-    """Breakpoints from times and pairs (t, action), checked."""
-    listed = items(given)
+    """Breakpoints from times and pairs (t, action), or from a dict of such pairs, checked."""
+    listed = items(given.items() if isinstance(given, Mapping) else given)
     if listed is None:
-        raise TypeError(f"{name} must be a list of times or of pairs (t, action), got {shown(given)}")
+        raise TypeError(
+            f"{name} must be a list of times or of pairs (t, action), or a dict of actions by time, got {shown(given)}"
+        )
     return [_one(name, entry) for entry in listed]
 
 

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 #: How a Jacobian may be computed from f, in words.
-JACOBIANS = ("complex-step", "differences")
+JACOBIANS = ("trace", "complex-step", "differences")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +166,7 @@ class Checkpoint:
         The file. Its folder must exist. A file that holds a run that has not ended is not overwritten, and a second run
         with the same file is refused before it computes.
     every : float, default 60.0
-        Minimum time between two checkpoints, in seconds.
+        Minimum time between two checkpoints, in seconds; ``inf``: only at the start and at the end.
 
     Raises
     ------

@@ -135,7 +135,7 @@ def fed(fun: Any, inputs: Sequence[Input]) -> Any:
     if not inputs or not (callable(fun) or is_native(fun)):
         return fun
     if is_native(fun):
-        return NativeWithInputs(fun, [one._core for one in inputs], sum(one.size for one in inputs))
+        return NativeWithInputs(fun, [one._core for one in inputs], [one.values.shape[1:] for one in inputs])
     return _Fed(fun, inputs)
 
 

@@ -282,12 +282,12 @@ class RunningOptions(TypedDict, total=False):
         BreakpointsLike | None,
         Option(
             None,
-            "list of float or of (float, callable)",
+            "list of float or of (float, callable), or dict of callables by time",
             "Times at which `fun`, the invariants or their derivatives may jump: switches, pulses, doses. Each is "
             "reached exactly, and the method starts anew there; each piece evaluates the functions only at times "
-            "inside it. With ``(t, action)`` the solution jumps to ``action(t, y, *args)``, of shape (n,); "
-            "invariants without a demanded value are held at their new values, and the output has both states. "
-            "Breakpoints outside the interval wait for an extension.",
+            "inside it. With ``(t, action)``, or in a dict ``{t: action}``, the solution jumps to "
+            "``action(t, y, *args)``, of shape (n,); invariants without a demanded value are held at their new values, "
+            "and the output has both states. Breakpoints outside the interval wait for an extension.",
             to_breakpoints,
         ),
     ]

@@ -23,6 +23,8 @@ from .result import Result
 
 #: Seconds of a film without a given length: those of the motion, within these bounds.
 _SHORTEST, _LONGEST = 4.0, 8.0
+#: Frames of the longest film: an hour at 30 in a second.
+_MOST_FRAMES = 3600 * 30
 
 #: Points of the path drawn behind a point: enough that the eye sees no corners. A run of many steps has several in
 #: each, up to the last number.
@@ -141,6 +143,8 @@ def _frame_times(sol: Result, duration: float | None, fps: float) -> Array:
     rate = positive("fps", fps)
     span = float(abs(ends[-1] - ends[0]))
     seconds = min(max(span, _SHORTEST), _LONGEST) if duration is None else positive("duration", duration)
+    if not seconds * rate <= _MOST_FRAMES:
+        raise ValueError(f"duration times fps must be at most {_MOST_FRAMES} frames, got {seconds:.6g} s at {rate:.6g}")
     return np.linspace(ends[0], ends[-1], max(2, round(seconds * rate)))
 
 

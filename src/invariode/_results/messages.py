@@ -351,7 +351,7 @@ def refusal(run: Run, laws: Laws, rtol: float, pairs: bool) -> str:
     return _not_conserved(run, laws)
 
 
-_FORMED = {"function": "given", "complex-step": "complex step"}
+_FORMED = {"function": "given", "derived": "traced", "complex-step": "complex step"}
 
 
 def formed(linear: Linear | None, run: Run) -> str | None:

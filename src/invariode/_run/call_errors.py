@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .._base.arguments import PACKAGE, call_name, reals, shown
+from .._base.arguments import PACKAGE, Array, call_name, reals, shown
 from .._functions.compiled import CompiledFunction, is_native, native_parameters
 from .._problem.description import Description
 
@@ -27,26 +27,22 @@ def explain(error: TypeError | ValueError, problem: Description) -> None:
         error.add_note("a column is a matrix of one column: return a list, or numpy.ravel(column)")
 
 
-def require_values(problem: Description) -> None:
-    """That a compiled f returns as many values as there are components: if not, its values are NaN in the run.
-
-    Raises
-    ------
-    ValueError
-        It returns another number at the start.
-    """
-    fun, n = problem.fun, reals(problem.y0)
+def wrong_length(problem: Description, y0: Array, args: tuple[Any, ...]) -> ValueError | None:
+    """What to tell of a compiled f that returns, at this start, more or fewer values than there are components: in the
+    run they are NaN. None: it is not that."""
+    fun, n = problem.fun, reals(y0)
     if not isinstance(fun, CompiledFunction) or fun.inplace:
-        return
+        return None
     t0 = problem.t_span[0]
-    p = [*(np.ravel(one(t0)) for one in problem.inputs), native_parameters(problem.args, [fun])]
-    parameters = np.concatenate(p)
+    parameters = native_parameters((*(one(t0) for one in problem.inputs), *args), [fun])
     try:
-        returned = np.size(fun.jitted(t0, problem.y0.view(float), *([parameters] if len(parameters) else [])))
+        returned = np.size(fun.at(t0, y0.view(float), parameters=parameters))
     except Exception:  # whatever the user's code raises: there NaN is right
-        return
-    if returned != n:
-        raise ValueError(f"{fun!r} returned {returned} values at t = {t0}, expected {n}, one for each component")
+        return None
+    if returned == n:
+        return None
+    what = f"{returned} value{'s' * (returned != 1)}"
+    return ValueError(f"{fun!r} returned {what} at t = {t0}, expected {n}, one for each component")
 
 
 def _is_of_the_call(error: TypeError) -> bool:

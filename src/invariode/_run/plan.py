@@ -14,7 +14,9 @@ from .. import _core
 from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
 from .._base.failures import InvariantError
 from .._base.types import MethodName, Numbers, OnFailure, OnInterrupt
-from .._functions.compiled import native_parameters, to_native
+from .._functions.compile import compile
+from .._functions.compiled import CompiledFunction, is_native, native_parameters, to_native
+from .._functions.graph.function import OnGraph
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
@@ -39,6 +41,7 @@ from .._results.result import LIMIT_REACHED, Names
 
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
+    from .._linear.matrices import Start
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -222,8 +225,9 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     if options["calibrate"] and "calibrate" in chosen.options:
         weights = _calibrated(weights, settings.max_order or chosen.order)
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
-    parameters, fun = _native_functions(problem, breakpoints, options["linear_solver"])
-    linear, y0 = _linear_algebra(problem, chosen, options, fun, parameters, weights)
+    traced = _with_graph(problem, chosen)
+    parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
+    linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     bound.forward = settings.forward
     if bound.specs:
@@ -341,9 +345,29 @@ def ordered_breakpoints(problem: Description, given: Any) -> list[Breakpoint]:
     return ordered([*(given or ()), *of_inputs(problem.inputs)], *problem.t_span)
 
 
-def _native_functions(problem: Description, breakpoints: list[Breakpoint], chosen: LinearSolver) -> tuple[Array, Any]:
+def _with_graph(problem: Description, method: Method) -> Any:
+    """f as Jacobians are made of it: traced, if that was chosen."""
+    fun, jac = problem.fun, problem.matrices.jac
+    if "jac" not in method.options or not isinstance(jac, str) or jac != "trace" or isinstance(fun, OnGraph):
+        return fun
+    if is_native(fun) and not isinstance(fun, CompiledFunction):
+        raise TypeError(
+            'jac="trace" needs a Python function, or one of invariode.compile: this fun is machine code, or belongs to '
+            'the core. Give its Jacobian, or use jac="differences"'
+        )
+    if problem.y0.dtype.kind == "c":
+        raise ValueError(
+            'jac="trace" is for real y, and y0 is complex: fun need not be analytic. Use jac="differences", or write '
+            "the problem in real and imaginary parts"
+        )
+    return compile(fun, by="trace")
+
+
+def _native_functions(
+    problem: Description, traced: Any, breakpoints: list[Breakpoint], chosen: LinearSolver
+) -> tuple[Array, Any]:
     """The parameters of native functions, and f as the core calls it."""
-    p = native_parameters(problem.args, _called(problem, breakpoints, chosen))
+    p = native_parameters(problem.args, [traced, *_called(problem, breakpoints, chosen)])
     return p, problem.slope.for_core(problem.y0, p)
 
 
@@ -390,7 +414,13 @@ def _functions(
 
 
 def _linear_algebra(
-    problem: Description, method: Method, options: Options, fun: Any, parameters: Array, weights: Tolerances
+    problem: Description,
+    method: Method,
+    options: Options,
+    fun: Any,
+    traced: Any,
+    parameters: Array,
+    weights: Tolerances,
 ) -> tuple[_core.Linear | None, Array]:
     """What an implicit method knows about its matrices; and y0, moved where the algebraic equations of a singular mass
     matrix ask for it."""
@@ -406,8 +436,9 @@ def _linear_algebra(
         return None, y0  # explicit throughout; a StiffnessWarning tells where that is not enough
     compiled = bounds is None and "prefer" not in method.options  # which may never need a Jacobian
     inside = y0 if bounds is None else bounds.nearest(y0)
-    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, bounds, compiled)
-    linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], parameters))
+    traced = fed(traced, problem.inputs)
+    start = Start(problem.slope.fun, t0, inside, problem.args, parameters, bounds, compiled, traced)
+    linear = prepare(matrices, start, _matrix_free(problem, matrices, options["linear_solver"], start))
     if not linear.algebraic:
         return linear, y0
     if not direct:
@@ -443,7 +474,7 @@ def _require_linear_solver(method: Method, chosen: object) -> None:
         )
 
 
-def _matrix_free(problem: Description, matrices: Matrices, chosen: LinearSolver, parameters: Array) -> Krylov | None:
+def _matrix_free(problem: Description, matrices: Matrices, chosen: LinearSolver, start: Start) -> Krylov | None:
     from .._linear.krylov import krylov
 
     if not isinstance(chosen, GMRES):
@@ -453,7 +484,7 @@ def _matrix_free(problem: Description, matrices: Matrices, chosen: LinearSolver,
             "jac_product and preconditioner are not possible together with inputs: call the inputs inside these "
             "functions, and pass them to the problem by args"
         )
-    return krylov(matrices, chosen, problem.y0, problem.args, parameters)
+    return krylov(matrices, chosen, problem.y0, problem.args, start.parameters, lambda: start.product)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

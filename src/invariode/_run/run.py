@@ -44,7 +44,7 @@ from .._results.result import (
     at_events,
 )
 from .._results.solution import Solution
-from .call_errors import explain, require_values
+from .call_errors import explain, wrong_length
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
@@ -253,7 +253,9 @@ def presented(
     if exception := plan.exception(run):
         raise exception
     if run.state == "start_undefined":
-        require_values(source.problem)
+        problem = source.problem
+        if error := wrong_length(problem, problem.y0, problem.args):
+            raise error
     sol = _solution(run, plan, source, members, checkpoint)
     if plan.names:
         _warn_of_projection(run, plan, sol)

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import Array, extra_arguments, interval, kept
 from .._base.types import MethodName, Span
-from .._functions.compiled import CoreFunction, native_parameters
+from .._functions.compiled import CoreFunction, constants, native_parameters
+from .._functions.layout import Arguments, count_of
 from .._problem.description import Description
 from .._problem.options import Options, ProblemArguments
 from .._results.messages import MESSAGES
@@ -60,7 +61,7 @@ class PreparedSolver:
         self._max_step = None if options.get("max_step") is None else plan.settings.max_step
         # Whether the plan holds for another y0, for other args, for another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
-        self._any_args = self._any_y0 and core.native
+        self._any_args = self._any_y0 and core.native and _may_vary(problem, plan)
         free = not problem.inputs and not any(plan.bound.senses)  # what is dissipated depends on the direction of time
         self._any_span = self._any_y0 and free and all(options.get(one) is None for one in _OF_SPAN)
 
@@ -141,6 +142,14 @@ class PreparedSolver:
     def _covering(self, t_span: Span) -> Cover:
         t0, tf = interval(t_span)
         return t0, tf, abs(tf - t0) / 10 if self._max_step is None else self._max_step
+
+
+def _may_vary(problem: Description, plan: Plan) -> bool:
+    """Whether compiled functions take any numbers as arguments."""
+    p = plan.functions.parameters
+    arguments = count_of(p)
+    called = [problem.fun, *(one.fun for one in (*problem.invariants, *problem.events))]
+    return not isinstance(arguments, Arguments) or arguments.may_vary(constants(called, p))
 
 
 def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:

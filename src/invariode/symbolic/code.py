@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial, reduce
 from typing import Any, NamedTuple
 
-import numpy as np
 import sympy
 
 from .._functions.compiled import CompiledFunction
@@ -71,7 +70,7 @@ def functions(system: System, laws: Sequence[Any], compiled: bool) -> Code:
     if pattern is None:
         made["jac"] = Formula("jac", lambda: _dense(rows(), n, words.graph), (n, n))
     else:
-        made["jac"] = Formula("jac", lambda: [rows()[i][j] for j in range(n) for i in _column(pattern, j)], pattern)
+        made["jac"] = Formula("jac", lambda: [rows()[i][j] for i, j in pattern.places()], pattern)
     return Code({name: GraphFunction(one) for name, one in made.items()} if compiled else dict(made), pattern)
 
 
@@ -89,16 +88,8 @@ def _dense(rows: Sequence[Row], n: int, graph: Graph) -> list[Node]:
 
 
 def _sparse(rows: Sequence[Row], n: int) -> Pattern | None:
-    places = sorted((j, i) for i, row in enumerate(rows) for j in row)
-    if n < _SPARSE_ROWS or len(places) > _SPARSE_PART * n * n:
-        return None
-    counts = np.bincount([j for j, _ in places], minlength=n)
-    return Pattern(np.array([i for _, i in places], dtype=int), np.concatenate([[0], np.cumsum(counts)]), n)
-
-
-def _column(pattern: Pattern, j: int) -> list[int]:
-    rows: list[int] = pattern.indices[pattern.indptr[j] : pattern.indptr[j + 1]].tolist()
-    return rows
+    few = n >= _SPARSE_ROWS and sum(map(len, rows)) <= _SPARSE_PART * n * n
+    return Pattern.of(rows, n) if few else None
 
 
 def _accelerations(system: System, words: _Words) -> list[Node]:

@@ -13,7 +13,7 @@ from .nodes import COMPARISONS, Node, in_order
 Row = dict[int, Node]
 
 #: What has no derivative but zero, where it has one.
-_CONSTANT = {"number", "t", "y", "p", "dt", "dy", "sign", "floor", "ceil", "and", "or", "not", *COMPARISONS}
+_CONSTANT = {"number", "t", "y", "p", "sign", "floor", "ceil", "and", "or", "not", *COMPARISONS}
 #: What depends on a decision: its derivative has to be that of the branch taken, even if the other's is not finite.
 _BRANCHING = {"select", "minimum", "maximum", "solve"}
 
@@ -48,14 +48,12 @@ def gradient(output: Node, variables: Sequence[Node]) -> Row:
     return row
 
 
-def tangent(outputs: Sequence[Node]) -> list[Node]:
-    """The derivatives of the outputs along a direction, of the nodes "dt" and "dy": f_t dt + f_y dy."""
+def tangent(outputs: Sequence[Node], direction: Mapping[Node, Node]) -> list[Node]:
+    """The derivatives of the outputs along a direction, given by the components of t and y in it."""
     if not outputs:
         return []
-    graph = outputs[0].graph
-    moved = [node for node in in_order(outputs) if node.op in ("t", "y")]
-    rows = _forwards(outputs, {node: {0: graph.make(f"d{node.op}", value=node.value)} for node in moved})
-    return [row.get(0, graph.node(0.0)) for row in rows]
+    rows = _forwards(outputs, {variable: {0: along} for variable, along in direction.items()})
+    return [row.get(0, outputs[0].graph.node(0.0)) for row in rows]
 
 
 def _forwards(outputs: Sequence[Node], start: Mapping[Node, Row]) -> list[Row]:
@@ -153,7 +151,13 @@ def _times(factor: Node) -> Callable[[Node], Node]:
 
 
 def _over(divisor: Node) -> Callable[[Node], Node]:
-    return lambda inner: inner / divisor
+    """By one quotient for all variables."""
+    return _times(1.0 / divisor)
+
+
+def _divide(v: Node, a: Node, b: Node) -> list[Slope]:
+    factor = 1.0 / b
+    return [_times(factor), _times(-(v * factor))]
 
 
 def _power(v: Node, a: Node, b: Node) -> list[Slope]:
@@ -176,7 +180,7 @@ _RULES: dict[str, Callable[..., list[Slope]]] = {
     "add": lambda v, a, b: [lambda x: x, lambda x: x],
     "subtract": lambda v, a, b: [lambda x: x, lambda x: -x],
     "multiply": lambda v, a, b: [_times(b), _times(a)],
-    "divide": lambda v, a, b: [_over(b), lambda x: -(v * x / b)],
+    "divide": _divide,
     "negate": lambda v, a: [lambda x: -x],
     "power": _power,
     "atan2": _atan2,
@@ -201,6 +205,9 @@ _RULES: dict[str, Callable[..., list[Slope]]] = {
     "expm1": lambda v, a: [_times(v + 1.0)],
     "log1p": lambda v, a: [_over(a + 1.0)],
     "log10": lambda v, a: [_over(a * math.log(10))],
+    "log2": lambda v, a: [_over(a * math.log(2))],
+    "exp2": lambda v, a: [_times(v * math.log(2))],
+    "cbrt": lambda v, a: [_over(v * v * 3.0)],
     "erf": lambda v, a: [_times(2 / math.sqrt(math.pi) * _exp(-(a * a)))],
     "erfc": lambda v, a: [_times(-2 / math.sqrt(math.pi) * _exp(-(a * a)))],
 }

@@ -5,8 +5,11 @@ The operations and our elementary functions are the same in both, so that the bi
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
@@ -14,8 +17,10 @@ from llvmlite import ir
 
 from ... import _core
 from ..elementary import FORMULAS, POWERS
-from ..machine_code import Function, MachineCode, linked, optimise
-from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Node, in_order
+from ..elementary_code import Definitions, Function
+from ..llvm_values import bits_of
+from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Node, as_rows, in_order
+from .rolled import Group, rolled
 
 _DOUBLE, _INDEX, _BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 _POINTER = _DOUBLE.as_pointer()
@@ -25,6 +30,21 @@ _SOLVE = "invariode_solve"
 #: LLVM takes more than linear time for long blocks, and for long code with optimisation: measured on chains of 10 and
 #: 20 links. Instructions of a block, and of a function that is optimised.
 _BLOCK, _OPTIMISED = 100, 3000
+#: From so many nodes on repeated parts become loops.
+_ROLLED = 300
+#: Codes that are kept for equal graphs, and those, in the order of their last use.
+_MOST_KEPT = 256
+_kept: OrderedDict[bytes, MachineCode] = OrderedDict()
+_keeping = threading.Lock()
+#: Doubles that loops may keep on the stack.
+_MOST_WORK = 2**15
+
+
+class MachineCode(NamedTuple):
+    """An address, and what keeps the code there alive."""
+
+    address: int
+    owner: Any
 
 
 class Form(NamedTuple):
@@ -36,32 +56,39 @@ class Form(NamedTuple):
         Whether it returns its one value, as events do; otherwise it stores its values.
     lanes : int
         So many numbers side by side: ``code(unused, t, y, out, p)`` with t (lanes,), y (n, lanes) and so on.
-    is_complex : bool
-        Complex y and values: the imaginary parts are a direction and the derivatives along it, which are the last half
-        of the outputs.
-    complex_time : bool
-        t is complex too, the first of y.
     own : bool
         Whether our elementary functions are called, not the mathematical library's.
     """
 
     returns: bool = False
     lanes: int = 1
-    is_complex: bool = False
-    complex_time: bool = False
     own: bool = True
 
 
 def machine_code(outputs: Sequence[Node], form: Form) -> MachineCode:
-    """The code of a function with these values."""
+    """The code of a function with these values: that of an equal graph, if that has been compiled in this process."""
+    key = hashlib.sha256(repr((form, as_rows(outputs))).encode()).digest()
+    with _keeping:
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key]
+    made = _compiled(outputs, form)
+    with _keeping:
+        _kept[key] = made
+        if len(_kept) > _MOST_KEPT:
+            _kept.popitem(last=False)
+    return made
+
+
+def _compiled(outputs: Sequence[Node], form: Form) -> MachineCode:
     module = ir.Module()
     module.triple = llvm.get_process_triple()
-    _Writer(module, form).write(outputs)
-    machine = _machine(form)
-    text = re.sub(r'@"(invariode_\w+)"', r"@\1", str(module))  # as LLVM itself writes names
-    made = linked(text, 64 * form.lanes if form.lanes > 1 else 0)
-    made.get_function(_NAME).linkage = llvm.Linkage.external
-    optimise(made, machine, loop_vectorization=False)
+    loops = _Writer(module, form).write(outputs)
+    machine, text = _machine(form), str(module)
+    if form.lanes > 1:  # of whole registers; llvmlite's functions do not take this attribute
+        text = text.replace(" nounwind", f' nounwind "prefer-vector-width"="{64 * form.lanes}"')
+    made = llvm.parse_assembly(text)
+    _optimise(made, machine, loop_vectorization=loops and form.lanes == 1)
     llvm.add_symbol(_SOLVE, _core.solve_address())
     engine = llvm.create_mcjit_compiler(made, machine)
     engine.finalize_object()
@@ -76,6 +103,14 @@ def _machine(form: Form) -> Any:
     return target.create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=3, jit=True)
 
 
+def _optimise(module: Any, target: Any, loop_vectorization: bool) -> None:
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization, options.slp_vectorization = loop_vectorization, False
+    options.loop_unrolling = options.loop_interleaving = False
+    passes = llvm.create_pass_builder(target, options)
+    passes.getModulePassManager().run(module, passes)
+
+
 class _Writer:
     """Writes the nodes of a graph into one function of LLVM's."""
 
@@ -83,40 +118,142 @@ class _Writer:
         self._module, self._form = module, form
         self._kind = _DOUBLE if form.lanes == 1 else ir.VectorType(_DOUBLE, form.lanes)
         given = [_POINTER, *[_POINTER] * 4] if form.lanes > 1 else [_DOUBLE, *[_POINTER] * (2 if form.returns else 3)]
-        if form.complex_time:
-            given[0] = _POINTER
         self._function = ir.Function(module, ir.FunctionType(_DOUBLE if form.returns else ir.VoidType(), given), _NAME)
         self._function.attributes.add("nounwind")
         names = ["unused"] * (form.lanes > 1) + ["t", "y"] + ["out"] * (not form.returns) + ["p"]
         self._given = dict(zip(names, self._function.args, strict=True))
         self._build = ir.IRBuilder(self._function.append_basic_block())
+        self._in_block = 0
+        self._own = Definitions(module)
 
-    def write(self, outputs: Sequence[Node]) -> None:
-        values: dict[Node, Any] = {}
+    def write(self, outputs: Sequence[Node]) -> bool:
+        """The function with these values; whether it has loops."""
+        loops = self._write_rolled(outputs) or self._write_straight(outputs)
+        self._own.finish()
+        return loops
+
+    def _write_rolled(self, outputs: Sequence[Node]) -> bool:
+        """With loops, if it is large and has parts that repeat."""
         nodes = [*in_order(outputs)]
-        if len(nodes) > _OPTIMISED:
-            self._function.attributes.add("noinline")
-            self._function.attributes.add("optnone")
-        for count, node in enumerate(nodes, 1):
+        large = len(nodes) + len(outputs) >= _ROLLED and not self._form.returns
+        groups = rolled(outputs) if large else None
+        if groups is not None and groups[1] * self._form.lanes <= _MOST_WORK:
+            self._write_groups(*groups)
+            return True
+        return False
+
+    def _write_straight(self, outputs: Sequence[Node]) -> bool:
+        nodes = [*in_order(outputs)]
+        self._optimise(len(nodes))
+        values: dict[Node, Any] = {}
+        for node in nodes:
             values[node] = self._value(node, [values[one] for one in node.arguments])
-            if count % _BLOCK == 0:
-                following = self._function.append_basic_block()
-                self._build.branch(following)
-                self._build.position_at_end(following)
+            self._count(1)
         if self._form.returns:
             self._build.ret(values[outputs[0]])
-            return
-        half = len(outputs) // 2
+            return False
         for i, node in enumerate(outputs):
-            place = 2 * (i % half) + i // half if self._form.is_complex else i
-            self._store(values[node], place)
+            self._store(values[node], i)
+            self._count(1)
+        self._build.ret_void()
+        return False
+
+    def _optimise(self, size: int) -> None:
+        """Not where that takes too long."""
+        if size > _OPTIMISED:
+            self._function.attributes.add("noinline")
+            self._function.attributes.add("optnone")
+
+    def _count(self, instructions: int) -> None:
+        """A new block where one has become long."""
+        self._in_block += instructions
+        if self._in_block >= _BLOCK:
+            following = self._function.append_basic_block()
+            self._build.branch(following)
+            self._build.position_at_end(following)
+            self._in_block = 0
+
+    def _write_groups(self, groups: Sequence[Group], size: int) -> None:
+        self._optimise(sum(one.size for one in groups))
+        for name in ("y", "out", "p"):
+            self._given[name].add_attribute("noalias")
+        self._given["work"] = self._build.alloca(_DOUBLE, max(size, 1) * self._form.lanes)
+        for group in groups:
+            if group.is_loop:
+                with self._loop(len(group.places)) as k:
+                    self._write_member(group, lambda values: self._listed(values, k))
+                continue
+            for member in range(len(group.places)):
+                self._write_member(group, lambda values: values[member])
+                self._count(len(group.nodes))
         self._build.ret_void()
 
-    def _place(self, name: str, index: int) -> Any:
-        place = self._build.gep(self._given[name], [_INDEX(index * self._form.lanes)])
+    @contextmanager
+    def _loop(self, count: int) -> Iterator[Any]:
+        """Over that many numbers, from 0."""
+        build, before = self._build, self._build.block
+        body, after = (self._function.append_basic_block() for _ in range(2))
+        build.branch(body)
+        build.position_at_end(body)
+        k = build.phi(_INDEX)
+        k.add_incoming(_INDEX(0), before)
+        yield k
+        following = build.add(k, _INDEX(1), flags=("nsw", "nuw"))
+        k.add_incoming(following, build.block)
+        build.cbranch(build.icmp_signed("<", following, _INDEX(count)), body, after)
+        build.position_at_end(after)
+        self._in_block = 0
+
+    def _write_member(self, group: Group, at: Callable[[list[Any]], Any]) -> None:
+        """The value of one tree: `at` tells its index or number in a place."""
+        values: dict[Node, Any] = {}
+        for node in group.nodes:
+            leaf = group.leaves.get(node)
+            if leaf is None:
+                values[node] = self._value(node, [values[one] for one in node.arguments])
+            elif leaf.kind == "number":
+                number = at(leaf.values)
+                values[node] = self._constant(number) if isinstance(number, float) else self._everywhere(number)
+            else:
+                values[node] = self._load(leaf.kind, at(leaf.values))
+        self._build.store(values[group.nodes[-1]], self._place(group.target, at(group.places)), align=8)
+
+    def _listed(self, values: list[Any], k: Any) -> Any:
+        """The k-th of these: a constant, a progression, or looked up."""
+        first = values[0]
+        if isinstance(first, float):
+            if len({bits_of(one) for one in values}) == 1:
+                return first
+        else:
+            step = values[1] - first
+            if all(one == first + i * step for i, one in enumerate(values)):
+                flags = ("nsw",)
+                return self._build.add(self._build.mul(k, _INDEX(step), flags=flags), _INDEX(first), flags=flags)
+        kind = _DOUBLE if isinstance(first, float) else _INDEX
+        table = ir.GlobalVariable(self._module, ir.ArrayType(kind, len(values)), f"table{len(self._module.globals)}")
+        table.initializer = ir.Constant(table.value_type, [kind(one) for one in values])
+        table.global_constant, table.linkage = True, "private"
+        return self._build.load(self._build.gep(table, [_INDEX(0), k], inbounds=True))
+
+    def _everywhere(self, number: Any) -> Any:
+        """In all lanes."""
+        if self._form.lanes == 1:
+            return number
+        place = ir.IntType(32)
+        first = self._build.insert_element(ir.Constant(self._kind, ir.Undefined), number, place(0))
+        mask = ir.Constant(ir.VectorType(place, self._form.lanes), [place(0)] * self._form.lanes)
+        return self._build.shuffle_vector(first, ir.Constant(self._kind, ir.Undefined), mask)
+
+    def _place(self, name: str, index: Any) -> Any:
+        lanes = self._form.lanes
+        if isinstance(index, int):
+            index = _INDEX(index * lanes)
+        elif lanes > 1:
+            index = self._build.mul(index, _INDEX(lanes), flags=("nsw",))
+        place = self._build.gep(self._given[name], [index], inbounds=True)
         return place if self._form.lanes == 1 else self._build.bitcast(place, self._kind.as_pointer())
 
-    def _load(self, name: str, index: int) -> Any:
+    def _load(self, name: str, index: Any) -> Any:
         return self._build.load(self._place(name, index), align=8)
 
     def _store(self, value: Any, index: int) -> None:
@@ -127,25 +264,16 @@ class _Writer:
         return ir.Constant(kind, number) if kind is _DOUBLE else ir.Constant(kind, [_DOUBLE(number)] * self._form.lanes)
 
     def _given_value(self, node: Node) -> Any:
-        """t, y, p, and the imaginary parts of t and y."""
-        form, op = self._form, node.op
-        if op == "p":
-            return self._load("p", node.value)
-        if not form.is_complex:
-            if op == "y":
-                return self._load("y", node.value)
-            return self._given["t"] if form.lanes == 1 else self._load("t", 0)
-        if op in ("t", "dt"):
-            if form.complex_time:
-                return self._load("y", int(op == "dt"))
-            return self._given["t"] if op == "t" else self._constant(0.0)
-        return self._load("y", 2 * (node.value + form.complex_time) + (op == "dy"))
+        """t, y and p."""
+        if node.op == "t":
+            return self._given["t"] if self._form.lanes == 1 else self._load("t", 0)
+        return self._load(node.op, node.value)
 
     def _value(self, node: Node, a: list[Any]) -> Any:
         build, op = self._build, node.op
         if op == "number":
             return self._constant(node.value)
-        if op in ("t", "y", "p", "dt", "dy"):
+        if op in ("t", "y", "p"):
             return self._given_value(node)
         if op in ARITHMETIC:
             names = {"add": build.fadd, "subtract": build.fsub, "multiply": build.fmul, "divide": build.fdiv}
@@ -207,10 +335,7 @@ class _Writer:
         if name == "power":
             name = POWERS.get(exponent.value, "pow") if exponent.op == "number" else "pow"
         if name in FORMULAS and self._form.own:
-            one = Function(name, self._form.lanes)
-            known = self._module.globals.get(one.symbol)
-            called = known or ir.Function(self._module, ir.FunctionType(self._kind, [self._kind]), one.symbol)
-            return self._build.call(called, a[:1])
+            return self._build.call(self._own.called(Function(name, self._form.lanes)), a[:1])
         return self._library("pow" if node.op == "power" else name, a)
 
     def _library(self, name: str, a: list[Any]) -> Any:

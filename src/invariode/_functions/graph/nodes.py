@@ -10,10 +10,11 @@ from typing import Any
 ELEMENTARY: dict[str, Callable[[float], float]] = {
     **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")},
     **{name: getattr(math, name) for name in ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")},
-    **{name: getattr(math, name) for name in ("expm1", "log1p", "log10", "erf", "erfc")},
+    **{name: getattr(math, name) for name in ("expm1", "log1p", "log10", "log2", "exp2", "cbrt", "erf", "erfc")},
 }
 ARITHMETIC = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
 COMPARISONS = {"less": "<", "less_equal": "<=", "equal": "==", "not_equal": "!="}
+_TRUTHS = {*COMPARISONS, "and", "or", "not"}
 
 #: Integer powers up to this one are products.
 _MOST_FACTORS = 16
@@ -27,8 +28,7 @@ class Node:
     graph : Graph
         Where equal nodes are one.
     op : str
-        "number", "t", "y", "p" and the seeds of a derivative, "dt" and "dy"; the names of `ARITHMETIC`, `COMPARISONS`,
-        `ELEMENTARY`; "negate", "power", "atan2", "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor",
+        "number", "t", "y", "p"; the names of `ARITHMETIC`, `COMPARISONS`, `ELEMENTARY`; "negate", "power", "atan2", "hypot", "modulo", "minimum", "maximum", "abs", "sign", "floor",
         "ceil", "and", "or", "not", "select"; "solve", a linear system, and "entry", a number of its solution.
     arguments : tuple of Node
         What it is computed of.
@@ -47,6 +47,11 @@ class Node:
                 repr(self.value) if self.op == "number" else self.op + ("" if self.value is None else f"[{self.value}]")
             )
         return f"{self.op}({', '.join(map(repr, self.arguments))})"
+
+    @property
+    def is_truth(self) -> bool:
+        """Whether its values are true and false."""
+        return self.op in _TRUTHS
 
     def is_number(self, value: float) -> bool:
         """Whether it is that number, with the same sign if it is 0."""
@@ -189,6 +194,16 @@ class Graph:
         flat = [entry for rows in (matrix, right) for row in rows for entry in row]
         system = self.make("solve", *flat, value=(k, m))
         return [[self.make("entry", system, value=i * m + j) for j in range(m)] for i in range(k)]
+
+
+def as_rows(outputs: Sequence[Node]) -> tuple[list[tuple[str, Any, list[int]]], list[int]]:
+    """A graph as data: (op, value, numbers of the arguments) of its nodes in order, and the numbers of the outputs."""
+    places: dict[Node, int] = {}
+    rows = []
+    for node in in_order(outputs):
+        rows.append((node.op, node.value, [places[one] for one in node.arguments]))
+        places[node] = len(places)
+    return rows, [places[one] for one in outputs]
 
 
 def in_order(nodes: Iterable[Node]) -> Iterator[Node]:

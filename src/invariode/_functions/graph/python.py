@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array
-from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, in_order
+from .nodes import ARITHMETIC, COMPARISONS, ELEMENTARY, Graph, Node, as_rows, in_order
+
+#: The name of the function that is executed.
+_CODE = "graph_code"
 
 
 def as_text(name: str, outputs: Sequence[Node]) -> str:
@@ -36,6 +39,18 @@ class Pattern(NamedTuple):
     indices: Array
     indptr: Array
     n: int
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[int, Node]], n: int) -> Pattern:
+        """Of rows of nodes by column."""
+        places = sorted((j, i) for i, row in enumerate(rows) for j in row)
+        counts = np.bincount([j for j, _ in places], minlength=n)
+        return cls(np.array([i for _, i in places], dtype=int), np.concatenate([[0], np.cumsum(counts)]), n)
+
+    def places(self) -> Iterator[tuple[int, int]]:
+        """Row and column of each entry, in order."""
+        columns = np.repeat(np.arange(self.n), np.diff(self.indptr))
+        return zip(self.indices.tolist(), columns.tolist(), strict=True)
 
     def matrix(self, values: Sequence[float]) -> Any:
         from scipy.sparse import csc_array
@@ -74,8 +89,8 @@ class Formula:
     def _code(self) -> Callable[[float, list[float], Any], list[float]]:
         namespace: dict[str, Any] = {**vars(math), "solved": _solved, "sign": _sign}
         namespace |= {f"nan_or_{name}": _careful(function) for name, function in (ELEMENTARY | _OF_TWO).items()}
-        exec(self.text, namespace)
-        made: Callable[[float, list[float], Any], list[float]] = namespace[self.__name__]
+        exec(as_text(_CODE, self.outputs), namespace)  # its own name may be that of a function it calls
+        made: Callable[[float, list[float], Any], list[float]] = namespace[_CODE]
         return made
 
     def __call__(self, t: float, y: Any, *args: Any) -> Any:
@@ -89,10 +104,7 @@ class Formula:
         return found if len(self.layout) == 1 else np.reshape(found, self.layout)
 
     def __reduce__(self) -> tuple[Callable[..., Formula], tuple[Any, ...]]:
-        nodes = [*in_order(self.outputs)]
-        places = {node: i for i, node in enumerate(nodes)}
-        rows = [(node.op, node.value, [places[one] for one in node.arguments]) for node in nodes]
-        return _restored, (self.__name__, rows, [places[one] for one in self.outputs], self.layout)
+        return _restored, (self.__name__, *as_rows(self.outputs), self.layout)
 
 
 def _restored(

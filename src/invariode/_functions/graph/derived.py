@@ -1,0 +1,153 @@
+"""Functions that follow from the graph of a function of (t, y, *args): its derivatives, exact, as compiled functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..compiled import NativeWithInputs, Shape, to_native
+from .derivatives import Row, gradient, jacobian, tangent
+from .function import GraphFunction, OnGraph
+from .nodes import Node
+from .python import Formula, Pattern
+
+
+class Derived:
+    """The derivatives of a function of t, y (n,) and parameters.
+
+    Parameters
+    ----------
+    name : str
+        What the function is called.
+    outputs : sequence of Node
+        Its values.
+    n : int
+        The components of y.
+    elementary : {"own", "libm"}
+        As in `compile`.
+    """
+
+    def __init__(self, name: str, outputs: Sequence[Node], n: int, elementary: str) -> None:
+        self._name, self._outputs, self._n, self._elementary = name, outputs, n, elementary
+        self._graph = outputs[0].graph
+        self._made: dict[tuple[Any, ...], GraphFunction] = {}
+
+    @property
+    def _y(self) -> list[Node]:
+        return [self._graph.y(j) for j in range(self._n)]
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The rows of ∂/∂y: what is in no row is zero everywhere."""
+        y = self._y
+        found = [gradient(self._outputs[0], y)] if len(self._outputs) == 1 else jacobian(self._outputs, y)
+        return [{j: one for j, one in row.items() if not _is_zero(one)} for row in found]
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """Which entries of ∂/∂y can be other than zero."""
+        return Pattern.of(self.rows, self._n)
+
+    @property
+    def entries(self) -> int:
+        """How many there are."""
+        return sum(map(len, self.rows))
+
+    @cached_property
+    def bands(self) -> tuple[int, int]:
+        """How far from the diagonal they are, below and above."""
+        away = [i - j for i, row in enumerate(self.rows) for j in row]
+        return max(away, default=0), -min(away, default=0)
+
+    def dense(self) -> GraphFunction:
+        """∂/∂y by rows."""
+        return self._filled("dense", len(self.rows) * self._n, lambda i, j: i * self._n + j)
+
+    def banded(self, lower: int, upper: int) -> GraphFunction:
+        """Its bands, as LAPACK packs them; entries outside are left out."""
+        return self._filled(
+            ("banded", lower, upper),
+            (lower + upper + 1) * self._n,
+            lambda i, j: (upper + i - j) * self._n + j if -upper <= i - j <= lower else None,
+        )
+
+    def sparse(self) -> GraphFunction:
+        """Its entries in the order of `pattern`."""
+        order = self.pattern.places()
+        return self._function("sparse", lambda: [self.rows[i][j] for i, j in order])
+
+    def product(self) -> GraphFunction:
+        """∂/∂y times v, of (t, (y, v))."""
+        along = {y: self._graph.y(self._n + j) for j, y in enumerate(self._y)}
+        return self._function("product", lambda: tangent(self._outputs, along))
+
+    def rate(self) -> GraphFunction:
+        """∂/∂t."""
+        return self._function("rate", lambda: tangent(self._outputs, {self._graph.t: self._graph.node(1.0)}))
+
+    @property
+    def _direction(self) -> dict[Node, Node]:
+        """(dt, dy), behind y."""
+        graph, n = self._graph, self._n
+        return {graph.t: graph.y(n), **{y: graph.y(n + 1 + j) for j, y in enumerate(self._y)}}
+
+    def slope(self) -> GraphFunction:
+        """d/ds of the function at (t + s dt, y + s dy), s = 0, of (t, (y, dt, dy))."""
+        return self._function("slope", lambda: tangent(self._outputs, self._direction))
+
+    def curvature(self) -> GraphFunction:
+        """d²/ds² of the same."""
+        return self._function("curvature", lambda: tangent(tangent(self._outputs, self._direction), self._direction))
+
+    def _filled(self, key: Any, size: int, place: Any) -> GraphFunction:
+        def values() -> list[Node]:
+            found = [self._graph.node(0.0)] * size
+            for i, row in enumerate(self.rows):
+                for j, one in row.items():
+                    if (at := place(i, j)) is not None:
+                        found[at] = one
+            return found
+
+        return self._function(key, values)
+
+    def _function(self, key: Any, outputs: Any) -> GraphFunction:
+        """Made once, so that its machine code is."""
+        if key not in self._made:
+            values = outputs()
+            name = key if isinstance(key, str) else key[0]
+            formula = Formula(f"{self._name}_{name}", lambda: values, (len(values),))
+            self._made[key] = GraphFunction(formula, self._elementary)
+        return self._made[key]
+
+
+def derived(fun: Any, n: int, size: int, parameters: int, second: int = 0) -> Derived | None:
+    """The derivatives of a function with `size` values. None: it is not compiled, or has no graph.
+
+    Raises
+    ------
+    TypeError
+        It had to be traced, and cannot be.
+    """
+    if isinstance(fun, NativeWithInputs):
+        return derived(fun.fun, n, size, fun.count(parameters), second)
+    if not isinstance(fun, OnGraph):
+        return None
+    shape = fun.known(Shape(n, size, parameters, False, second))
+    if shape not in fun.exact:
+        outputs = fun.graph(shape)
+        fun.exact[shape] = Derived(fun.__name__, outputs, n, fun.elementary) if outputs else None
+    found: Derived | None = fun.exact[shape]
+    return found
+
+
+def native(made: GraphFunction, fun: Any, n: int, size: int, parameters: int) -> Any:
+    """A derivative of a function as the core calls it, with the inputs of the function."""
+    form = fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
+    return to_native(made.__name__, form, n, size, np.zeros(parameters))
+
+
+def _is_zero(node: Node) -> bool:
+    return node.op == "number" and node.value == 0

@@ -1,0 +1,584 @@
+"""Tracing: f, called with symbolic values, becomes a graph.
+
+f itself is not changed: a copy of it runs, in which numpy, math and a few of Python's functions take traced values; its
+helpers, methods and partial functions are copied too. Where Python asks whether a condition holds, one answer is given
+and the other remembered; f runs again until all paths are known, and their outcomes become selections.
+"""
+
+from __future__ import annotations
+
+import builtins
+import dis
+import functools
+import math
+import time
+import types
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import PACKAGE, call_name
+from ..layout import Arguments, Numbers
+from .nodes import ELEMENTARY, Graph, Node
+from .selections import helpers, selecting
+from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, number, wrapped
+
+
+class Limits(NamedTuple):
+    """How far tracing goes: paths through branches on values, decisions on one of them, nodes, seconds."""
+
+    paths: int = 512
+    decisions: int = 60
+    nodes: int = 200_000
+    seconds: float = 5.0
+
+
+class Traced(NamedTuple):
+    """A traced function.
+
+    Attributes
+    ----------
+    outputs : list of Node
+        Its values, one after the other.
+    shape : tuple of int
+        Of what it returned.
+    paths : int
+        How many paths through its branches there are.
+    """
+
+    outputs: list[Node]
+    shape: tuple[int, ...]
+    paths: int
+
+
+def trace(
+    fun: Callable[..., Any],
+    n: int,
+    args: Arguments | None = None,
+    *,
+    second: int = 0,
+    inplace: int = 0,
+    limits: Limits | None = None,
+) -> Traced:
+    """The graph of a function of (t, y, *args).
+
+    Parameters
+    ----------
+    fun : callable
+        The function.
+    n : int
+        The components of y.
+    args : Arguments, optional
+        Its further arguments, whose numbers are the parameters, one after the other.
+    second : int, default 0
+        The function takes two vectors, of n - second and second components, which follow each other in y.
+    inplace : int, default 0
+        How many values the function writes to an argument after these; 0: it returns them.
+    limits : Limits, optional
+        Beyond them it is refused.
+
+    Returns
+    -------
+    Traced
+
+    Raises
+    ------
+    TraceError
+        It cannot be traced: the message names the line and the reason.
+    """
+    given = (fun, n - second, second, Arguments([]) if args is None else args, inplace, limits or Limits())
+    found = _Run(*given).traced(alone=True)
+    if found is not None:
+        return found
+    try:
+        found = _Run(*given, selections=True).traced()
+    except TraceError:  # an index, say, that only a single path knows
+        found = None
+    return found or _required(_Run(*given).traced())
+
+
+def _required(found: Traced | None) -> Traced:
+    assert found is not None
+    return found
+
+
+#: What f raises where it is not defined.
+_UNDEFINED = (ArithmeticError, ValueError, AssertionError, RuntimeError)
+
+
+class _Run:
+    """One function being traced."""
+
+    def __init__(
+        self,
+        fun: Callable[..., Any],
+        n: int,
+        second: int,
+        args: Arguments,
+        inplace: int,
+        limits: Limits,
+        selections: bool = False,
+    ) -> None:
+        self._name, self._sizes, self._args = call_name(fun, "f"), [n, *([second] if second else [])], args
+        self._inplace, self._limits = inplace, limits
+        self._graph = Graph()
+        self._copies = _Copies(self, selections)
+        self._fun = self._copies.of(fun)
+        self._decisions: list[tuple[Node, bool, bool]] = []  # condition, answer, whether the other one has been given
+        self._at = 0
+        self._ends = math.inf
+
+    def traced(self, alone: bool = False) -> Traced | None:
+        """The graph. None: more than one path is asked for, and `alone` says not to follow them."""
+        self._ends = time.monotonic() + self._limits.seconds
+        known: list[tuple[list[tuple[Node, bool]], list[Node] | None]] = []
+        shape: tuple[int, ...] = ()
+        while True:
+            self._at = 0
+            found = self._followed(known)
+            outputs = None if found is None else [number(one) for one in found.ravel()]
+            if found is not None:
+                shape = found.shape
+            known.append(([(condition, answer) for condition, answer, _ in self._decisions[: self._at]], outputs))
+            while self._decisions and self._decisions[-1][2]:
+                self._decisions.pop()
+            if not self._decisions:
+                break
+            if alone:
+                return None
+            condition, answer, _ = self._decisions[-1]
+            self._decisions[-1] = (condition, not answer, True)
+            if len(known) >= self._limits.paths:
+                raise TraceError(self._refused(f"more than {self._limits.paths} paths through its branches"))
+        sizes = {len(outputs) for _, outputs in known if outputs is not None}
+        if len(sizes) != 1:
+            raise TraceError(self._refused(f"its branches return {', '.join(map(str, sorted(sizes)))} values"))
+        size = sizes.pop()
+        undefined = [self._graph.node(math.nan)] * size
+        return Traced(self._merged([(d, o or undefined) for d, o in known], 0), shape, len(known))
+
+    def _followed(self, known: Sequence[Any]) -> Any:
+        """The values on one path; None: f raises there, as it does for values where it is not defined."""
+        graph = self._graph
+        given: list[Any] = [wrapped(graph.t, self.decide)]
+        first = 0
+        for size in self._sizes:
+            given.append(self._array([graph.y(first + i) for i in range(size)], (size,)))
+            first += size
+        out = self._array([graph.node(math.nan)] * self._inplace, (self._inplace,)) if self._inplace else None
+        given += [] if out is None else [out]
+        try:
+            given += self._args.made(self._parameter, self._copies.of)
+            returned = self._fun(*given)
+            return cells_of(out if out is not None else returned, graph)
+        except TraceError as error:
+            raise TraceError(self._refused(str(error), error)) from None
+        except _UNDEFINED as error:
+            if self._decisions:
+                return None
+            raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
+        except Exception as error:
+            raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
+
+    def _parameter(self, numbers: Numbers, place: int) -> Any:
+        """An argument: the values themselves where they are constants."""
+        if numbers.fixed:
+            return self._copies.of(numbers.value)
+        cells = self._array([self._graph.p(place + i) for i in range(math.prod(numbers.shape))], numbers.shape)
+        cells.cells.flags.writeable = False
+        return cells
+
+    def _array(self, nodes: Sequence[Node], shape: tuple[int, ...]) -> TracedArray:
+        cells = np.empty(len(nodes), dtype=object)
+        cells[:] = nodes
+        return TracedArray(cells.reshape(shape), self.decide)
+
+    def decide(self, condition: Node) -> bool:
+        """What Python takes a condition for: as decided before, or true."""
+        if condition.op == "number":
+            return bool(condition.value)
+        for known, answer, _ in self._decisions[: self._at]:
+            if known is condition:
+                return answer
+        if self._at == len(self._decisions):
+            if len(self._decisions) >= self._limits.decisions:
+                raise TraceError(
+                    f"more than {self._limits.decisions} decisions on one path: a loop that ends where values do"
+                )
+            if time.monotonic() > self._ends or len(self._graph) > self._limits.nodes:
+                raise TraceError(f"more than {self._limits.seconds} s or {self._limits.nodes} operations")
+            self._decisions.append((condition, True, False))
+        elif self._decisions[self._at][0] is not condition:
+            raise TraceError("it does not do the same for the same values: it is random, or remembers calls")
+        answer = self._decisions[self._at][1]
+        self._at += 1
+        return answer
+
+    def _merged(self, paths: Sequence[tuple[list[tuple[Node, bool]], list[Node]]], depth: int) -> list[Node]:
+        """The outcomes of paths that agree in their first decisions, as selections by the further ones."""
+        if len(paths) == 1:
+            return paths[0][1]
+        condition = paths[0][0][depth][0]
+        yes, no = (
+            self._merged([one for one in paths if one[0][depth][1] is answer], depth + 1) for answer in (True, False)
+        )
+        return [self._graph.select(condition, a, b) for a, b in zip(yes, no, strict=True)]
+
+    def _refused(self, why: str, error: BaseException | None = None) -> str:
+        line = ""
+        position = error.__traceback__ if error is not None else None
+        while position is not None:
+            code = position.tb_frame.f_code
+            if not code.co_filename.startswith(PACKAGE) and "site-packages" not in code.co_filename:
+                line = f" at line {position.tb_lineno} of {code.co_filename}"
+            position = position.tb_next
+        return f"{self._name} cannot be traced{line}: {why}"
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Copies of functions
+
+#: Code of these is not copied: it is called as it is.
+_OTHERS = ("numpy", "scipy", "numba", "matplotlib", "pandas", "sympy", "builtins", "math", "cmath")
+#: Larger arrays from outside stay arrays of floats.
+_MOST_CONSTANTS = 10_000
+#: What a traced function must not do.
+_FORBIDDEN = {"print", "input", "open", "exec", "eval", "globals", "locals", "vars", "setattr", "delattr"}
+
+
+_ITEMS = ("__setitem__", "__delitem__")
+
+
+def _refuses(why: str) -> Callable[..., Any]:
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise TraceError(why)
+
+    return refuse
+
+
+def _read_only(kind: type, *methods: str) -> type:
+    """A list, dictionary or set that refuses to be written to."""
+    refuse = _refuses(f"it writes to a {kind.__name__} that it does not make")
+    return type(kind.__name__, (kind,), dict.fromkeys(methods, refuse))
+
+
+#: Of lists, dictionaries and sets: those that stand for them in copies of functions.
+_READ_ONLY: dict[type, type] = {
+    list: _read_only(
+        list,
+        *("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse", "__iadd__", "__imul__"),
+        *_ITEMS,
+    ),
+    dict: _read_only(dict, "update", "pop", "popitem", "clear", "setdefault", *_ITEMS, "__ior__"),
+    set: _read_only(set, "add", "update", "pop", "remove", "discard", "clear", "__ior__", "__iand__", "__isub__"),
+}
+
+
+class _Copies:
+    """Functions in whose copies the libraries take traced values."""
+
+    def __init__(self, run: Any, selections: bool) -> None:
+        self._run, self._selections = run, selections
+        self._made: dict[int, Any] = {}
+        self._kept: list[Any] = []  # so that no id is used twice
+        self._numpy, self._math = _NumPy(run), _Math(run)
+        self._builtins = _python(run)
+        self._helpers = helpers(run.decide) if selections else {}
+
+    def of(self, value: Any) -> Any:
+        """What stands for a value in a copy: itself, if it needs none."""
+        if id(value) in self._made:
+            return self._made[id(value)]
+        made = self._copied(value)
+        if made is not value:
+            self._made[id(value)] = made
+            self._kept.append(value)
+        return made
+
+    def _copied(self, value: Any) -> Any:
+        if value is np:
+            return self._numpy
+        if value is np.linalg:
+            return self._numpy.linalg
+        if value is math:
+            return self._math
+        if isinstance(value, types.ModuleType):
+            return value
+        if isinstance(value, np.ndarray):
+            return self._constants(value)
+        if type(value) in _READ_ONLY:
+            return self._collection(value)
+        module = (getattr(value, "__module__", None) or "").partition(".")[0]
+        if isinstance(value, (np.ufunc, types.BuiltinFunctionType)) or module == "numpy":
+            return self._of_library(value, module)
+        if isinstance(value, types.FunctionType):
+            return value if module in _OTHERS else self._function(value)
+        if isinstance(value, types.MethodType):
+            return types.MethodType(self.of(value.__func__), self.of(value.__self__))
+        if isinstance(value, functools.partial):
+            keywords = {name: self.of(one) for name, one in value.keywords.items()}
+            return functools.partial(self.of(value.func), *map(self.of, value.args), **keywords)
+        if hasattr(value, "py_func"):
+            return self.of(value.py_func)  # numba's
+        if not isinstance(value, type) and module not in _OTHERS and _has_own_code(type(value)):
+            return self._object(value)
+        return value
+
+    def _constants(self, value: Any) -> Any:
+        """An array of floats from outside, whose methods then take traced values."""
+        if type(value) is not np.ndarray or value.dtype.kind != "f" or value.size > _MOST_CONSTANTS:
+            return value
+        cells = cells_of(value, self._run._graph)
+        cells.flags.writeable = False
+        return TracedArray(cells, self._run.decide)
+
+    def _collection(self, value: Any) -> Any:
+        """A list, dictionary or set from outside, with what stands for its values; writing to it is refused."""
+        kind = _READ_ONLY[type(value)]
+        made = self._made[id(value)] = kind()  # it may contain itself
+        self._kept.append(value)
+        if isinstance(value, dict):
+            dict.update(made, {name: self.of(one) for name, one in value.items()})
+        elif isinstance(value, list):
+            list.extend(made, map(self.of, value))
+        else:
+            set.update(made, value)
+        return made
+
+    def _of_library(self, value: Any, module: str) -> Any:
+        name = getattr(value, "__name__", "")
+        if module == "math":
+            return getattr(self._math, name)
+        if isinstance(value, np.ufunc) or getattr(np, name, None) is value:
+            return getattr(self._numpy, name)
+        return value
+
+    def _function(self, function: types.FunctionType) -> Any:
+        names = _names(function.__code__)
+        if written := _written(function.__code__):
+            raise TraceError(f"{function.__name__} writes to {written}, which is not its own")
+        code = (selecting(function) if self._selections else None) or function.__code__
+        found = {**function.__globals__}
+        cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+        closed = tuple(types.CellType() for _ in code.co_freevars)
+        copy = types.FunctionType(code, found, function.__name__, function.__defaults__, closed)
+        copy.__kwdefaults__ = function.__kwdefaults__
+        self._made[id(function)] = copy  # it may call itself
+        self._kept.append(function)
+        for name, cell in zip(code.co_freevars, closed, strict=True):
+            if _is_full(cells[name]):
+                cell.cell_contents = self.of(cells[name].cell_contents)
+        for name in names & found.keys():
+            found[name] = self.of(found[name])
+        for name in names - function.__globals__.keys():
+            if name in self._builtins:
+                found[name] = self._builtins[name]
+        found.update(self._helpers)
+        return copy
+
+    def _object(self, value: Any) -> Any:
+        """An object with copies of its methods, and its own data."""
+        kind = type(value)
+        methods: dict[str, Any] = {"__setattr__": _refuses(f"it writes to attributes of {kind.__name__}")}
+        for one in reversed(kind.__mro__[:-1]):
+            for name, found in vars(one).items():
+                own = not name.startswith("__") or name in ("__call__", "__getattr__", "__getitem__")
+                if own and isinstance(found, types.FunctionType):
+                    methods[name] = self.of(found)
+        try:
+            copy: Any = object.__new__(type(kind.__name__, (kind,), methods))
+            self._made[id(value)] = copy
+            vars(copy).update({name: self.of(one) for name, one in vars(value).items()})
+        except TypeError:  # slots, or a type that is made in another way
+            return value
+        return copy
+
+
+def _has_own_code(kind: type) -> bool:
+    return isinstance(getattr(kind, "__dict__", {}).get("__init__", None), types.FunctionType) or any(
+        isinstance(found, types.FunctionType) for one in kind.__mro__[:-1] for found in vars(one).values()
+    )
+
+
+def _is_full(cell: Any) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018
+    except ValueError:
+        return False
+    return True
+
+
+def _names(code: types.CodeType) -> set[str]:
+    """All names that code and the functions in it use."""
+    found = set(code.co_names)
+    for one in code.co_consts:
+        if isinstance(one, types.CodeType):
+            found |= _names(one)
+    return found
+
+
+def _written(code: types.CodeType) -> str | None:
+    """A variable from outside that code assigns to."""
+    for one in dis.get_instructions(code):
+        outer = one.opname == "STORE_DEREF" and one.argval in code.co_freevars
+        if one.opname == "STORE_GLOBAL" or outer:
+            return str(one.argval)
+    return None
+
+
+class _NumPy:
+    """NumPy, whose functions take lists of traced values, and whose new arrays can hold them."""
+
+    def __init__(self, run: Any, module: Any = np) -> None:
+        self._run, self._module = run, module
+        if module is np:
+            self.linalg = _NumPy(run, np.linalg)
+            self.r_ = _Joined(run)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._module, name)
+        if name == "random" or name.startswith("fft"):
+            raise TraceError(f"numpy.{name}")
+        if (isinstance(value, (types.ModuleType, type)) and name not in ("float64",)) or not callable(value):
+            return value
+        run = self._run
+        made = _CREATED.get(name)
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            if made is not None:
+                return made(run, value, args, kwargs)
+            if any(map(has_traced, args)) or any(map(has_traced, kwargs.values())):
+                args = tuple(_gathered(one, run) for one in args)
+                kwargs = {key: _gathered(one, run) for key, one in kwargs.items()}
+            return value(*args, **kwargs)
+
+        return call
+
+
+class _Joined:
+    """`numpy.r_` for arrays, numbers and slices."""
+
+    def __init__(self, run: Any) -> None:
+        self._run = run
+
+    def __getitem__(self, key: Any) -> Any:
+        if not has_traced(key):
+            return _filled(self._run, np.r_[key])
+        if isinstance(key[0], str):
+            raise TraceError("numpy.r_ with a string")
+        parts = [np.r_[one] if isinstance(one, slice) else one for one in key]
+        cells = [np.atleast_1d(cells_of(one, self._run._graph)) for one in parts]
+        return TracedArray(np.concatenate(cells), self._run.decide)
+
+
+def _gathered(value: Any, run: Any) -> Any:
+    """A list of traced values as an array, if its rows have one shape."""
+    if isinstance(value, (list, tuple)) and has_traced(value):
+        try:
+            return TracedArray(cells_of(value, run._graph), run.decide)
+        except TraceError:
+            return value
+    return value
+
+
+def _array(run: Any, function: Any, args: Any, kwargs: Any) -> Any:
+    first, *_ = args
+    if has_traced(first):
+        cells = cells_of(first, run._graph).copy()
+        return TracedArray(cells, run.decide)
+    found = function(*args, **kwargs)
+    return _filled(run, found)
+
+
+def _filled(run: Any, found: Any) -> Any:
+    """An array of floats, as one that can hold traced values. Integers, which may be indices, stay."""
+    if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
+        return found
+    return TracedArray(cells_of(found, run._graph), run.decide)
+
+
+def _new(run: Any, function: Any, args: Any, kwargs: Any) -> Any:
+    if any(map(has_traced, args)):
+        return function(*args, **kwargs)  # zeros_like and so on
+    return _filled(run, function(*args, **kwargs))
+
+
+def _number(run: Any, function: Any, args: Any, kwargs: Any) -> Any:
+    return args[0] if args and isinstance(args[0], TracedArray) else function(*args, **kwargs)
+
+
+_CREATED: dict[str, Callable[..., Any]] = {
+    **dict.fromkeys(("array", "asarray", "ascontiguousarray", "asanyarray", "asfarray", "atleast_1d"), _array),
+    **dict.fromkeys(("zeros", "empty", "ones", "full", "zeros_like", "empty_like", "ones_like", "full_like"), _new),
+    "float64": _number,
+}
+
+
+class _Math:
+    """`math`, whose functions take traced values."""
+
+    def __init__(self, run: Any) -> None:
+        self._run = run
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(math, name)
+        if not callable(value):
+            return value
+        run = self._run
+
+        def call(*args: Any) -> Any:
+            if not any(map(has_traced, args)):
+                return value(*args)
+            if name not in _MATHEMATICAL:
+                raise TraceError(f"math.{name}")
+            cells = [cells_of(one, run._graph) for one in args]
+            if any(one.size != 1 for one in cells):
+                raise TypeError("only length-1 arrays can be converted to Python scalars")
+            return wrapped(_MATHEMATICAL[name](*(number(one.ravel()[0]) for one in cells)), run.decide)
+
+        return call
+
+
+_MATHEMATICAL: dict[str, Callable[..., Node]] = {
+    **{name: _UNARY[name] for name in ELEMENTARY},
+    **{name: _UNARY[name] for name in ("fabs", "floor", "ceil", "trunc", "degrees", "radians", "isnan", "isfinite")},
+    "pow": lambda a, b: a**b,
+    "atan2": lambda a, b: a.graph.make("atan2", a, b),
+    "hypot": lambda a, b: a.graph.make("hypot", a, b),
+    "copysign": lambda a, b: a.graph.select(
+        a.graph.make("less", b, a.graph.node(0.0)), -a.graph.make("abs", a), a.graph.make("abs", a)
+    ),
+}
+
+
+def _python(run: Any) -> dict[str, Any]:
+    """Python's functions that ask for values, in forms that take traced ones."""
+
+    def extreme(name: str) -> Callable[..., Any]:
+        plain = getattr(builtins, "max" if name == "maximum" else "min")
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            items = list(args[0]) if len(args) == 1 and isinstance(args[0], Iterable) else list(args)
+            if kwargs or not has_traced(items):
+                return plain(*args, **kwargs)
+            nodes = [number(cells_of(one, run._graph)[()]) for one in items]
+            return wrapped(functools.reduce(lambda a, b: run._graph.make(name, a, b), nodes), run.decide)
+
+        return call
+
+    def as_float(value: Any = 0.0) -> Any:
+        if not isinstance(value, TracedArray):
+            return float(value)
+        if value.size != 1:
+            raise TypeError("only length-1 arrays can be converted to Python scalars")
+        return wrapped(number(value.cells.ravel()[0]), run.decide)
+
+    def forbidden(name: str) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            raise TraceError(f"{name}()")
+
+        return call
+
+    kept = {"max": extreme("maximum"), "min": extreme("minimum"), "float": as_float}
+    return kept | {name: forbidden(name) for name in _FORBIDDEN}

@@ -1,0 +1,606 @@
+"""Arrays of nodes that behave as NumPy's arrays of floats: what a function is called with when it is traced."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+
+from .nodes import ELEMENTARY, Graph, Node
+
+
+class TraceError(TypeError):
+    """Why a function cannot be traced."""
+
+
+class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
+    """An array of nodes, of any shape; of shape () for one number.
+
+    Attributes
+    ----------
+    cells : ndarray of object
+        The nodes.
+    decide : function
+        What a condition is taken for where Python asks.
+    """
+
+    __slots__ = ("cells", "decide")
+    __array_priority__ = 1000
+
+    def __init__(self, cells: Any, decide: Callable[[Node], bool]) -> None:
+        self.cells, self.decide = cells, decide
+
+    def __repr__(self) -> str:
+        return f"traced{self.cells.tolist()!r}"
+
+    # The attributes of an array
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.cells.shape  # type: ignore[no-any-return]
+
+    @property
+    def ndim(self) -> int:
+        return self.cells.ndim  # type: ignore[no-any-return]
+
+    @property
+    def size(self) -> int:
+        return self.cells.size  # type: ignore[no-any-return]
+
+    @property
+    def dtype(self) -> Any:
+        truths = self.cells.size and all(one.is_truth for one in self.cells.flat)
+        return np.dtype(bool if truths else float)
+
+    @property
+    def T(self) -> TracedArray:  # noqa: N802 - NumPy's name
+        return self._with(self.cells.T)
+
+    @property
+    def real(self) -> TracedArray:
+        return self
+
+    @property
+    def flat(self) -> Iterator[TracedArray]:
+        return iter(self.ravel())
+
+    def _with(self, cells: Any) -> TracedArray:
+        return TracedArray(cells, self.decide)
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def __iter__(self) -> Iterator[TracedArray]:
+        if not self.cells.ndim:
+            raise TypeError("iteration over a 0-d array")
+        return (self[i] for i in range(len(self.cells)))
+
+    def __getitem__(self, key: Any) -> TracedArray:
+        key = _plain_index(key)
+        if isinstance(key, np.ndarray) and key.dtype == object:
+            raise TraceError("an index or mask that depends on values: use np.where")
+        view = self.cells[key]
+        return self._with(view if isinstance(view, np.ndarray) else _scalar(view))
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        key = _plain_index(key)
+        found = cells_of(value, self._graph)
+        if isinstance(key, TracedArray):
+            raise TraceError("an assignment under a mask that depends on values: use np.where")
+        self._require_own()
+        self.cells[key] = found if found.ndim else found[()]
+
+    def _require_own(self) -> None:
+        if not self.cells.flags.writeable:
+            raise TraceError("it writes to an array that it does not make")
+
+    @property
+    def _graph(self) -> Graph:
+        graph: Graph = self.cells.flat[0].graph
+        return graph
+
+    # What Python asks of a number
+
+    def __bool__(self) -> bool:
+        if self.cells.size != 1:
+            raise TraceError("the truth value of an array with more than one element is ambiguous")
+        return self.decide(truth(self.cells.flat[0]))
+
+    def _as_constant(self, what: str) -> float:
+        if self.cells.size == 1 and self.cells.flat[0].op == "number":
+            return float(self.cells.flat[0].value)
+        raise TraceError(f"{what} of a value")
+
+    def __float__(self) -> float:
+        return self._as_constant("float()")
+
+    def __int__(self) -> int:
+        return int(self._as_constant("int()"))
+
+    def __index__(self) -> int:
+        value = self._as_constant("an index, or the count of a loop,")
+        if value != int(value):
+            raise TypeError("only integers can be indices")
+        return int(value)
+
+    def __complex__(self) -> NoReturn:
+        raise TraceError("complex numbers")
+
+    def __round__(self, digits: int | None = None) -> NoReturn:
+        raise TraceError("round()")
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        if all(one.op == "number" for one in self.cells.flat):
+            return np.array([one.value for one in self.cells.flat], dtype=dtype).reshape(self.cells.shape)
+        raise TraceError("a function that takes NumPy's own arrays only")
+
+    # NumPy's protocols
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: Any = None, **options: Any) -> Any:
+        if options.pop("where", True) is not True:
+            raise TraceError(f"numpy.{ufunc.__name__} with where=")
+        options.pop("dtype", None)
+        graph = next(one._graph for one in (*inputs, *(out or ())) if isinstance(one, TracedArray))
+        given = [cells_of(one, graph) for one in inputs]
+        if method == "__call__":
+            found = _called(ufunc.__name__, given)
+        elif method in ("reduce", "accumulate", "outer") and ufunc.__name__ in _BINARY:
+            found = getattr(np.frompyfunc(_BINARY[ufunc.__name__], 2, 1), method)(*given, **options)
+        else:
+            raise TraceError(f"numpy.{ufunc.__name__}.{method}")
+        found = found if isinstance(found, np.ndarray) else _scalar(found)
+        if out is None:
+            return self._with(found)
+        (target,) = out
+        if not isinstance(target, TracedArray):
+            raise TraceError("a result that is written into an array of numbers: make the array in the function")
+        if not target.ndim:
+            return self._with(found)  # x += 1 for a number x does not change what else has this number
+        target._require_own()
+        target.cells[...] = found
+        return target
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        name = function.__name__
+        if _all_constant(args) and _all_constant([*kwargs.values()]):
+            return self._of_constants(function, args, kwargs)
+        if name in _OWN:
+            return wrapped(_OWN[name](self._graph, *args, **kwargs), self.decide)
+        if name not in _BY_OPERATORS:
+            raise TraceError(f"numpy.{name}")
+        kwargs.pop("dtype", None)
+        unwrapped = [_unwrapped(one, self._graph) for one in args]
+        options = {key: _unwrapped(one, self._graph) for key, one in kwargs.items()}
+        return self._as_nodes(function(*unwrapped, **options))
+
+    def _as_nodes(self, found: Any) -> Any:
+        """Numbers that were moved with nodes are nodes."""
+        if isinstance(found, (list, tuple)):
+            return type(found)(map(self._as_nodes, found))
+        mixed = isinstance(found, np.ndarray) and found.dtype == object
+        return wrapped(cells_of(found, self._graph) if mixed else found, self.decide)
+
+    def _of_constants(self, function: Any, args: Any, kwargs: Any) -> Any:
+        """A function of numbers only, by NumPy itself."""
+        plain = {key: _constant(one) for key, one in kwargs.items()}
+        found = function(*map(_constant, args), **plain)
+        if isinstance(found, (float, np.ndarray)) and np.asarray(found).dtype.kind == "f":
+            return self._with(cells_of(found, self._graph))
+        return found
+
+    # Methods of arrays
+
+    def _by(self, name: str, *args: Any, **kwargs: Any) -> Any:
+        return self.__array_function__(getattr(np, name), (), (self, *args), kwargs)
+
+    def item(self, *index: Any) -> TracedArray:
+        return self.ravel()[index[0] if index else 0]
+
+    def ravel(self, *_: Any, **__: Any) -> TracedArray:
+        return self._with(self.cells.ravel())
+
+    flatten = ravel
+
+    def reshape(self, *shape: Any, **options: Any) -> TracedArray:
+        return self._with(self.cells.reshape(*shape, **options))
+
+    def transpose(self, *axes: Any) -> TracedArray:
+        return self._with(self.cells.transpose(*axes))
+
+    def copy(self, *_: Any, **__: Any) -> TracedArray:
+        return self._with(self.cells.copy())
+
+    def squeeze(self, axis: Any = None) -> TracedArray:
+        return self._with(self.cells.squeeze(axis))
+
+    def astype(self, dtype: Any, **_: Any) -> TracedArray:
+        kind = np.dtype(dtype).kind
+        if kind == "f":
+            return self._with(_mapped(number, self.cells))
+        raise TraceError(f"astype({np.dtype(dtype)})")
+
+    def tolist(self) -> Any:
+        return [one.tolist() if one.ndim else one for one in self] if self.ndim else self
+
+    def fill(self, value: Any) -> None:
+        self._require_own()
+        self.cells[...] = cells_of(value, self._graph)[()]
+
+    def dot(self, other: Any) -> Any:
+        return self._by("dot", other)
+
+    def sum(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("sum", axis=axis)
+
+    def prod(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("prod", axis=axis)
+
+    def mean(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("mean", axis=axis)
+
+    def cumsum(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("cumsum", axis=axis)
+
+    def max(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("max", axis=axis)
+
+    def min(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("min", axis=axis)
+
+    def clip(self, low: Any = None, high: Any = None, **_: Any) -> Any:
+        return self._by("clip", low, high)
+
+    def any(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("any", axis=axis)
+
+    def all(self, axis: Any = None, **_: Any) -> Any:
+        return self._by("all", axis=axis)
+
+    def conjugate(self) -> TracedArray:
+        return self
+
+    conj = conjugate
+
+
+def _scalar(node: Any) -> Any:
+    """One node as an array of shape ()."""
+    cells = np.empty((), dtype=object)
+    cells[()] = node
+    return cells
+
+
+def _mapped(function: Callable[..., Any], *cells: Any) -> Any:
+    found = np.frompyfunc(function, len(cells), 1)(*cells)
+    return found if isinstance(found, np.ndarray) else _scalar(found)
+
+
+def _plain_index(key: Any) -> Any:
+    """An index without traced numbers that are constants."""
+    if isinstance(key, tuple):
+        return tuple(_plain_index(one) for one in key)
+    if isinstance(key, TracedArray):
+        if key.dtype == bool:
+            raise TraceError("a mask that depends on values: use np.where")
+        return key.__index__() if not key.ndim else np.array(key, dtype=int)
+    return key
+
+
+def has_traced(value: Any) -> bool:
+    """Whether there are nodes in it."""
+    if isinstance(value, (TracedArray, Node)):
+        return True
+    if isinstance(value, (list, tuple)):
+        return any(has_traced(one) for one in value)
+    return isinstance(value, np.ndarray) and value.dtype == object and any(has_traced(one) for one in value.flat)
+
+
+def cells_of(value: Any, graph: Graph) -> Any:
+    """Numbers, arrays of them, lists that hold traced ones, as an array of nodes."""
+    if isinstance(value, TracedArray):
+        return value.cells
+    if isinstance(value, Node):
+        return _scalar(value)
+    if isinstance(value, (list, tuple)) and has_traced(value):
+        rows = [cells_of(one, graph) for one in value]
+        if len({row.shape for row in rows}) > 1:
+            raise TraceError("rows of different shapes")
+        return np.stack(rows) if rows else np.empty(0, dtype=object)
+    found = np.asarray(value)
+    if found.dtype == object:
+        return _mapped(lambda one: cells_of(one, graph)[()], found)
+    if found.dtype.kind == "c":
+        raise TraceError("complex numbers")
+    if found.dtype.kind not in "biuf":
+        raise TraceError(f"a value of type {type(value).__name__}")
+    return _mapped(lambda one: graph.node(float(one)), found.astype(object))
+
+
+def _all_constant(values: Any) -> bool:
+    for one in values:
+        if isinstance(one, (list, tuple)):
+            if not _all_constant(one):
+                return False
+        elif isinstance(one, TracedArray) and any(cell.op != "number" for cell in one.cells.flat):
+            return False
+    return True
+
+
+def _constant(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return type(value)(_constant(one) for one in value)
+    return np.asarray(value) if isinstance(value, TracedArray) else value
+
+
+def _unwrapped(value: Any, graph: Graph) -> Any:
+    """Arrays of nodes, for functions of NumPy's that need operators only; nothing else changes."""
+    if isinstance(value, TracedArray):
+        return _mapped(number, value.cells)
+    if isinstance(value, (list, tuple)) and has_traced(value):
+        return type(value)(_unwrapped(one, graph) for one in value)
+    return value
+
+
+def wrapped(value: Any, decide: Callable[[Node], bool]) -> Any:
+    """Nodes and arrays of nodes as traced ones, in lists and tuples too."""
+    if isinstance(value, Node):
+        return TracedArray(_scalar(value), decide)
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return TracedArray(value, decide)
+    if isinstance(value, (list, tuple)):
+        return type(value)(wrapped(one, decide) for one in value)
+    return value
+
+
+def number(node: Node) -> Node:
+    """A truth as 1 or 0."""
+    return node.graph.select(node, node.graph.node(1.0), node.graph.node(0.0)) if node.is_truth else node
+
+
+def truth(node: Node) -> Node:
+    """A number as whether it is not 0."""
+    return node if node.is_truth else node.graph.make("not_equal", node, node.graph.node(0.0))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# NumPy's functions, by name
+
+
+def _of_numbers(function: Callable[..., Node]) -> Callable[..., Node]:
+    return lambda *a: function(*map(number, a))
+
+
+def _made(name: str, swapped: bool = False) -> Callable[..., Node]:
+    return lambda *a: a[0].graph.make(name, *(number(one) for one in (a[::-1] if swapped else a)))
+
+
+def _of_truths(name: str) -> Callable[..., Node]:
+    return lambda *a: a[0].graph.make(name, *map(truth, a))
+
+
+def _elementary(name: str) -> Callable[[Node], Node]:
+    return lambda a: a.graph.elementary(name, number(a))
+
+
+def _truncated(a: Node) -> Node:
+    graph = a.graph
+    return graph.select(graph.make("less", a, graph.node(0.0)), graph.make("ceil", a), graph.make("floor", a))
+
+
+def _heaviside(a: Node, at_zero: Node) -> Node:
+    graph, zero = a.graph, a.graph.node(0.0)
+    side = graph.select(graph.make("less", zero, a), graph.node(1.0), zero)
+    return graph.select(graph.make("equal", a, zero), at_zero, side)
+
+
+def _not_finite(a: Node) -> Node:
+    return a.graph.make("not", a.graph.make("less", a.graph.make("abs", a), a.graph.node(math.inf)))
+
+
+_BINARY: dict[str, Callable[..., Node]] = {
+    "add": _of_numbers(lambda a, b: a + b),
+    "subtract": _of_numbers(lambda a, b: a - b),
+    "multiply": _of_numbers(lambda a, b: a * b),
+    "divide": _of_numbers(lambda a, b: a / b),
+    "true_divide": _of_numbers(lambda a, b: a / b),
+    "power": _of_numbers(lambda a, b: a**b),
+    "float_power": _of_numbers(lambda a, b: a**b),
+    "floor_divide": _of_numbers(lambda a, b: a.graph.make("floor", a / b)),
+    "remainder": _made("modulo"),
+    "mod": _made("modulo"),
+    "maximum": _made("maximum"),
+    "fmax": _made("maximum"),
+    "minimum": _made("minimum"),
+    "fmin": _made("minimum"),
+    "arctan2": _made("atan2"),
+    "hypot": _made("hypot"),
+    "heaviside": _of_numbers(_heaviside),
+    "less": _made("less"),
+    "less_equal": _made("less_equal"),
+    "greater": _made("less", swapped=True),
+    "greater_equal": _made("less_equal", swapped=True),
+    "equal": _made("equal"),
+    "not_equal": _made("not_equal"),
+    "logical_and": _of_truths("and"),
+    "logical_or": _of_truths("or"),
+    "bitwise_and": _of_truths("and"),
+    "bitwise_or": _of_truths("or"),
+}
+_UNARY: dict[str, Callable[..., Node]] = {
+    **{name: _elementary(name) for name in ELEMENTARY},
+    **{f"arc{name[1:]}": _elementary(name) for name in ("asin", "acos", "atan", "asinh", "acosh", "atanh")},
+    "negative": _of_numbers(lambda a: -a),
+    "positive": _of_numbers(lambda a: a),
+    "conjugate": _of_numbers(lambda a: a),
+    "square": _of_numbers(lambda a: a * a),
+    "reciprocal": _of_numbers(lambda a: 1.0 / a),
+    "absolute": _made("abs"),
+    "fabs": _made("abs"),
+    "sign": _made("sign"),
+    "floor": _made("floor"),
+    "ceil": _made("ceil"),
+    "trunc": _of_numbers(_truncated),
+    "deg2rad": _of_numbers(lambda a: a * (math.pi / 180)),
+    "radians": _of_numbers(lambda a: a * (math.pi / 180)),
+    "rad2deg": _of_numbers(lambda a: a * (180 / math.pi)),
+    "degrees": _of_numbers(lambda a: a * (180 / math.pi)),
+    "logical_not": _of_truths("not"),
+    "invert": _of_truths("not"),
+    "isnan": _of_numbers(lambda a: a.graph.make("not_equal", a, a)),
+    "isfinite": _of_numbers(lambda a: a.graph.make("not", _not_finite(a))),
+}
+
+
+def _called(name: str, given: Sequence[Any]) -> Any:
+    """A ufunc, element by element."""
+    if name == "matmul":
+        return _mapped(number, given[0]) @ _mapped(number, given[1])
+    known = _UNARY if len(given) == 1 else _BINARY
+    if name == "clip":
+        return _mapped(lambda a, low, high: _BINARY["minimum"](_BINARY["maximum"](a, low), high), *given)
+    if name not in known:
+        raise TraceError(f"numpy.{name}")
+    return _mapped(known[name], *given)
+
+
+#: Functions of NumPy's that move elements or need operators only, so that they work on arrays of nodes.
+_BY_OPERATORS = {
+    *(
+        "reshape",
+        "ravel",
+        "transpose",
+        "concatenate",
+        "stack",
+        "hstack",
+        "vstack",
+        "column_stack",
+        "roll",
+        "diff",
+        "flip",
+    ),
+    *("dot", "vdot", "inner", "outer", "cross", "trace", "diagonal", "diag", "kron", "matmul", "tensordot", "cumsum"),
+    *("cumprod", "sum", "prod", "repeat", "tile", "take", "squeeze", "expand_dims", "moveaxis", "swapaxes", "append"),
+    *(
+        "atleast_1d",
+        "atleast_2d",
+        "split",
+        "array_split",
+        "copy",
+        "broadcast_to",
+        "delete",
+        "insert",
+        "polyval",
+        "einsum",
+    ),
+    *("flip", "einsum", "triu", "tril", "pad", "rot90", "flipud", "fliplr", "trapezoid", "trapz", "convolve"),
+}
+
+
+def _where(graph: Graph, condition: Any, yes: Any = None, no: Any = None) -> Any:
+    if yes is None:
+        raise TraceError("numpy.where with one argument")
+    given = [cells_of(one, graph) for one in (condition, yes, no)]
+    return _mapped(lambda c, a, b: graph.select(truth(c), number(a), number(b)), *given)
+
+
+def _clip(graph: Graph, a: Any, a_min: Any = None, a_max: Any = None, **_: Any) -> Any:
+    found = cells_of(a, graph)
+    for bound, name in ((a_min, "maximum"), (a_max, "minimum")):
+        if bound is not None:
+            found = _mapped(_BINARY[name], found, cells_of(bound, graph))
+    return found
+
+
+def _reduced(name: str) -> Callable[..., Any]:
+    def reduction(graph: Graph, a: Any, axis: Any = None, **_: Any) -> Any:
+        cells = cells_of(a, graph)
+        cells, axis = (cells.ravel(), 0) if axis is None else (cells, axis)
+        return np.frompyfunc(_BINARY[name], 2, 1).reduce(cells, axis=axis)
+
+    return reduction
+
+
+def _mean(graph: Graph, a: Any, axis: Any = None, **_: Any) -> Any:
+    cells = _mapped(number, cells_of(a, graph))
+    total = cells.sum(axis=axis)
+    return total / float(cells.size if axis is None else cells.shape[axis])
+
+
+def _norm(graph: Graph, a: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+    cells = _mapped(number, cells_of(a, graph))
+    if ord not in (None, 2) or (ord == 2 and cells.ndim > 1) or keepdims:
+        raise TraceError(f"numpy.linalg.norm with ord={ord}")
+    squares = cells * cells
+    return _mapped(_elementary("sqrt"), _scalar_or_array(squares.sum() if axis is None else squares.sum(axis=axis)))
+
+
+def _scalar_or_array(value: Any) -> Any:
+    return value if isinstance(value, np.ndarray) else _scalar(value)
+
+
+def _solve(graph: Graph, a: Any, b: Any) -> Any:
+    matrix, right = (_mapped(number, cells_of(one, graph)) for one in (a, b))
+    if matrix.ndim != 2 or right.ndim > 2:
+        raise TraceError("numpy.linalg.solve with several systems")
+    found = graph.solve(matrix.tolist(), right.reshape(len(right), -1).tolist())
+    cells = np.empty((len(found), len(found[0])), dtype=object)
+    cells[...] = found
+    return cells.reshape(right.shape)
+
+
+def _inverse(graph: Graph, a: Any) -> Any:
+    return _solve(graph, a, np.eye(len(cells_of(a, graph))))
+
+
+def _interpolated(
+    graph: Graph, x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None
+) -> Any:
+    """Piecewise linear: between two points the value of NumPy's formula."""
+    if period is not None:
+        raise TraceError("numpy.interp with a period")
+    xs, fs = (_mapped(number, cells_of(one, graph)) for one in (xp, fp))
+    first, last = (f if given is None else cells_of(given, graph)[()] for f, given in ((fs[0], left), (fs[-1], right)))
+
+    def one(at: Node) -> Node:
+        found = fs[-1]
+        for i in range(len(xs) - 2, -1, -1):
+            slope = (fs[i + 1] - fs[i]) / (xs[i + 1] - xs[i])
+            found = graph.select(graph.make("less", at, xs[i + 1]), slope * (at - xs[i]) + fs[i], found)
+        found = graph.select(graph.make("less", at, xs[0]), first, found)
+        return graph.select(graph.make("less", xs[-1], at), last, found)
+
+    return _mapped(lambda node: one(number(node)), cells_of(x, graph))
+
+
+def _like(value: float) -> Callable[..., Any]:
+    def filled(graph: Graph, a: Any, *_: Any, **__: Any) -> Any:
+        return _mapped(lambda _: graph.node(value), cells_of(a, graph))
+
+    return filled
+
+
+_OWN: dict[str, Callable[..., Any]] = {
+    "where": _where,
+    "clip": _clip,
+    "max": _reduced("maximum"),
+    "amax": _reduced("maximum"),
+    "min": _reduced("minimum"),
+    "amin": _reduced("minimum"),
+    "any": _reduced("logical_or"),
+    "all": _reduced("logical_and"),
+    "mean": _mean,
+    "average": _mean,
+    "norm": _norm,
+    "solve": _solve,
+    "inv": _inverse,
+    "interp": _interpolated,
+    "zeros_like": _like(0.0),
+    "empty_like": _like(math.nan),
+    "ones_like": _like(1.0),
+    "full_like": lambda graph, a, value, **_: _mapped(lambda _: cells_of(value, graph)[()], cells_of(a, graph)),
+    "real": lambda graph, a: cells_of(a, graph),
+    "shape": lambda graph, a: cells_of(a, graph).shape,
+    "size": lambda graph, a: cells_of(a, graph).size,
+    "ndim": lambda graph, a: cells_of(a, graph).ndim,
+}

@@ -1,0 +1,278 @@
+"""How machine code takes the further arguments of a function: numbers as parameters, everything else as constants."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+
+from .._base.arguments import Array, shown
+
+#: What may become a constant of the code, in the order in which it is tried: truths are always constants, then what may
+#: be an index or the count of a loop, then arrays, then single numbers.
+TRUTHS, INTEGERS, ARRAYS, ALL = range(4)
+#: Numbers whose values change in a run, or are not known, are no constants.
+_VARYING = 4
+_RANKS = {"b": TRUTHS, "i": INTEGERS, "u": INTEGERS}
+
+
+class Numbers:
+    """A number or an array of numbers.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Its shape.
+    value : number or array
+        What it was.
+    rank : int
+        From which of `TRUTHS`, `INTEGERS`, `ARRAYS`, `ALL` on it may be a constant.
+    fixed : bool
+        Whether it is one. Otherwise functions of all values are the same.
+    """
+
+    __slots__ = ("_key", "fixed", "rank", "shape", "value")
+
+    def __init__(self, value: Any, fixed: bool = False, varying: bool = False) -> None:
+        found = np.asarray(value)
+        kind = found.dtype.kind
+        self.shape: tuple[int, ...] = found.shape
+        self.value = found.copy() if found.ndim else value
+        self.rank = (
+            _VARYING
+            if varying
+            else TRUTHS
+            if kind == "b"
+            else INTEGERS
+            if kind in "iu"
+            else ARRAYS
+            if found.ndim
+            else ALL
+        )
+        self.fixed = fixed or self.rank == TRUTHS
+        self._key = (self.shape, self.rank, (found.dtype.str, found.tobytes()) if self.fixed else None)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Numbers) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __reduce__(self) -> tuple[type[Numbers], tuple[Any, ...]]:
+        return Numbers, (self.value, self.fixed, self.rank == _VARYING)
+
+    def as_constant(self, fixed: bool) -> Numbers:
+        """The same, as a constant or not."""
+        return Numbers(self.value, fixed, self.rank == _VARYING)
+
+
+class Listed:
+    """A list or tuple of entries."""
+
+    __slots__ = ("entries", "kind")
+
+    def __init__(self, kind: type, entries: tuple[Entry, ...]) -> None:
+        self.kind, self.entries = kind, entries
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Listed) and (self.kind, self.entries) == (other.kind, other.entries)
+
+    def __hash__(self) -> int:
+        return hash((self.kind, self.entries))
+
+
+class Constant:
+    """Anything that is no number: it is the same as another one if that has the same contents."""
+
+    __slots__ = ("_before", "value")
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+        try:
+            self._before = copy.deepcopy(value)  # so that a change is seen
+        except Exception:  # whatever cannot be copied
+            self._before = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Constant) and _same(self._before, other._before)
+
+    def __hash__(self) -> int:
+        return hash(type(self.value))
+
+
+Entry: TypeAlias = Numbers | Listed | Constant
+
+
+def _same(a: Any, b: Any) -> bool:
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return bool(a.dtype == b.dtype and a.dtype != object and np.array_equal(a, b))
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
+    if isinstance(a, (int, float, complex, str, bytes)):
+        return bool(a == b)
+    return bool(hasattr(a, "__dict__")) and _same(vars(a), vars(b))
+
+
+class Arguments(int):
+    """How many numbers the arguments of a problem have together, and what they are the numbers of.
+
+    Attributes
+    ----------
+    entries : tuple of Entry
+        The arguments, in their order.
+    """
+
+    entries: tuple[Entry, ...]
+
+    def __new__(cls, entries: Iterable[Entry]) -> Self:
+        entries = tuple(entries)
+        made = super().__new__(cls, sum(int(np.prod(one.shape)) for one in _numbers(entries)))
+        made.entries = entries
+        return made
+
+    @classmethod
+    def single(cls, count: int) -> Self:
+        """So many numbers, one by one, whose values are not known."""
+        return cls([Numbers(1.0, varying=True)] * count)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Arguments) and self.entries == other.entries
+
+    def __ne__(self, other: object) -> bool:  # int has its own
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(self.entries)
+
+    def __reduce__(self) -> tuple[type[Arguments], tuple[Any, ...]]:
+        return type(self), (self.entries,)
+
+    def fixed(self, most: int) -> Arguments:
+        """With the numbers up to this rank as constants."""
+
+        def of(entry: Entry) -> Entry:
+            if isinstance(entry, Numbers):
+                return entry.as_constant(entry.rank <= most)
+            return Listed(entry.kind, tuple(map(of, entry.entries))) if isinstance(entry, Listed) else entry
+
+        return Arguments(map(of, self.entries))
+
+    @property
+    def ranks(self) -> set[int]:
+        """Of its numbers."""
+        return {one.rank for one in _numbers(self.entries)} - {_VARYING}
+
+    def values(self) -> Array:
+        """The numbers that they were, one after the other."""
+        return _flat(self.entries)
+
+    def known(self) -> Array:
+        """Which of the numbers are constants."""
+        return np.concatenate([_NONE, *(np.full(int(np.prod(one.shape)), one.fixed) for one in _numbers(self.entries))])
+
+    def made(self, of_numbers: Callable[[Numbers, int], Any], of_constant: Callable[[Any], Any]) -> list[Any]:
+        """The arguments, made of each entry of numbers and the place where they begin, and of each constant."""
+        place = 0
+
+        def of(entry: Entry) -> Any:
+            nonlocal place
+            if isinstance(entry, Listed):
+                return entry.kind(map(of, entry.entries))
+            if isinstance(entry, Constant):
+                return of_constant(entry.value)
+            found = of_numbers(entry, place)
+            place += int(np.prod(entry.shape))
+            return found
+
+        return [of(entry) for entry in self.entries]
+
+    def given(self, parameters: Array) -> list[Any]:
+        """The arguments with these numbers."""
+
+        def of_numbers(entry: Numbers, place: int) -> Any:
+            if entry.fixed:
+                return entry.value.copy() if entry.shape else entry.value
+            if not entry.shape:
+                return float(parameters[place])
+            return np.reshape(parameters[place : place + int(np.prod(entry.shape))], entry.shape).copy()
+
+        return self.made(of_numbers, lambda value: value)
+
+    def may_vary(self, most: int) -> bool:
+        """Whether code with numbers up to this rank as constants takes any other numbers."""
+        return all(isinstance(one, Numbers) and one.rank > most for one in _leaves(self.entries))
+
+    def objection(self, rows: Array, most: int) -> str | None:
+        """Why code with numbers up to this rank as constants does not take other rows (N, k) of numbers."""
+        place, found = 0, None
+        for entry in _numbers(self.entries):
+            size = int(np.prod(entry.shape))
+            if entry.rank <= most and (rows[:, place : place + size] != np.ravel(entry.value)).any():
+                found = found or f"{shown(entry.value)} is a constant of the compiled code, and other rows differ"
+            place += size
+        return found
+
+
+_NONE = np.zeros(0, dtype=bool)
+
+
+def _flat(entries: Iterable[Entry]) -> Array:
+    return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(one.value, float)) for one in _numbers(entries))])
+
+
+def _leaves(entries: Iterable[Entry]) -> Iterator[Numbers | Constant]:
+    for one in entries:
+        if isinstance(one, Listed):
+            yield from _leaves(one.entries)
+        else:
+            yield one
+
+
+def _numbers(entries: Iterable[Entry]) -> Iterator[Numbers]:
+    return (one for one in _leaves(entries) if isinstance(one, Numbers))
+
+
+def arguments_of(args: Iterable[Any]) -> Arguments:
+    """The arguments of a problem as a function that is traced takes them."""
+    return Arguments(map(_entry, args))
+
+
+def _entry(value: Any) -> Entry:
+    if isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating)):
+        return Numbers(value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        return Numbers(value)
+    if type(value) in (list, tuple):
+        return Listed(type(value), tuple(map(_entry, value)))
+    return Constant(value)
+
+
+class Parameters(np.ndarray[Any, Any]):
+    """The numbers of arguments, one after the other, of shape (k,), that know what they are the numbers of."""
+
+    arguments: Arguments
+
+    @classmethod
+    def of(cls, args: Iterable[Any]) -> Parameters:
+        arguments = arguments_of(args)
+        made = arguments.values().view(cls)
+        made.arguments = arguments
+        return made
+
+    def __array_finalize__(self, source: Any) -> None:
+        """Parts and results are just numbers."""
+        if type(source) is Parameters and hasattr(source, "arguments") and source.shape == self.shape:
+            self.arguments = source.arguments
+
+
+def count_of(parameters: Array) -> int:
+    """How many numbers there are; `Arguments` if they know what they are the numbers of."""
+    return getattr(parameters, "arguments", len(parameters))
