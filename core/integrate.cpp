@@ -16,7 +16,7 @@ constexpr int most_refusals = 3;         // of corrections in a step before the 
 Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, const ManifoldTerms& manifold,
                          LoopFunctions functions, Settings settings)
     : step_(std::move(step)),
-      composite_(dynamic_cast<CompositeStep*>(step_.get())),
+      composite_(dynamic_cast<CompositeInterface*>(step_.get())),
       weights_(weights),
       settings_(std::move(settings)),
       bounded_slope_(functions.bounded_slope),
@@ -26,7 +26,7 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
       aim_(forward_, settings_.hmax),
       manifold_(manifold, weights, settings_, *step_, !functions.events.empty()),
-      start_(manifold_, weights, settings_, report_),
+      initial_checks_(manifold_, weights, settings_, report_),
       breaks_(std::move(functions.breakpoints), functions.piece, settings_.tf),
       limits_(settings_),
       stiffness_(weights),
@@ -70,13 +70,14 @@ State Integration::start(const double* y0) {
   reached_ = {t, y};
   report_.t = t;
   begin_piece();
-  if (const State found = start_.inspect(y); found != State::created) return state_ = found;
+  if (const State found = initial_checks_.inspect(y); found != State::created) return state_ = found;
   if (!unless_stopped(manifold_.start(t, y))) return state_;
   emitter_.begin(reached_);
   const bool breaks = breaks_.at(t);
   if (!emit(breaks) || !start_memory(t, y)) return state_;
   if (settings_.first_step > 0) step_->set_h(settings_.first_step);
-  if (const State found = start_.inspect_rates(y, step_->slope(), forward_ * step_->h()); found != State::created)
+  if (const State found = initial_checks_.inspect_rates(y, step_->slope(), forward_ * step_->h());
+      found != State::created)
     return state_ = found;
   if (!watch_events(events_.start(t, y))) return state_;
   if (breaks && !pass_breakpoint()) return state_;
@@ -439,7 +440,7 @@ bool Integration::take(Callback& action) {
 bool Integration::go_on_from_jump(bool rehold) {
   const double t = reached_.t;
   double* y = y0_.data();
-  if (!start_.move_within_bounds(y)) return end(State::action_out_of_bounds);
+  if (!initial_checks_.move_within_bounds(y)) return end(State::action_out_of_bounds);
   if (!refuse(manifold_.restart(t, y, rehold))) return false;
   emitter_.begin({t, y});
   const Invariants* invariants = manifold_.invariants();
@@ -508,7 +509,7 @@ std::optional<DenseOutput> Integration::last_step() {
 }
 
 void Integration::end_attempts() {
-  if (auto* implicit = dynamic_cast<ImplicitStep*>(step_.get())) implicit->end_attempts();
+  if (auto* implicit = dynamic_cast<ImplicitInterface*>(step_.get())) implicit->end_attempts();
 }
 
 }  // namespace invariode

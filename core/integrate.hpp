@@ -11,10 +11,11 @@
 
 #include "aim.hpp"
 #include "breaks.hpp"
-#include "composite_step.hpp"
+#include "composite_interface.hpp"
 #include "detect/discontinuity.hpp"
 #include "detect/stiffness.hpp"
-#include "implicit_step.hpp"
+#include "implicit_interface.hpp"
+#include "initial_checks.hpp"
 #include "limits.hpp"
 #include "linear/mass.hpp"
 #include "manifold/bounds.hpp"
@@ -25,7 +26,6 @@
 #include "output/output.hpp"
 #include "report.hpp"
 #include "settings.hpp"
-#include "start.hpp"
 #include "step.hpp"
 #include "weights.hpp"
 
@@ -142,7 +142,7 @@ class Integration {
   [[nodiscard]] DenseOutput no_steps() const;
 
   std::unique_ptr<Step> step_;
-  CompositeStep* composite_;  // null: the method is one
+  CompositeInterface* composite_;  // null: the method is one
   const Weights& weights_;
   const Settings settings_;
   BoundedSlope* bounded_slope_;
@@ -157,7 +157,7 @@ class Integration {
 
   Aim aim_;  // of the attempt in work
   Manifold manifold_;
-  Start start_;
+  InitialChecks initial_checks_;
   Breaks breaks_;
   Limits limits_;
   StiffnessDetector stiffness_;

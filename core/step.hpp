@@ -1,8 +1,7 @@
 #pragma once
 // The step contract: five operations that every method obeys, so that the loop, the projection, the events and the
-// output exist once. What else a method can say stands in step_report, implicit_step and composite_step.
+// output exist once. What else a method can say stands in step_report, implicit_interface and composite_interface.
 
-#include <algorithm>
 #include <cassert>
 #include <cmath>
 #include <cstddef>
@@ -96,14 +95,6 @@ class Step : public StepReport, public Archived {
   void moved_onto_bounds(bool moved) { moved_onto_bounds_ = moved; }
 
  protected:
-  /// The first |h|: 1 / reciprocal, as far as the span allows.
-  static double first_h(double reciprocal, double t, const Span& span) {
-    double h = std::min(span.hmax, std::abs(span.tf - t));
-    if (h * reciprocal > 1) h = 1 / reciprocal;
-    if (std::isinf(h)) h = 1e-3 * std::max(1.0, std::abs(t));  // infinite interval and f0 = 0: no scale is known
-    return std::max(h, span.hmin);
-  }
-
   Callback& f_;
   const Weights& weights_;
   double t_ = 0;

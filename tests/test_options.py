@@ -108,6 +108,18 @@ def test_defaults_of_the_signature_are_those_of_the_table(way):
             assert parameter.default == own, f"default of {name}: change the row of options.py"
 
 
+def test_default_tolerances_are_the_same_at_every_way_in():
+    functions = {name: getattr(iv, name) for name in iv.__all__ if callable(getattr(iv, name))}
+    methods = {f"Problem.{name}": one for name, one in vars(iv.Problem).items() if inspect.isfunction(one)}
+    found = set()
+    for way, function in {**functions, **methods}.items():
+        for name, parameter in inspect.signature(function_of(function)).parameters.items():
+            if name in ("rtol", "atol") and isinstance(parameter.default, float):
+                assert parameter.default == TABLE[name].default, f"{name} of {way}"
+                found.add(way)
+    assert {"impose", "check_invariants", "solve_ivp"} <= found
+
+
 def test_a_wrong_value_of_each_checked_option_is_refused():
     wrong = object()
     for name, row in options.table_of(options.Options).items():

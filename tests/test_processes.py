@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import invariode as iv
-from invariode._ensemble import processes
+from invariode._ensemble import worker_processes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, and functions that only a fork can send")
 
@@ -32,7 +32,7 @@ def square(i: int) -> int:
 
 
 def outcomes(solve, size: int, workers: int) -> list:
-    return sorted(x for some in processes.solve_rows(solve, size, workers, lambda i: (i, "died")) for x in some)
+    return sorted(x for some in worker_processes.solve_rows(solve, size, workers, lambda i: (i, "died")) for x in some)
 
 
 def dying_at(fatal, end, i):
@@ -63,8 +63,8 @@ def terminate() -> None:
 )
 def test_a_row_that_ends_its_process_fails_alone(end, monkeypatch):
     crews = []
-    start = processes._Crew._start
-    monkeypatch.setattr(processes._Crew, "_start", lambda self: crews.append(self) or start(self))
+    start = worker_processes._Crew._start
+    monkeypatch.setattr(worker_processes._Crew, "_start", lambda self: crews.append(self) or start(self))
     fatal = {3, 4, 399}
     found = outcomes(partial(dying_at, fatal, end), 400, 2)
     assert found == [(i, "died" if i in fatal else "solved") for i in range(400)]
@@ -111,7 +111,7 @@ def test_workers_killed_at_random_as_they_send_cost_no_row():
 
 
 def test_processes_that_cannot_start_are_said_to_be(monkeypatch):
-    monkeypatch.setattr(processes, "_begin", lambda work: os._exit(1))
+    monkeypatch.setattr(worker_processes, "_begin", lambda work: os._exit(1))
     with pytest.raises(RuntimeError, match="end before they solve anything"):
         outcomes(square, 4, 2)
 

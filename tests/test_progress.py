@@ -137,7 +137,7 @@ def test_bars_are_drawn_at_most_ten_times_a_second_and_in_passing_not_at_first(m
             told(done)
     assert min(np.diff(drawn)) >= progress.INTERVAL - 1e-9
     assert len(drawn) > 10
-    assert drawn[0] == (progress.PATIENCE if passing else 0)
+    assert drawn[0] == (progress.DELAY if passing else 0)
 
 
 def test_a_bar_in_passing_leaves_the_screen_as_it_was(monkeypatch):

@@ -135,7 +135,7 @@ Status DiscontinuityDetector::search(double t0, const double* y0, double t1, con
 }
 
 void DiscontinuityDetector::state(Archive& archive) {
-  SeriesMemory m = series_.memory();
+  SeriesState m = series_.state();
   bool sticks = sticks_since_.has_value();
   double since = sticks_since_.value_or(0);
   archive(pace_t_, fastest_, meetings_, first_meeting_, pause_, evaluations_ahead_, sticks, since);

@@ -6,8 +6,8 @@
 
 namespace invariode {
 
-/// The memory of a series, apart from the points.
-struct SeriesMemory {
+/// What is known of a series, apart from the points.
+struct SeriesState {
   int count;               // failed attempts
   bool failed;             // the latest attempt
   bool stepped;            // a step was accepted since the first one failed
@@ -27,13 +27,13 @@ class FailedSeries {
 
   /// An attempt failed that led to t1 by a step of size h.
   void add(double t1, double h) {
-    if (memory_.count++ == 0) memory_.longest = 0;
-    memory_.failed = true;
-    memory_.latest = std::abs(h);
-    if (memory_.longest < memory_.latest) memory_.longest = memory_.latest;
-    memory_.beyond = t1;
+    if (state_.count++ == 0) state_.longest = 0;
+    state_.failed = true;
+    state_.latest = std::abs(h);
+    if (state_.longest < state_.latest) state_.longest = state_.latest;
+    state_.beyond = t1;
   }
-  [[nodiscard]] bool any() const { return memory_.count > 0; }
+  [[nodiscard]] bool any() const { return state_.count > 0; }
 
   /// The step from (t0, y0) to t1 was accepted. True: it ends a series so long that f may jump between `from_t`, `from`
   /// and its end. y0 (n,) has that stride; `from` and `latest`, (n,) each, keep what they hold between calls.
@@ -41,7 +41,7 @@ class FailedSeries {
   /// A step may pass over a jump, and what comes after it fails: the way to look at begins with the step before the
   /// attempt that failed last.
   bool accept(double t0, const double* y0, std::size_t stride, std::size_t n, double t1, double* from, double* latest) {
-    SeriesMemory& m = memory_;
+    SeriesState& m = state_;
     const bool past = (t1 - m.beyond) * (t1 - t0) >= 0,
                suspicious = several <= m.count && much_longer * m.latest <= m.longest;
     if (past && !suspicious) return forget();
@@ -56,18 +56,18 @@ class FailedSeries {
     if (past) forget();
     return past;
   }
-  [[nodiscard]] double from_t() const { return memory_.from_t; }
+  [[nodiscard]] double from_t() const { return state_.from_t; }
   /// |h| of the attempt that failed last, and of the longest one.
-  [[nodiscard]] double latest() const { return memory_.latest; }
-  [[nodiscard]] double longest() const { return memory_.longest; }
+  [[nodiscard]] double latest() const { return state_.latest; }
+  [[nodiscard]] double longest() const { return state_.longest; }
 
   bool forget() {
-    memory_.count = 0;
-    memory_.failed = memory_.stepped = false;
+    state_.count = 0;
+    state_.failed = state_.stepped = false;
     return false;
   }
-  [[nodiscard]] const SeriesMemory& memory() const { return memory_; }
-  void go_on(const SeriesMemory& memory) { memory_ = memory; }
+  [[nodiscard]] const SeriesState& state() const { return state_; }
+  void go_on(const SeriesState& state) { state_ = state; }
 
  private:
   // So many attempts, which cut the step so much. Of 770 thousand attempts at smooth problems, by all methods, one in
@@ -75,7 +75,7 @@ class FailedSeries {
   static constexpr int several = 3;
   static constexpr double much_longer = 4;
 
-  SeriesMemory memory_{};
+  SeriesState state_{};
 };
 
 }  // namespace invariode

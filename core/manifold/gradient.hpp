@@ -93,7 +93,7 @@ struct Directional {
     });
   }
   /// Whether a difference quotient contradicts it. `increment`: of the differences; `roundoff`: of g.
-  auto contradicted(const Real& quotient, const Real& roundoff, double increment) const {
+  [[nodiscard]] auto contradicted(const Real& quotient, const Real& roundoff, double increment) const {
     const Real allowed = jacobian_tolerance * larger(terms, absolute(quotient)) + roundoff / Real(increment);
     return allowed < absolute(quotient - expected);
   }

@@ -6,6 +6,8 @@
 #include <limits>
 #include <utility>
 
+#include "methods/initial_step.hpp"
+
 namespace invariode {
 namespace {
 
@@ -67,7 +69,7 @@ Outcome Adams::start(double t, const double* y, const Span& span) {
   if (const Outcome outcome = evaluate(t, y, slope_); outcome != Outcome::ok) return outcome;
   std::copy(slope_, slope_ + n(), phi(1));
   weights_.fill(y, weight_);
-  h_ = first_h(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
+  h_ = initial_step(norm(slope_) / (starting_fraction * std::sqrt(weights_.rtol())), t, span);
   return Outcome::ok;
 }
 

@@ -5,6 +5,8 @@
 #include <cassert>
 #include <cmath>
 
+#include "methods/initial_step.hpp"
+
 namespace invariode {
 namespace {
 
@@ -55,7 +57,7 @@ void newton_backward(const double* data, std::size_t size, std::size_t n, double
 }
 
 Ndf::Ndf(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Options& options)
-    : ImplicitMethod(f, weights, linear),
+    : ImplicitBase(f, weights, linear),
       options_(options),
       differences_(static_cast<std::size_t>(options.max_order + 2) * weights.size()) {
   provide({&slope_, &predictor_, &psi_, &d_, &scratch_});
@@ -82,7 +84,7 @@ Outcome Ndf::start(double t, const double* y, const Span& span) {
   const double first = starting_safety * norm(slope_.data()) / std::sqrt(weights_.rtol());
   if (bend(span, first, candidate_.data(), slope_.data(), predictor_.data(), scratch_.data()) == Status::stop)
     return Outcome::stop;
-  h_ = memory_h_ = first_h(starting_safety * std::sqrt(0.5 * norm(scratch_.data()) / weights_.rtol()), t, span);
+  h_ = memory_h_ = initial_step(starting_safety * std::sqrt(0.5 * norm(scratch_.data()) / weights_.rtol()), t, span);
   const double forward = span.tf >= t ? 1 : -1;
   for (std::size_t i = 0; i < n(); ++i) D(1)[i] = forward * memory_h_ * slope_[i];
   return Outcome::ok;

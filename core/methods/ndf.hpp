@@ -5,7 +5,7 @@
 #include <cassert>
 #include <vector>
 
-#include "methods/implicit_method.hpp"
+#include "methods/implicit_base.hpp"
 
 namespace invariode {
 
@@ -13,7 +13,7 @@ namespace invariode {
 void newton_backward(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// The code ode15s, for M y' = f(t, y).
-class Ndf final : public ImplicitMethod<Newton> {
+class Ndf final : public ImplicitBase<Newton> {
  public:
   static constexpr int highest_order = 5;
 

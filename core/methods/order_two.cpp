@@ -20,7 +20,7 @@ constexpr double kept_up_to = 1.2;  // a change of h up to this is not worth a f
 }  // namespace
 
 OrderTwo::OrderTwo(Callback& f, const Weights& weights, const LinearAlgebra& linear, double d)
-    : ImplicitMethod(f, weights, linear, rules), d_(d) {
+    : ImplicitBase(f, weights, linear, rules), d_(d) {
   provide({&slope_, &second_, &last_y_, &last_slope_, &base_, &psi_, &increment_, &error_vector_});
 }
 
@@ -29,7 +29,7 @@ Outcome OrderTwo::start(double t, const double* y, const Span& span) {
   solver_.restart();
   const Outcome outcome = begin(t, y, candidate_.data(), slope_.data());
   if (outcome != Outcome::ok) return outcome;
-  return choose_first_h(span, third, candidate_.data(), slope_.data(), base_.data(), second_.data());
+  return choose_initial_step(span, third, candidate_.data(), slope_.data(), base_.data(), second_.data());
 }
 
 Step::Attempt OrderTwo::attempt(double h, double t1) {

@@ -5,14 +5,14 @@
 #include <cstddef>
 #include <vector>
 
-#include "methods/implicit_method.hpp"
+#include "methods/implicit_base.hpp"
 
 namespace invariode {
 
 /// A step of M y' = f(t, y) whose stages are y = base + d z with M z = h f, for one d, so that one matrix, M − d h J,
 /// serves all of them and the error estimate. The formula derives from it: what it takes as base, predicts as ψ = d z,
 /// and estimates.
-class OrderTwo : public ImplicitMethod<Newton> {
+class OrderTwo : public ImplicitBase<Newton> {
  public:
   static constexpr int formula_order = 2;
 

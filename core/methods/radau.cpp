@@ -59,7 +59,7 @@ const RadauFormula* formula_up_to(int order) {
 }  // namespace
 
 Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, int max_order)
-    : ImplicitMethod(f, weights, linear),
+    : ImplicitBase(f, weights, linear),
       lowest_(radau_formulas.data()),
       highest_(formula_up_to(max_order)),
       formula_(lowest_),
@@ -88,7 +88,7 @@ Outcome Radau::start(double t, const double* y, const Span& span) {
   solver_.forget();
   double* slope = slope_.empty() ? candidate_.data() : slope_.data();
   if (const Outcome outcome = begin(t, y, f_.data(), slope); outcome != Outcome::ok) return outcome;
-  return choose_first_h(span, estimate_order(*formula_), f_.data(), slope, gap_.data(), scratch_.data());
+  return choose_initial_step(span, estimate_order(*formula_), f_.data(), slope, gap_.data(), scratch_.data());
 }
 
 Step::Attempt Radau::attempt(double h, double t1) {

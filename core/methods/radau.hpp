@@ -7,7 +7,7 @@
 #include <memory>
 #include <vector>
 
-#include "methods/implicit_method.hpp"
+#include "methods/implicit_base.hpp"
 #include "methods/radau_formula.hpp"
 #include "methods/radau_systems.hpp"
 
@@ -19,7 +19,7 @@ namespace invariode {
 /// The unknowns are the increments Z_i = Y_i − y of the stages. With the eigenvalues of A⁻¹, a real one and complex
 /// pairs, Newton's linear system of s n equations becomes a real and (s − 1) / 2 complex ones of n: that takes one J
 /// for all stages, and matrix-free it is that at (t, y), all through the step.
-class Radau final : public ImplicitMethod<RadauSystems> {
+class Radau final : public ImplicitBase<RadauSystems> {
  public:
   static constexpr int lowest_order = 5;
   static constexpr int highest_order = 13;

@@ -18,7 +18,7 @@ template <std::size_t I>
 std::unique_ptr<Step> make_pair(const Method&, Callback& f, const Weights& weights, const MethodOptions& given,
                                 const LinearAlgebra&) {
   using namespace runge_kutta;
-  return (weights.size() <= few ? pairs_for_few : pairs_for_many)[I](f, weights, given.fsal);
+  return (weights.size() <= small_system ? steps_of_small_systems : steps_of_any_system)[I](f, weights, given.fsal);
 }
 
 std::unique_ptr<Step> make_adams(const Method& method, Callback& f, const Weights& weights, const MethodOptions& given,

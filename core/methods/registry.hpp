@@ -60,7 +60,6 @@ struct Method {
   [[nodiscard]] bool implicit() const { return takes("jac"); }
   /// Made of an explicit and an implicit one.
   [[nodiscard]] bool switches() const { return takes("prefer"); }
-  [[nodiscard]] bool fixed_order() const { return min_order == order; }
 };
 
 /// The members of a method that switches between two.

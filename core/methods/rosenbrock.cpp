@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
 
 namespace invariode {
@@ -16,7 +17,7 @@ constexpr double e32 = 6 + std::numbers::sqrt2;
 }  // namespace
 
 Rosenbrock::Rosenbrock(Callback& f, const Weights& weights, const LinearAlgebra& linear)
-    : ImplicitMethod(f, weights, linear), lu_(make_factorization(solver_.jacobian().structure, linear.lapack)) {
+    : ImplicitBase(f, weights, linear), lu_(make_factorization(solver_.jacobian().structure, linear.lapack)) {
   provide({&f0_, &f1_, &f2_, &ft_, &k1_, &k2_, &k3_, &slope_, &last_y_, &scratch_});
 }
 
@@ -25,7 +26,7 @@ Outcome Rosenbrock::start(double t, const double* y, const Span& span) {
   ft_known_ = false;
   solver_.forget();
   if (const Outcome outcome = begin(t, y, f0_.data(), slope_.data()); outcome != Outcome::ok) return outcome;
-  h_ = first_h(starting_safety * norm(slope_.data()) * std::pow(weights_.rtol(), -1 / third), t, span);
+  h_ = initial_step(starting_safety * norm(slope_.data()) * std::pow(weights_.rtol(), -1 / third), t, span);
   return Outcome::ok;
 }
 

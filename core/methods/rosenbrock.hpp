@@ -5,13 +5,13 @@
 #include <memory>
 #include <vector>
 
-#include "methods/implicit_method.hpp"
+#include "methods/implicit_base.hpp"
 
 namespace invariode {
 
 /// The code ode23s, for M y' = f(t, y) with a constant regular M: linearly implicit, one factorisation and three
 /// solutions a step, no iteration. J and ∂f/∂t are taken anew in every step.
-class Rosenbrock final : public ImplicitMethod<AgingJacobian> {
+class Rosenbrock final : public ImplicitBase<AgingJacobian> {
  public:
   static constexpr int formula_order = 2;
 

@@ -9,11 +9,11 @@ void nested_polynomial(const double* data, std::size_t size, std::size_t n, doub
   invariode::nested_polynomial(data, size, n, theta, out);
 }
 
-double* memory(std::vector<double>& v, std::size_t size) {
+double* resized(std::vector<double>& v, std::size_t size) {
   v.resize(size);
   return v.data();
 }
 
-constinit const std::array<MakePair, Pairs::count> pairs_for_many = factories<false>(Pairs());
+constinit const std::array<MakeStep, Pairs::count> steps_of_any_system = factories<false>(Pairs());
 
 }  // namespace invariode::runge_kutta

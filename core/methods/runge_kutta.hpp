@@ -23,7 +23,7 @@ enum class Fsal { reuse, evaluate };
 void nested_polynomial(const double* data, std::size_t size, std::size_t n, double theta, double* out);
 
 /// `size` doubles in `v`, which not every run needs. (Inlined, it would cost each step registers.)
-double* memory(std::vector<double>& v, std::size_t size);
+double* resized(std::vector<double>& v, std::size_t size);
 
 template <const auto&... T>
 struct Tableaux {
@@ -33,14 +33,15 @@ struct Tableaux {
 /// The pairs: a new one needs a file with its tableau and a place here.
 using Pairs = Tableaux<bogacki_shampine, dormand_prince, dormand_prince_853, verner_87, verner_98>;
 
-using MakePair = std::unique_ptr<Step> (*)(Callback& f, const Weights& weights, Fsal fsal);
+using MakeStep = std::unique_ptr<Step> (*)(Callback& f, const Weights& weights, Fsal fsal);
 
-/// The pairs compiled for few equations, where vector instructions cost more than they gain: what f has just written
-/// one number at a time cannot be read two at a time before it has reached the cache (docs/benchmarks/native.md).
-extern const std::array<MakePair, Pairs::count> pairs_for_few;
+/// The steps of all pairs compiled for small systems, where vector instructions cost more than they gain: what f has
+/// just written one number at a time cannot be read two at a time before it has reached the cache
+/// (docs/benchmarks/native.md).
+extern const std::array<MakeStep, Pairs::count> steps_of_small_systems;
 /// The same for any number of equations.
-extern const std::array<MakePair, Pairs::count> pairs_for_many;
-/// Up to so many equations are few.
-inline constexpr std::size_t few = 8;
+extern const std::array<MakeStep, Pairs::count> steps_of_any_system;
+/// The most equations of a small system.
+inline constexpr std::size_t small_system = 8;
 
 }  // namespace invariode::runge_kutta

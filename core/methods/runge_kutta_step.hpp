@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
 #include "step.hpp"
@@ -16,17 +17,17 @@ namespace invariode::runge_kutta {
 // Arguments of stages that differ by no more than this, in the weights, tell nothing about λ but roundoff.
 inline constexpr double indistinct = 1000 * eps;
 
-/// The pair T. `Few`: compiled for few equations, without vector instructions, by runge_kutta_few.cpp.
-template <const auto& T, bool Few>
-class Pair final : public Step {
+/// A step of the pair T. `Small`: compiled for small systems, without vector instructions, by runge_kutta_small.cpp.
+template <const auto& T, bool Small>
+class RungeKuttaStep final : public Step {
   static constexpr std::size_t stages = T.stages;
   static constexpr std::size_t last = stages - 1;
   static constexpr std::size_t evaluated_in_attempt = T.last_in_error() ? stages : last;
   static constexpr std::size_t extra = T.all_stages - stages;  // of the extension
-  using Kernel = runge_kutta::Kernel<T, double, MaxNorm, Few>;
+  using Kernel = runge_kutta::Kernel<T, double, MaxNorm, Small>;
 
  public:
-  Pair(Callback& f, const Weights& weights, Fsal fsal)
+  RungeKuttaStep(Callback& f, const Weights& weights, Fsal fsal)
       : Step(f, weights), fsal_(fsal), values_((stages + 3) * weights.size()) {
     double* next = values_.data();
     const auto take = [&next, this] { return std::exchange(next, next + n()); };
@@ -45,7 +46,7 @@ class Pair final : public Step {
     if (f_(t_, y_.data(), k_[0]) == Status::stop) return Outcome::stop;
     if (!all_finite(k_[0], n())) return Outcome::not_finite;
     const double speed = Kernel::size_of_stage(0, k_, n(), [&](std::size_t i) { return weights_.at(i, y[i]); });
-    h_ = first_h(speed / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
+    h_ = initial_step(speed / (safety * std::pow(weights_.rtol(), exponent)), t_, span);
     return Outcome::ok;
   }
 
@@ -159,7 +160,7 @@ class Pair final : public Step {
  private:
   static constexpr double exponent = 1.0 / T.order;
 
-  void provide_reevaluated() { reevaluated_ = memory(again_, n()); }
+  void provide_reevaluated() { reevaluated_ = resized(again_, n()); }
 
   /// Whether f(t₁, y₁) takes the place of the last stage, which is f(t₁, y*).
   [[nodiscard]] bool evaluates_again() const { return projected_ && (fsal_ == Fsal::evaluate || moved_onto_bounds_); }
@@ -187,7 +188,7 @@ class Pair final : public Step {
 
   /// As `all_finite`, of which the program has one copy, made for many.
   [[nodiscard]] bool finite(const double* y) const {
-    if constexpr (!Few) return all_finite(y, n());
+    if constexpr (!Small) return all_finite(y, n());
     double sum = 0;
     for (std::size_t i = 0; i < n(); ++i) sum += 0 * y[i];
     return sum == 0;
@@ -247,10 +248,10 @@ class Pair final : public Step {
   bool projected_ = false;  // y₁ differs from y*
 };
 
-template <bool Few, const auto&... T>
-constexpr std::array<MakePair, sizeof...(T)> factories(Tableaux<T...>) noexcept {
+template <bool Small, const auto&... T>
+constexpr std::array<MakeStep, sizeof...(T)> factories(Tableaux<T...>) noexcept {
   return {[](Callback& f, const Weights& weights, Fsal fsal) -> std::unique_ptr<Step> {
-    return std::make_unique<Pair<T, Few>>(f, weights, fsal);
+    return std::make_unique<RungeKuttaStep<T, Small>>(f, weights, fsal);
   }...};
 }
 

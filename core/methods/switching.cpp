@@ -40,7 +40,7 @@ Switching::Switching(Callback& f, const Weights& weights, Members members)
     : Step(f, weights),
       explicit_(std::move(members.explicit_one)),
       implicit_(std::move(members.implicit_one)),
-      algebra_(dynamic_cast<ImplicitStep*>(implicit_.get())),
+      algebra_(dynamic_cast<ImplicitInterface*>(implicit_.get())),
       active_(explicit_ ? explicit_.get() : implicit_.get()),
       matrix_free_(members.matrix_free),
       differences_(members.differences),
@@ -112,7 +112,7 @@ Outcome Switching::hand_over(const Span& span) {
   }
   if (!to_implicit) judge_implicit_turn();
   const double before = h_, calls = to_implicit ? explicit_calls_ : implicit_calls_;
-  h_ = std::min({first_h_after(next, before), span.hmax, std::abs(span.tf - t_)});
+  h_ = std::min({initial_step_after(next, before), span.hmax, std::abs(span.tf - t_)});
   active_ = &next;
   ++switches_;
   begin_turn();
@@ -130,7 +130,7 @@ bool Switching::pays(double distance) const {
 
 /// A first |h| is chosen with caution. Steps that were short for the sake of stability are accurate for the implicit
 /// member too; what was accurate with that one is for the explicit member, where it is stable.
-double Switching::first_h_after(const Step& next, double before) const {
+double Switching::initial_step_after(const Step& next, double before) const {
   const double known = &next == implicit_.get() ? before : std::min(before, stable_h());
   return std::max(next.h(), known);
 }

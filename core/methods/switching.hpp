@@ -8,8 +8,8 @@
 #include <memory>
 #include <vector>
 
-#include "composite_step.hpp"
-#include "implicit_step.hpp"
+#include "composite_interface.hpp"
+#include "implicit_interface.hpp"
 #include "methods/extensions.hpp"
 
 namespace invariode {
@@ -21,7 +21,7 @@ namespace invariode {
 /// stability limits as a trial of the implicit one takes, so that waiting and trying cost about the same. The implicit
 /// member hands back when the explicit one, with the longest step that is stable for the Jacobian at hand, would be
 /// cheaper. A turn that was no faster than the steps before it makes the next one harder to begin.
-class Switching final : public Step, public ImplicitStep, public CompositeStep {
+class Switching final : public Step, public ImplicitInterface, public CompositeInterface {
  public:
   /// One of them may be null: the other one is then alone. `jacobian_cost`: evaluations of f that a Jacobian takes.
   /// `matrix_free`: the implicit one knows the Jacobian by its products, which are differences of f or cost as much.
@@ -89,13 +89,13 @@ class Switching final : public Step, public ImplicitStep, public CompositeStep {
   void judge_implicit_turn();
   void raise_trial_threshold();
   [[nodiscard]] bool pays(double distance) const;
-  [[nodiscard]] double first_h_after(const Step& next, double before) const;
+  [[nodiscard]] double initial_step_after(const Step& next, double before) const;
   [[nodiscard]] double stable_h() const;
   Status find_radius();
   Status multiply_vector();
 
   std::unique_ptr<Step> explicit_, implicit_;
-  ImplicitStep* algebra_;  // of the implicit member; null without one
+  ImplicitInterface* algebra_;  // of the implicit member; null without one
   Step* active_;
   const bool matrix_free_, differences_;
   Turn turn_;

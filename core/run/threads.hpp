@@ -168,14 +168,4 @@ bool on_workers(std::uint32_t count, std::size_t workers, std::chrono::milliseco
   return !pool.cancelled();
 }
 
-/// The same with work(worker, index, cancelled) for each index.
-template <class Work, class Watch>
-bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds interval, Work work,
-                    Watch watch) {
-  const auto one_by_one = [&](std::size_t worker, Queue& queue) {
-    for (std::uint32_t index; queue.next(index); queue.finish_one()) work(worker, index, queue.cancelled());
-  };
-  return on_workers(count, workers, interval, one_by_one, watch);
-}
-
 }  // namespace invariode

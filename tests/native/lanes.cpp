@@ -234,7 +234,7 @@ TEST(lanes_are_the_single_runs_to_the_bit_in_every_instruction_set) {
   std::mt19937_64 random(17);
   std::size_t beside_others = 0;
   for (const Method& method : methods()) {
-    if (lanes::instructions().back()->pair(method.name) == nullptr) continue;
+    if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (const Case& one : random_cases(random)) {
       const Rows rows(one.size, random);
       Solvers solvers(method, 1, one.weights, one.settings, one.beside);
@@ -260,7 +260,7 @@ TEST(an_invariant_is_held_in_lanes_as_in_single_runs) {
   std::mt19937_64 random(3);
   std::size_t beside_others = 0, refused = 0;
   for (const Method& method : methods()) {
-    if (lanes::instructions().back()->pair(method.name) == nullptr) continue;
+    if (lanes::instructions().back()->kernel(method.name) == nullptr) continue;
     for (Case& one : random_cases(random)) {
       // Of some the energy is told with a mistake, of others it changes with time.
       const double far = one.size % 3 == 0 ? 1000 : one.size % 3 == 1 ? 500 : 2000;

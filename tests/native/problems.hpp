@@ -244,7 +244,7 @@ std::vector<Method> methods_that(Which which) {
 }
 inline bool is(const Method& method, std::string_view name) { return method.name == name; }
 /// Whether a step takes nothing but y from those before it, though perhaps the order that has proved best.
-inline bool takes_one_step(const Method& m) { return m.fixed_order() || is(m, "radau"); }
+inline bool takes_one_step(const Method& m) { return m.min_order == m.order || is(m, "radau"); }
 /// Pairs of one order, whose last stage is the first of the next step; those where it is part of the error estimate,
 /// and those where it waits for y₁.
 inline std::vector<Method> pairs() {

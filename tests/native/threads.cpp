@@ -21,6 +21,16 @@ void toil(int rounds) {
   for (int i = 0; i < rounds; ++i) x = std::sqrt(x + i);
 }
 
+/// Calls work(worker, index, cancelled) for each index.
+template <class Work, class Watch>
+bool for_each_index(std::uint32_t count, std::size_t workers, std::chrono::milliseconds interval, Work work,
+                    Watch watch) {
+  const auto one_by_one = [&](std::size_t worker, Queue& queue) {
+    for (std::uint32_t index; queue.next(index); queue.finish_one()) work(worker, index, queue.cancelled());
+  };
+  return on_workers(count, workers, interval, one_by_one, watch);
+}
+
 }  // namespace
 
 TEST(each_index_is_worked_on_once_with_any_number_of_workers_and_unequal_costs) {

@@ -1,7 +1,7 @@
 // The kernels for AVX2.
 
 #define INVARIODE_LANES avx2
-#include "run/lanes/block.hpp"
+#include "run/lanes/lane_integrator.hpp"
 
 namespace invariode::lanes {
 

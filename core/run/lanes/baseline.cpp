@@ -2,7 +2,7 @@
 // too.
 
 #define INVARIODE_LANES baseline
-#include "run/lanes/block.hpp"
+#include "run/lanes/lane_integrator.hpp"
 
 namespace invariode::lanes {
 

@@ -21,9 +21,9 @@ std::vector<const Instructions*> of_this_processor() {
 
 }  // namespace
 
-const Pair* Instructions::pair(std::string_view method) const {
-  const auto found = std::ranges::find(pairs, method, &Pair::method);
-  return found == pairs.end() ? nullptr : &*found;
+const Kernel* Instructions::kernel(std::string_view method) const {
+  const auto found = std::ranges::find(kernels, method, &Kernel::method);
+  return found == kernels.end() ? nullptr : &*found;
 }
 
 std::span<const Instructions* const> instructions() {

@@ -116,7 +116,7 @@ struct Suspended {
   Lane lane;
   std::size_t output;  ///< the number of the next one
   std::int64_t checks;
-  SeriesMemory series;
+  SeriesState series;
   const double* points;
 };
 
@@ -175,11 +175,11 @@ class Host {
   virtual bool jumps(const Suspicion& suspicion, std::int64_t& checks) = 0;
   [[nodiscard]] virtual bool cancelled() const = 0;
   /// Memory aligned to 64 bytes, until the host ends.
-  [[nodiscard]] virtual void* memory(std::size_t bytes) = 0;
+  [[nodiscard]] virtual void* allocate(std::size_t bytes) = 0;
 };
 
-/// The kernels of one pair.
-struct Pair {
+/// What integrates in lanes by one method.
+struct Kernel {
   std::string_view method;
   /// Integrates what the host hands out, until it has no more.
   void (*run)(const Job& job, Host& host);
@@ -190,12 +190,12 @@ struct Pair {
 /// An instruction set for which there are kernels.
 struct Instructions {
   std::string_view name;
-  std::size_t lanes;  ///< in a block
+  std::size_t lanes;  ///< trajectories side by side
   std::size_t bits;   ///< of a vector register
-  std::span<const Pair> pairs;
+  std::span<const Kernel> kernels;
 
-  /// Null if the method is not a pair.
-  [[nodiscard]] const Pair* pair(std::string_view method) const;
+  /// Null unless the method is a Runge-Kutta pair.
+  [[nodiscard]] const Kernel* kernel(std::string_view method) const;
 };
 
 /// Each has an object file of its own, compiled with flags of its own; there are the last two on x86 only.

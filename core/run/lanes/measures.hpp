@@ -43,7 +43,7 @@ struct LaneStep {
 
 template <int W>
 Pack<W>* take(Host& host, std::size_t rows) {
-  return static_cast<Pack<W>*>(host.memory(rows * sizeof(Pack<W>)));
+  return static_cast<Pack<W>*>(host.allocate(rows * sizeof(Pack<W>)));
 }
 
 template <int W>

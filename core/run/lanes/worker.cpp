@@ -111,7 +111,7 @@ const char* obstacle_of_invariants(const Solver& solver) {
 const char* obstacle_to_lanes(const Solver& solver) {
   const Problem& problem = solver.problem();
   const Settings& settings = solver.settings();
-  if (of_every_processor().pair(solver.method().name) == nullptr) return "the method is no explicit Runge-Kutta pair";
+  if (of_every_processor().kernel(solver.method().name) == nullptr) return "the method is no explicit Runge-Kutta pair";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
   if (problem.bounds) return "there are bounds";
   for (const EventFunction& event : problem.events) {
@@ -134,7 +134,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
 LaneWorker::Order::Order(const Solver& solver, const Ensemble& ensemble, LaneForm functions,
                          const std::vector<double>& direction)
     : form(std::move(functions)),
-      pair(*form.instructions->pair(solver.method().name)),
+      kernel(*form.instructions->kernel(solver.method().name)),
       invariant(invariant_of(solver, form, direction)),
       job(job_of(solver, ensemble, form, invariant)) {}
 
@@ -153,7 +153,7 @@ LaneWorker::LaneWorker(const Solver& solver, const Ensemble& ensemble, const Lan
 
 void LaneWorker::run() {
   if (order_.job.count_of_events > 0) search_.emplace(solver_, ensemble_);
-  order_.pair.run(order_.job, *this);
+  order_.kernel.run(order_.job, *this);
   result_.add_alone(left_why_);
 }
 
@@ -203,11 +203,11 @@ void LaneWorker::leave(std::uint32_t trajectory, lanes::Why why) {
 void LaneWorker::go_on(const lanes::Suspended& suspended) {
   if (cancelled()) return;
   set_parameters(suspended.lane.trajectory);
-  alone_.pair.go_on(alone_.job, suspended, *this);
+  alone_.kernel.go_on(alone_.job, suspended, *this);
 }
 
 /// Piece after piece of as few allocations as possible: what a kernel reads together stands together.
-void* LaneWorker::memory(std::size_t bytes) {
+void* LaneWorker::allocate(std::size_t bytes) {
   const std::size_t size = (bytes + alignment - 1) / alignment * alignment;
   if (memory_.empty() || size > left_in_memory_) {
     left_in_memory_ = std::max(size, least_memory);

@@ -12,7 +12,7 @@
 #include "callback.hpp"
 #include "detect/discontinuity.hpp"
 #include "run/ensemble.hpp"
-#include "run/event_search.hpp"
+#include "run/lanes/event_search.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/problem.hpp"
 #include "run/threads.hpp"
@@ -40,7 +40,7 @@ class LaneWorker final : public lanes::Host {
   void leave(std::uint32_t trajectory, lanes::Why why) override;
   void go_on(const lanes::Suspended& suspended) override;
   bool jumps(const lanes::Suspicion& suspicion, std::int64_t& checks) override;
-  void* memory(std::size_t bytes) override;
+  void* allocate(std::size_t bytes) override;
   [[nodiscard]] bool cancelled() const override { return queue_.cancelled().load(std::memory_order_relaxed); }
 
  private:
@@ -53,7 +53,7 @@ class LaneWorker final : public lanes::Host {
     Order& operator=(const Order&) = delete;
 
     const LaneForm form;
-    const lanes::Pair& pair;
+    const lanes::Kernel& kernel;
     const lanes::Invariant invariant;
     const lanes::Job job;
   };

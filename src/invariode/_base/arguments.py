@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import operator
 import os
@@ -18,8 +17,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .suggestions import meant
+
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
+
+#: The default tolerances, those of the suite. (The core has none: it is given tolerances with each problem.)
+RTOL, ATOL = 1e-3, 1e-6
 
 #: The largest number that the core's `int` holds.
 LARGEST_INT = 2**31 - 1
@@ -173,12 +177,6 @@ def either(known: Sequence[str]) -> str:
     return f"{', '.join(first)} or {last}"
 
 
-def meant(given: object, known: Iterable[str]) -> str:
-    """The known name that was probably meant, to end a message; empty if none is like the given one."""
-    near = difflib.get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
-    return f"; did you mean {near[0]!r}?" if near else ""
-
-
 def flag(name: str, value: object) -> bool:
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
@@ -296,7 +294,7 @@ def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, float
     if (relative < least).any():
         warn(f"rtol is too small: raised to {least:.3g} (100 units of roundoff)")
         relative = np.maximum(relative, least)
-    smallest = float(relative.min()) if relative.size else 1e-3
+    smallest = float(relative.min()) if relative.size else RTOL
     threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)
     scale = np.repeat(relative / smallest, pairs) if relative.ndim == 1 and (relative != smallest).any() else None
     return smallest, threshold, scale

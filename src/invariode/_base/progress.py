@@ -19,7 +19,7 @@ from typing import Any
 from .extras import extra
 
 #: Seconds between two updates, and before a transient bar appears.
-INTERVAL, PATIENCE = 0.1, 0.3
+INTERVAL, DELAY = 0.1, 0.3
 
 _in_passing = ContextVar("_in_passing", default=False)
 
@@ -91,7 +91,7 @@ def _on_stderr(what: str, total: float | None, text: str, fields: dict[str, floa
         *columns, rich.TimeRemainingColumn(), console=Console(stderr=True), auto_refresh=False, transient=passing
     )
     task = progress.add_task(what, total=total, **fields)
-    due = perf_counter() + (PATIENCE if passing else 0.0)
+    due = perf_counter() + (DELAY if passing else 0.0)
     with ExitStack() as stack:  # the end of a bar draws it once more, with the last news
         if not passing:
             stack.enter_context(progress)

@@ -25,7 +25,7 @@ from .._problem.options import (
     table_of,
 )
 from .conclusion import solution
-from .parts import Means, Place, in_parts, stored
+from .distributed import Means, Place, in_parts, stored
 from .rows import attempted
 from .solution import EnsembleSolution
 from .sources import GivenRows, Rows, StreamedRows

@@ -17,13 +17,13 @@ from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
+from .._run.call_errors import wrong_length
 from .._run.plan import Plan, solver
-from .._run.wrong_calls import wrong_length
 from .outcomes import Outcomes, in_order, travelling
-from .processes import may_start, solve_rows
 from .solution import EnsembleEvents
 from .sources import rows_of
 from .task import Ensemble, Task
+from .worker_processes import may_start, solve_rows
 
 _STATUS = {
     "reached_end": 0,

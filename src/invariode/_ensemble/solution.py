@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import numpy as np
 
-from .._base.arguments import Array, choice, distinct_labels
+from .._base.arguments import ATOL, RTOL, Array, choice, distinct_labels
 from .._base.files import damage_of
 from .._base.formats import GROUP, Field, Kind, read, under, write
 from .._base.notebook import html_of_ensemble
@@ -48,7 +48,7 @@ class Trajectories:
     def unknown(cls, events: int, invariants: int) -> Trajectories:
         """For a result without its functions."""
         laws = [f"g{i}" for i in range(invariants)]
-        return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), 1e-3, 1e-6)
+        return cls("trajectory", [f"event {i}" for i in range(events)], laws, None, (), RTOL, ATOL)
 
     def __getstate__(self) -> dict[str, Any]:
         """Functions of a module travel; without the others the invariants are as those of a run with jumps: names."""

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import (
+    ATOL,
+    RTOL,
     Array,
     extra_arguments,
     numbers,
@@ -72,8 +74,8 @@ def impose(
     *,
     value: Numbers | None = None,
     args: Iterable[Any] = (),
-    rtol: Numbers = 1e-3,
-    atol: Numbers = 1e-6,
+    rtol: Numbers = RTOL,
+    atol: Numbers = ATOL,
 ) -> ImposeResult: ...
 
 
@@ -85,8 +87,8 @@ def impose(
     *,
     value: Numbers | None = None,
     args: Iterable[Any] = (),
-    rtol: Numbers = 1e-3,
-    atol: Numbers = 1e-6,
+    rtol: Numbers = RTOL,
+    atol: Numbers = ATOL,
 ) -> ImposeResult: ...
 
 
@@ -97,8 +99,8 @@ def impose(
     *,
     value: Numbers | None = None,
     args: Iterable[Any] = (),
-    rtol: Numbers = 1e-3,
-    atol: Numbers = 1e-6,
+    rtol: Numbers = RTOL,
+    atol: Numbers = ATOL,
 ) -> ImposeResult:
     """Projects given points onto invariants, about as accurately as double precision allows (paper, section 4).
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
 from .. import _core
-from .._base.arguments import meant, shown
+from .._base.arguments import shown
+from .._base.suggestions import meant
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ holds the rest. The classes say which function takes a row: an entry point takes
 Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,6 +13,8 @@ from typing import Annotated, Any, Literal, TypedDict, TypeVar, cast, get_args, 
 from numpy.typing import ArrayLike
 
 from .._base.arguments import (
+    ATOL,
+    RTOL,
     Array,
     choice,
     count,
@@ -24,6 +25,7 @@ from .._base.arguments import (
     shown,
     warn,
 )
+from .._base.suggestions import meant
 from .._base.types import (
     BreakpointsLike,
     EventsLike,
@@ -112,7 +114,7 @@ class StepSizeOptions(TypedDict, total=False):
     rtol: Annotated[
         Numbers,
         Option(
-            1e-3,
+            RTOL,
             "float or array_like of shape (n,)",
             "The estimated error of component i is kept below ``max(rtol_i |y_i|, atol_i)``. rtol below 100 ε is "
             "raised to 100 ε.",
@@ -121,7 +123,7 @@ class StepSizeOptions(TypedDict, total=False):
     ]
     atol: Annotated[
         Numbers,
-        Option(1e-6, "float or array_like of shape (n,)", "See `rtol`; in the units of y.", command=True),
+        Option(ATOL, "float or array_like of shape (n,)", "See `rtol`; in the units of y.", command=True),
     ]
     first_step: Annotated[
         float | None, Option(None, "float", "Size of the first step. Default: chosen from f(t0, y0).", positive)
@@ -671,9 +673,8 @@ def refused(name: str) -> TypeError:
 
 def unknown_option(name: str, known: Iterable[str], text: str = "unknown option") -> TypeError:
     """The error for a name that nothing has; one of an earlier version is told what replaces it."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return TypeError(f"{text} {name!r}" + (f": give {_REPLACED[name]}" if name in _REPLACED else hint))
+    hint = f": give {_REPLACED[name]}" if name in _REPLACED else meant(name, known)
+    return TypeError(f"{text} {name!r}{hint}")
 
 
 def changed(options: Options, changes: Mapping[str, Any]) -> Options:

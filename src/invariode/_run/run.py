@@ -46,12 +46,12 @@ from .._results.result import (
 )
 from .._results.solution import Solution
 from .agreement import compare
+from .call_errors import explain, wrong_length
 from .checkpoint import Checkpoint
 from .events_at_start import ended_at_start, found_at_start, with_start, without_start
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
-from .wrong_calls import explain, wrong_length
 
 
 class Resumed(NamedTuple):

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
 from .. import _core
-from .._base.arguments import Array, flag, warn
+from .._base.arguments import ATOL, RTOL, Array, flag, warn
 from .._base.types import Numbers
 from .._functions.compiled import is_native
 from .._problem.accepted import stepper_options
@@ -97,8 +97,8 @@ class Stepper(OdeSolver):
         y0: ArrayLike,
         t_bound: float,
         max_step: float | None = None,
-        rtol: Numbers = 1e-3,
-        atol: Numbers = 1e-6,
+        rtol: Numbers = RTOL,
+        atol: Numbers = ATOL,
         vectorized: bool = False,
         first_step: float | None = None,
         **options: Unpack[StepperOptions],

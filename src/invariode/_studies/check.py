@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
-from .._base.arguments import Array, flag, number, quietly, reals, state, tolerances
+from .._base.arguments import ATOL, RTOL, Array, flag, number, quietly, reals, state, tolerances
 from .._base.notebook import html_of_check
 from .._base.types import Function, Numbers
 from .._functions.compiled import native_parameters
@@ -109,8 +109,8 @@ def check_invariants(
     y: ArrayLike,
     args: Iterable[Any] = (),
     *,
-    rtol: Numbers = 1e-3,
-    atol: Numbers = 1e-6,
+    rtol: Numbers = RTOL,
+    atol: Numbers = ATOL,
     nearby: bool = True,
 ) -> CheckReport:
     """Checks whether y' = f(t, y) conserves these functions: the tests at the start of a solve, as a report.

@@ -33,7 +33,7 @@ _IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", 
 _TIGHT = (1e-12, 1e-11, 1e-10)
 
 #: A run of the reference may take this many times the limit of the others.
-_PATIENCE = 6
+_REFERENCE_FACTOR = 6
 
 #: A problem is stiff if ode45 takes this many times the steps of ode15s, and this many more, at rtol 1e-3.
 _STIFF, _FEW = 20, 1000
@@ -159,7 +159,7 @@ def reference(problem: Problem, ratio: float, seconds: float) -> Reference:
         for rtol in _TIGHT:
             found = []
             for name, options in pair:
-                limit = _PATIENCE * seconds
+                limit = _REFERENCE_FACTOR * seconds
                 with _stiffness_untold():
                     sol = plain.solve(name, rtol=rtol, atol=ratio * rtol, limits=Limits(time=limit), **options)
                 if sol.status not in (0, 1):

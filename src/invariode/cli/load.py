@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._base.suggestions import nearest
 from .._solve.problem import Problem
 from .session import print_traceback, stop
 
@@ -33,8 +33,8 @@ def load(file: str) -> Problem:
     if path.is_dir():
         raise _wrong(f"{path} is a directory; give the file in it that defines the problem.")
     if not path.is_file():
-        near = difflib.get_close_matches(path.name, [other.name for other in path.parent.glob("*.py")], n=1)
-        raise _wrong(f"no such file: {path}" + (f"; did you mean {path.with_name(near[0])}?" if near else ""))
+        near = nearest(path.name, [other.name for other in path.parent.glob("*.py")])
+        raise _wrong(f"no such file: {path}" + (f"; did you mean {path.with_name(near)}?" if near else ""))
     defined = {key: value for key, value in _run(path).items() if not key.startswith("__")}
     problems = {key: value for key, value in defined.items() if isinstance(value, Problem)}
     if name is not None:
@@ -82,8 +82,8 @@ def _named(path: Path, name: str, defined: dict[str, Any], problems: dict[str, P
     if name in defined:
         kind = type(defined[name]).__name__
         raise _wrong(f"{path}:{name} is of type {kind}, expected an invariode.Problem. {there}")
-    near = difflib.get_close_matches(name, problems, n=1)
-    raise _wrong(f"{path} does not define {name}" + (f"; did you mean {near[0]}? " if near else ". ") + there)
+    near = nearest(name, problems)
+    raise _wrong(f"{path} does not define {name}" + (f"; did you mean {near}? " if near else ". ") + there)
 
 
 def _listed(defined: dict[str, Any]) -> str:

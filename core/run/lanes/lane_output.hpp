@@ -7,7 +7,7 @@
 #include <cstdint>
 
 #include "output/polynomial.hpp"
-#include "run/lanes/held.hpp"
+#include "run/lanes/lane_invariant.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
@@ -16,11 +16,11 @@ namespace invariode::lanes::INVARIODE_LANES {
 
 /// The extension of the pair between the ends of the steps, corrected there (output/interpolant.hpp).
 template <int W>
-class Between {
+class LaneInterpolant {
   using P = Pack<W>;
 
  public:
-  Between(const Job& job, std::size_t degree, Host& host)
+  LaneInterpolant(const Job& job, std::size_t degree, Host& host)
       : job_(job), size_((degree + 1) * job.n), data_(take<W>(host, size_)), lack_(take<W>(host, job.n)) {}
 
   /// Takes the steps, whose coefficients have been put there.
@@ -46,12 +46,12 @@ class Between {
 };
 
 template <int W>
-class Outputs {
+class LaneOutput {
   using P = Pack<W>;
   using M = Mask<W>;
 
  public:
-  Outputs(const Job& job, Host& host)
+  LaneOutput(const Job& job, Host& host)
       : next_time_(job.forward() * infinity), job_(job), host_(host), value_(take<W>(host, job.n)) {}
 
   /// The trajectory comes into the lane, at t0 with that y, or where so many have been put out.
@@ -77,7 +77,8 @@ class Outputs {
 
   /// Puts out what steps contain that are due, for the trajectories in `lane`. Returns those where that is odd.
   template <class LaneOf>
-  INVARIODE_SHARED M put_out(M due, const LaneStep<W>& step, const Between<W>& between, Held<W>* held, LaneOf lane) {
+  INVARIODE_SHARED M put_out(M due, const LaneStep<W>& step, const LaneInterpolant<W>& between, LaneInvariant<W>* held,
+                             LaneOf lane) {
     M odd = no_lane<W>();
     for (; any(due); due = this->due(due, step.reached_t)) {
       const P at = choose(due, next_time_, step.reached_t);
@@ -113,12 +114,12 @@ class Outputs {
 
 /// Events. Their rows are those of trajectories that are in lanes, or are to be made ready.
 template <int W>
-class Watched {
+class EventScan {
   using P = Pack<W>;
   using M = Mask<W>;
 
  public:
-  Watched(const Job& job, std::size_t intervals, P* now, Host& host)
+  EventScan(const Job& job, std::size_t intervals, P* now, Host& host)
       : job_(job),
         intervals_(intervals),
         now_(now),
@@ -137,7 +138,7 @@ class Watched {
   }
 
   /// Of steps that are about to be accepted: where a sign changes, and the odd ones. The others have passed.
-  INVARIODE_SHARED M scan(const M& accepted, const LaneStep<W>& step, const Between<W>& between, M& odd) {
+  INVARIODE_SHARED M scan(const M& accepted, const LaneStep<W>& step, const LaneInterpolant<W>& between, M& odd) {
     M crossing = no_lane<W>();
     for (std::size_t e = 0; e < job_.count_of_events; ++e) sign_[e] = row(e)[Rows::sign];
     for (std::size_t j = 1; j <= intervals_; ++j) {

@@ -17,12 +17,12 @@ namespace invariode::lanes::INVARIODE_LANES {
 /// Without an invariant it is not asked anything. `now` and `ready`: its rows of the trajectories that are in lanes,
 /// and of those that are to be made ready.
 template <int W>
-class Held {
+class LaneInvariant {
   using P = Pack<W>;
   using M = Mask<W>;
 
  public:
-  Held(const Job& job, P* now, P* ready, Host& host) : job_(job), now_(now), ready_(ready) {
+  LaneInvariant(const Job& job, P* now, P* ready, Host& host) : job_(job), now_(now), ready_(ready) {
     if (job.invariant == nullptr) return;
     for (P** one : {&w_, &jacobian_, &row_, &delta_, &point_, &y1_, &sizes_, &slope_}) *one = take<W>(host, job.n);
   }

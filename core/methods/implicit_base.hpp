@@ -1,5 +1,6 @@
 #pragma once
-// What implicit methods share besides Newton's iteration: the memory of a step, the first |h|, and what becomes of |h|.
+// The base class of implicit methods: what they share besides Newton's iteration: the memory of a step, the first |h|,
+// and what becomes of |h|.
 
 #include <algorithm>
 #include <cmath>
@@ -7,7 +8,8 @@
 #include <limits>
 #include <vector>
 
-#include "implicit_step.hpp"
+#include "implicit_interface.hpp"
+#include "methods/initial_step.hpp"
 #include "methods/newton.hpp"
 #include "step.hpp"
 
@@ -16,7 +18,7 @@ namespace invariode {
 /// A step of M y' = f(t, y) with the linear algebra of a solver: AgingJacobian, or what derives from it. The formula
 /// derives from this. The constants are those of the suite.
 template <class Solver>
-class ImplicitMethod : public Step, public ImplicitStep {
+class ImplicitBase : public Step, public ImplicitInterface {
  public:
   bool errors(double* out) const override {
     std::copy(error_vector_.begin(), error_vector_.end(), out);
@@ -39,7 +41,7 @@ class ImplicitMethod : public Step, public ImplicitStep {
 
   /// The mass matrix, if there is one, belongs to the caller and outlives this. `more`: of the solver.
   template <class... More>
-  ImplicitMethod(Callback& f, const Weights& weights, const LinearAlgebra& linear, const More&... more)
+  ImplicitBase(Callback& f, const Weights& weights, const LinearAlgebra& linear, const More&... more)
       : Step(f, weights), solver_(f, weights, linear, more...), initial_(f, linear) {
     provide({&candidate_, &weight_});
   }
@@ -59,15 +61,15 @@ class ImplicitMethod : public Step, public ImplicitStep {
   }
   /// y'' there, for a first |h| of 1 / reciprocal. `ft`: becomes ∂f/∂t.
   Status bend(const Span& span, double reciprocal, const double* f, double* slope, double* ft, double* second) {
-    const double h = std::copysign(first_h(reciprocal, t_, span), span.tf - t_);
+    const double h = std::copysign(initial_step(reciprocal, t_, span), span.tf - t_);
     return initial_.second(solver_, t_, y(), h, f, slope, ft, second);
   }
   /// 1/h is 1.25 rtol^{-1/q} times the larger one of ‖y'‖ and √(‖y''‖ / 2), where the estimate is O(h^q).
-  Outcome choose_first_h(const Span& span, double q, const double* f, double* slope, double* ft, double* second) {
+  Outcome choose_initial_step(const Span& span, double q, const double* f, double* slope, double* ft, double* second) {
     const double scale = starting_safety * std::pow(weights_.rtol(), -1 / q);
     const double first = scale * norm(slope);
     if (bend(span, first, f, slope, ft, second) == Status::stop) return Outcome::stop;
-    h_ = first_h(std::max(first, scale * std::sqrt(0.5 * norm(second))), t_, span);
+    h_ = initial_step(std::max(first, scale * std::sqrt(0.5 * norm(second))), t_, span);
     return Outcome::ok;
   }
 

@@ -8,11 +8,11 @@
 namespace invariode {
 
 /// Implemented, beside Step, by a method whose members take turns.
-class CompositeStep {
+class CompositeInterface {
  public:
-  CompositeStep() = default;
-  CompositeStep(const CompositeStep&) = delete;
-  CompositeStep& operator=(const CompositeStep&) = delete;
+  CompositeInterface() = default;
+  CompositeInterface(const CompositeInterface&) = delete;
+  CompositeInterface& operator=(const CompositeInterface&) = delete;
 
   /// Between two steps: continues with another member if that suits the problem better. The next |h| may change.
   virtual Outcome hand_over(const Step::Span& span) = 0;
@@ -21,7 +21,7 @@ class CompositeStep {
   [[nodiscard]] virtual std::int64_t switches() const = 0;
 
  protected:
-  ~CompositeStep() = default;
+  ~CompositeInterface() = default;
 };
 
 }  // namespace invariode

@@ -1,8 +1,8 @@
-#include "start.hpp"
+#include "initial_checks.hpp"
 
 namespace invariode {
 
-State Start::inspect(double* y0) {
+State InitialChecks::inspect(double* y0) {
   if (!move_within_bounds(y0)) return State::start_out_of_bounds;
   Guard* guard = manifold_.guard();
   if (guard == nullptr) return State::created;
@@ -12,7 +12,7 @@ State Start::inspect(double* y0) {
   return settings_.check ? judged(guard->start_jacobian(settings_.t0, y0)) : State::created;
 }
 
-bool Start::move_within_bounds(double* y) {
+bool InitialChecks::move_within_bounds(double* y) {
   const Bounds* bounds = manifold_.bounds();
   if (bounds == nullptr) return true;
   const Bounds::Excess outside = bounds->excess(y, weights_);
@@ -25,7 +25,7 @@ bool Start::move_within_bounds(double* y) {
 }
 
 /// The projection of the start, which has led out of the bounds, again within them.
-State Start::project_within_bounds(double* y0) {
+State InitialChecks::project_within_bounds(double* y0) {
   switch (manifold_.project_start(settings_.t0, y0)) {
     case Outcome::stop: return State::interrupted;
     case Outcome::not_finite: return State::start_contradicts;
@@ -36,13 +36,13 @@ State Start::project_within_bounds(double* y0) {
   return manifold_.bounds()->contain(y0) ? State::created : State::start_contradicts;
 }
 
-State Start::inspect_rates(const double* y0, const double* slope, double h) {
+State InitialChecks::inspect_rates(const double* y0, const double* slope, double h) {
   Guard* guard = manifold_.guard();
   if (guard == nullptr || !settings_.check || settings_.t0 == settings_.tf) return State::created;
   return judged(guard->start_rate(settings_.t0, y0, slope, h));
 }
 
-State Start::judged(const Finding& finding) {
+State InitialChecks::judged(const Finding& finding) {
   if (finding.kind == Finding::Kind::none) return State::created;
   if (finding.kind == Finding::Kind::stop) return State::interrupted;
   report_.finding = finding;

@@ -10,10 +10,10 @@ namespace invariode {
 
 /// Each test returns `created` if the run may start, or else the state in which it ends, with what the report says of
 /// it.
-class Start {
+class InitialChecks {
  public:
   /// All of these belong to the loop.
-  Start(Manifold& manifold, const Weights& weights, const Settings& settings, Report& report)
+  InitialChecks(Manifold& manifold, const Weights& weights, const Settings& settings, Report& report)
       : manifold_(manifold), weights_(weights), settings_(settings), report_(report) {}
 
   /// Moves y0 onto the bounds and the manifold, if it is off by less than the tolerance, and tests the Jacobians there.

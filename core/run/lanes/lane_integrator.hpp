@@ -1,8 +1,8 @@
 #pragma once
-// A block of trajectories, each in a lane of its own: its own t, h, error, acceptance. The arithmetic, and the order of
-// its operations, is that of a single run (methods/runge_kutta_kernel.hpp, aim.hpp, integrate.cpp), so that each lane
-// has its bits. Whatever a lane meets that is rare (something not finite, a step at hmin) is left to that code, from
-// the start. (INVARIODE_LANES: see pack.hpp.)
+// The loop for trajectories side by side, each in a lane of its own: its own t, h, error, acceptance. The arithmetic,
+// and the order of its operations, is that of a single run (methods/runge_kutta_kernel.hpp, aim.hpp, integrate.cpp), so
+// that each lane has its bits. Whatever a lane meets that is rare (something not finite, a step at hmin) is left to
+// that code, from the start. (INVARIODE_LANES: see pack.hpp.)
 
 #include <bit>
 #include <cmath>
@@ -11,10 +11,11 @@
 
 #include "aim.hpp"
 #include "detect/step_look.hpp"
+#include "methods/initial_step.hpp"
 #include "methods/runge_kutta.hpp"
 #include "methods/runge_kutta_kernel.hpp"
-#include "run/lanes/held.hpp"
-#include "run/lanes/inside.hpp"
+#include "run/lanes/lane_invariant.hpp"
+#include "run/lanes/lane_output.hpp"
 #include "run/lanes/lanes.hpp"
 #include "run/lanes/measures.hpp"
 #include "run/lanes/pack.hpp"
@@ -22,23 +23,23 @@
 
 namespace invariode::lanes::INVARIODE_LANES {
 
-/// The pair T in W lanes.
+/// Integrates by the pair T in W lanes.
 template <const auto& T, int W>
-class Block {
+class LaneIntegrator {
   using P = Pack<W>;
   using M = Mask<W>;
   using Kernel = runge_kutta::Kernel<T, P, LaneNorm<W>>;
   using Series = FailedSeries<P>;
   static constexpr std::size_t last = T.stages - 1;
   static constexpr unsigned every_lane = one_lane(W) - 1;
-  // With fewer trajectories than this in a block they are faster one at a time (benchmarks/lanes.py).
-  static constexpr int too_few = W / 8 + 1;
-  static constexpr unsigned patience = 64;  // attempts from one look at `cancelled` to the next
+  // Trajectories in fewer lanes than this are faster one at a time (benchmarks/lanes.py).
+  static constexpr int fewest_lanes = W / 8 + 1;
+  static constexpr unsigned cancellation_interval = 64;  // attempts between two checks
   // Of the limits of `StepLook`: with room for roundoff, so that no limited step is missed.
   static constexpr double nearly = 0.99;
 
  public:
-  Block(const Job& job, Host& host)
+  LaneIntegrator(const Job& job, Host& host)
       : job_(job),
         host_(host),
         rows_(job),
@@ -63,7 +64,7 @@ class Block {
   void run() {
     for (unsigned free = every_lane;;) {
       fill(free);
-      if (empty_ && std::popcount(occupied_) < too_few) break;
+      if (empty_ && std::popcount(occupied_) < fewest_lanes) break;
       if (cancelled()) return;
       attempt();
       free = settle();
@@ -72,7 +73,7 @@ class Block {
       host_.go_on({.lane = lane(l),
                    .output = outputs_.number(l),
                    .checks = checks_[l],
-                   .series = series_[l].memory(),
+                   .series = series_[l].state(),
                    .points = from(l)});
     });
   }
@@ -92,7 +93,7 @@ class Block {
  private:
   [[nodiscard]] bool holds() const { return job_.invariant != nullptr; }
   [[nodiscard]] bool watches() const { return job_.count_of_events > 0; }
-  [[nodiscard]] bool cancelled() { return ++attempts_ % patience == 0 && host_.cancelled(); }
+  [[nodiscard]] bool cancelled() { return ++attempts_ % cancellation_interval == 0 && host_.cancelled(); }
 
   // ------------------------------------------------------------------------------------------- trajectories come and
   // go
@@ -142,16 +143,15 @@ class Block {
     for (std::size_t i = 0; i < job_.parameters; ++i) ready_[rows_.parameters + i].lanes()[l] = row[i];
   }
 
-  /// |h| of the first steps, as `Pair::start` and `Step::first_h` choose it; and which of them are left alone.
+  /// |h| of the first steps, as `RungeKuttaStep::start` chooses it; and which of them are left alone.
   void start(unsigned taken) {
     const P t0(job_.t0), *y = ready_ + Rows::y, *p = ready_ + rows_.parameters;
     P* f = ready_ + rows_.slope;
     evaluate(job_.f, t0, y, f, p);
     const P speed = Kernel::size_of_stage(0, {f}, job_.n, weight_of(y, y));
     const P reciprocal = speed / P(runge_kutta::safety * std::pow(job_.rtol, 1.0 / T.order));
-    const P longest = smaller(P(job_.hmax), absolute(P(job_.tf) - t0));
-    const P h = larger(choose(P(1) < longest * reciprocal, P(1) / reciprocal, longest), hmin_ulps * ulp(t0));
-    ready_[Rows::h] = job_.first_step > 0 ? P(job_.first_step) : h;
+    ready_[Rows::h] = job_.first_step > 0 ? P(job_.first_step)
+                                          : initial_step(reciprocal, t0, job_.tf, job_.hmax, hmin_ulps * ulp(t0));
     const unsigned undefined = bits(~(speed < P(infinity)));
     unsigned doubted = 0, inside = 0;
     if (holds()) doubted = bits(held_.start(t0, y, f, job_.forward() * ready_[Rows::h], p));
@@ -311,7 +311,7 @@ class Block {
     step.reached_y = reached_y_;
   }
 
-  /// Those of the extension, as `Pair::extension` evaluates them. Returns where they are not sound.
+  /// Those of the extension, as `RungeKuttaStep::extension` evaluates them. Returns where they are not sound.
   M further_stages(const LaneStep<W>& step) {
     M odd = no_lane<W>();
     if constexpr (T.all_stages > T.stages) {
@@ -327,8 +327,8 @@ class Block {
     return odd;
   }
 
-  /// |h| of the next attempt, as `Pair::accept` and `Pair::reject` choose it; the counts; where those that are accepted
-  /// have come to.
+  /// |h| of the next attempt, as `RungeKuttaStep::accept` and `RungeKuttaStep::reject` choose it; the counts; where
+  /// those that are accepted have come to.
   INVARIODE_SHARED void decide(const M& accepted, const LaneStep<W>& step, const P& error, const P& hmin) {
     const P rtol(job_.rtol), length = absolute(step.h);
     const P ratio = choose(accepted, error, rtol) / choose(accepted, rtol, error);
@@ -410,10 +410,10 @@ class Block {
   P* reached_y_;
   double* points_;               // (lanes, 2, n)
   typename Kernel::Stages k_{};  // NOLINT(readability-redundant-typename): clang 14 asks for it
-  Between<W> between_;
-  Outputs<W> outputs_;
-  Held<W> held_;
-  Watched<W> watched_;
+  LaneInterpolant<W> between_;
+  LaneOutput<W> outputs_;
+  LaneInvariant<W> held_;
+  EventScan<W> watched_;
   std::int64_t checks_[W]{};
   Series series_[W];
   unsigned occupied_ = 0, defined_ = 0, reached_ = 0, odd_ = 0, cut_ = 0;  // lanes
@@ -430,31 +430,31 @@ class Block {
 
 template <const auto& T, int W>
 void run(const Job& job, Host& host) {
-  Block<T, W>(job, host).run();
+  LaneIntegrator<T, W>(job, host).run();
 }
 template <const auto& T, int W>
 void go_on(const Job& job, const Suspended& from, Host& host) {
-  Block<T, W>(job, host).go_on(from);
+  LaneIntegrator<T, W>(job, host).go_on(from);
 }
 
 /// `Alone`: with the code for trajectories that have no neighbours.
 template <const auto& T, int W, bool Alone>
-constexpr Pair pair() {
+constexpr Kernel kernel() {
   if constexpr (Alone)
     return {T.name, run<T, W>, go_on<T, 1>};
   else
     return {T.name, run<T, W>, nullptr};
 }
 template <int W, bool Alone, class Tableaux>
-struct Kernels;
+struct KernelTable;
 template <int W, bool Alone, const auto&... T>
-struct Kernels<W, Alone, runge_kutta::Tableaux<T...>> {
-  static constexpr Pair pairs[] = {pair<T, W, Alone>()...};
+struct KernelTable<W, Alone, runge_kutta::Tableaux<T...>> {
+  static constexpr Kernel kernels[] = {kernel<T, W, Alone>()...};
 };
 
 template <int W, bool Alone>
 constexpr Instructions instructions(std::string_view name) {
-  return {name, W, std::size_t{native} * 64, Kernels<W, Alone, runge_kutta::Pairs>::pairs};
+  return {name, W, std::size_t{native} * 64, KernelTable<W, Alone, runge_kutta::Pairs>::kernels};
 }
 
 }  // namespace invariode::lanes::INVARIODE_LANES

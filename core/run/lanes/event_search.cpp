@@ -1,4 +1,4 @@
-#include "run/event_search.hpp"
+#include "run/lanes/event_search.hpp"
 
 #include <algorithm>
 #include <span>

@@ -40,7 +40,7 @@ INTERVAL = 0.5
 #: Seconds that the parent waits for outcomes until it listens for Ctrl-C.
 LISTENING = 0.05
 #: How often in succession a process may die before it comes to a row: a few may be killed by accident.
-PATIENCE = 5
+MOST_DEATHS = 5
 
 NOTHING_SOLVED = (
     "the worker processes end before they solve anything: if processes are spawned, not forked, define the functions "
@@ -92,7 +92,7 @@ def solve_rows(solve: Callable[[int], T], size: int, workers: int, died: Callabl
                     yield outcomes
             fatal = crew.fatal_rows()
             fruitless = 0 if solved or fatal else fruitless + 1
-            if fruitless == PATIENCE:
+            if fruitless == MOST_DEATHS:
                 raise RuntimeError(NOTHING_SOLVED)
             if hopeless := sorted(fatal & tried):
                 yield [died(i) for i in hopeless]

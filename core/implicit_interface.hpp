@@ -1,5 +1,6 @@
 #pragma once
-// What implicit methods have besides the step contract: their linear algebra.
+// What the loop asks of implicit methods besides the step contract: their linear algebra. (What these methods share is
+// in methods/implicit_base.)
 
 #include "callback.hpp"
 #include "linear/work.hpp"
@@ -10,11 +11,11 @@ namespace invariode {
 struct Matrix;
 
 /// Implemented, beside Step, by methods that use ∂f/∂y.
-class ImplicitStep {
+class ImplicitInterface {
  public:
-  ImplicitStep() = default;
-  ImplicitStep(const ImplicitStep&) = delete;
-  ImplicitStep& operator=(const ImplicitStep&) = delete;
+  ImplicitInterface() = default;
+  ImplicitInterface(const ImplicitInterface&) = delete;
+  ImplicitInterface& operator=(const ImplicitInterface&) = delete;
 
   /// What the linear algebra did so far, and what went wrong with it in the last attempt.
   [[nodiscard]] virtual LinearWork linear_work() const = 0;
@@ -26,12 +27,12 @@ class ImplicitStep {
   virtual void end_attempts() {}
 
  protected:
-  ~ImplicitStep() = default;
+  ~ImplicitInterface() = default;
 };
 
 /// Of an explicit method: nothing.
 inline LinearWork linear_work(const Step& step) {
-  const auto* implicit = dynamic_cast<const ImplicitStep*>(&step);
+  const auto* implicit = dynamic_cast<const ImplicitInterface*>(&step);
   return implicit != nullptr ? implicit->linear_work() : LinearWork{};
 }
 

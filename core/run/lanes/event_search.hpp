@@ -1,5 +1,6 @@
 #pragma once
-// Finds the events of a step that a lane has made, by the code for single runs: the step is made again there.
+// Locates the events of a step in which a lane has seen a sign change (`EventScan`): the step is made again by the code
+// for single runs, and output/events searches it.
 
 #include <memory>
 #include <optional>

@@ -1,0 +1,27 @@
+#pragma once
+// The initial step size, from the scale that a method has found for it. (The loop replaces it by the option
+// `first_step`.)
+
+#include <limits>
+
+#include "number.hpp"
+#include "step.hpp"
+
+namespace invariode {
+
+/// On an infinite interval with f = 0 at the start nothing sets a scale: h is this part of max(1, |t|).
+inline constexpr double step_without_scale = 1e-3;
+
+/// 1 / reciprocal, at most hmax and the interval from t to tf, and at least hmin.
+template <class Real>
+Real initial_step(const Real& reciprocal, const Real& t, double tf, double hmax, const Real& hmin) {
+  const Real longest = smaller(Real(hmax), absolute(Real(tf) - t));
+  const Real h = choose(Real(1) < longest * reciprocal, Real(1) / reciprocal, longest);
+  const Real instead = step_without_scale * larger(Real(1), absolute(t));
+  return larger(choose(h < Real(std::numeric_limits<double>::infinity()), h, instead), hmin);
+}
+inline double initial_step(double reciprocal, double t, const Step::Span& span) {
+  return initial_step(reciprocal, t, span.tf, span.hmax, span.hmin);
+}
+
+}  // namespace invariode
