@@ -26,9 +26,11 @@ def compile(
     Parameters
     ----------
     fun : callable
-        ``f(t, y)`` or, for a problem with `args`, ``f(t, y, a, b)`` with these numbers, as in SciPy (by tracing only),
-        or ``f(t, y, p)`` with all of them, p of shape (k,). It returns a number, a tuple, a list or an array, a
-        Jacobian by rows, ``((a, b), (c, d))``, or with its rows one after the other.
+        ``f(t, y, *args)`` with the problem's arguments, as in SciPy. Numbers and arrays of numbers are parameters of
+        the code; anything else is a constant of it, and other constants are compiled anew. If it cannot be called
+        like that, or numba compiles it, ``f(t, y, p)`` with all numbers in p of shape (k,). It returns a number, a
+        tuple, a list or an array, a Jacobian by rows, ``((a, b), (c, d))``, or with its rows one after the other;
+        complex values for complex y.
         If it raises, the values are NaN, 'cannot be evaluated here'. If it is already compiled by numba or by this
         function, its Python function is used.
     by : {"auto", "trace", "numba"}, default "auto"

@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from .traced import _BY_OPERATORS, TracedArray, TraceError, has_traced
+from .traced import BY_OPERATORS, TracedArray, TraceError, has_traced
 
 #: Functions that are linear in all their arguments together, or only move elements: applied to both parts.
-_LINEAR = _BY_OPERATORS - {
+_LINEAR = BY_OPERATORS - {
     *("dot", "vdot", "inner", "outer", "cross", "kron", "matmul", "tensordot", "cumprod", "prod", "polyval", "einsum"),
     "convolve",
 }
@@ -120,7 +120,7 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
     def __getattr__(self, name: str) -> Any:
         """Methods of arrays, by NumPy's functions of the same name."""
         function = getattr(np, name, None)
-        if name.startswith("_") or not callable(function) or not (name in _BY_OPERATORS or name in ("conj", "mean")):
+        if name.startswith("_") or not callable(function) or not (name in BY_OPERATORS or name in ("conj", "mean")):
             raise AttributeError(f"a traced array of complex numbers has no {name}")
         return lambda *args, **kwargs: self.__array_function__(function, (), (self, *args), kwargs)
 
@@ -144,15 +144,6 @@ class TracedComplex(np.lib.mixins.NDArrayOperatorsMixin):
         """The real numbers that stand for it in memory."""
         found: Any = np.stack([self.real.ravel(), self.imag.ravel()], axis=-1).ravel()
         return cast("TracedArray", found)
-
-
-def is_complex(value: Any) -> bool:
-    """Whether there are complex numbers in it."""
-    if isinstance(value, (list, tuple)):
-        return any(map(is_complex, value))
-    return isinstance(value, (TracedComplex, complex)) or (
-        isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind == "c"
-    )
 
 
 def pair(value: Any, like: TracedArray) -> TracedComplex:
@@ -257,3 +248,5 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "not_equal": lambda a, b: (a.real != b.real) | (a.imag != b.imag),
     "matmul": lambda a, b: TracedComplex(a.real @ b.real - a.imag @ b.imag, a.real @ b.imag + a.imag @ b.real),
 }
+
+TracedArray.paired = TracedComplex

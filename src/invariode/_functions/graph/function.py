@@ -200,10 +200,11 @@ class TracedFunction(OnGraph):
                 continue
             self.how = "trace" if way in (None, TRUTHS) else "trace, with arguments that are constants"
             return way
+        why = errors[-1] if len(arguments.entries) == 1 or not ways else errors[len(ways) - 1]
         if self.by == "trace" or self.is_complex or any(isinstance(one, Constant) for one in arguments.entries):
-            raise self._untraceable(errors[-1])
+            raise self._untraceable(why)
         self._graphs[whole] = None
-        self.how = f"numba, as {errors[-1]}"
+        self.how = f"numba, as {why}"
         return None
 
     def _untraceable(self, error: TraceError) -> TypeError:

@@ -324,33 +324,6 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
             return yes() if condition else no()
         return found
 
-    def joined(op: str, last: bool) -> Callable[..., Any]:
-        def of(*parts: Callable[[], Any]) -> Any:
-            value = parts[0]()
-            for part in parts[1:]:
-                node = _as_condition(value)
-                if node is None:
-                    if bool(value) is last:
-                        return value
-                    value = part()
-                    continue
-                try:
-                    other = part()
-                    further = _as_condition(other)
-                    if further is None:
-                        further = node.graph.node(float(bool(other)))
-                except TraceError:
-                    raise
-                except Exception:  # it may be defined only where the first part allows it
-                    if bool(value) is last:
-                        return value
-                    value = part()
-                    continue
-                value = wrapped(node.graph.make(op, node, truth(further)), decide)
-            return value
-
-        return of
-
     def negated(value: Any) -> Any:
         node = _as_condition(value)
         return not value if node is None else wrapped(node.graph.make("not", node), decide)
@@ -377,11 +350,41 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "merged": merged,
         "choose": choose,
-        "both": joined("and", False),
-        "either": joined("or", True),
+        "both": _joined("and", False, decide),
+        "either": _joined("or", True, decide),
     }
     found |= {"negated": negated, "value": value, "copy": copied, "fill": filled}
     return {_OURS + name: one for name, one in found.items()}
+
+
+def _joined(op: str, last: bool, decide: Callable[[Node], bool]) -> Callable[..., Any]:
+    """``and`` or ``or`` of conditions, the further ones as functions; `last`: the truth that ends it."""
+
+    def of(*parts: Callable[[], Any]) -> Any:
+        value = parts[0]()
+        for part in parts[1:]:
+            node = _as_condition(value)
+            if node is None:
+                if bool(value) is last:
+                    return value
+                value = part()
+                continue
+            try:
+                other = part()
+                further = _as_condition(other)
+                if further is None:
+                    further = node.graph.node(float(bool(other)))
+            except TraceError:
+                raise
+            except Exception:  # it may be defined only where the first part allows it
+                if bool(value) is last:
+                    return value
+                value = part()
+                continue
+            value = wrapped(node.graph.make(op, node, truth(further)), decide)
+        return value
+
+    return of
 
 
 def _as_condition(value: Any) -> Node | None:

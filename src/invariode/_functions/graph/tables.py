@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .nodes import Node
-from .traced import TracedArray, TraceError, cells_of, has_traced, number
+from .nodes import Graph, Node
+from .traced import OWN, TracedArray, TraceError, cells_of, has_traced, mapped, number
 
 #: SciPy's interpolators, which a function may also make.
 _KINDS = (
@@ -190,3 +190,35 @@ def _of_lines(xs: Any, ys: Any) -> Callable[[Node], Node]:
         return slope * (x - start) + value
 
     return inner
+
+
+#: Longer tables have to be constants.
+_MOST_CHAINED = 50
+
+
+def _interpolated(
+    graph: Graph, x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None
+) -> Any:
+    """Piecewise linear: between two points the value of NumPy's formula."""
+    if period is not None:
+        raise TraceError("numpy.interp with a period")
+    xs, fs = (mapped(number, cells_of(one, graph)) for one in (xp, fp))
+    first, last = (f if given is None else cells_of(given, graph)[()] for f, given in ((fs[0], left), (fs[-1], right)))
+
+    def one(at: Node) -> Node:
+        if all(node.op == "number" for node in (*xs, *fs)):
+            numbers = [np.array([node.value for node in each]) for each in (xs, fs)]
+            return linear(at, numbers[0], numbers[1], first, last)
+        if len(xs) > _MOST_CHAINED:
+            raise TraceError(f"numpy.interp in a table of more than {_MOST_CHAINED} values that are not constant")
+        found = fs[-1]
+        for i in range(len(xs) - 2, -1, -1):
+            slope = (fs[i + 1] - fs[i]) / (xs[i + 1] - xs[i])
+            found = graph.select(graph.make("less", at, xs[i + 1]), slope * (at - xs[i]) + fs[i], found)
+        found = graph.select(graph.make("less", at, xs[0]), first, found)
+        return graph.select(graph.make("less", xs[-1], at), last, found)
+
+    return mapped(lambda node: one(number(node)), cells_of(x, graph))
+
+
+OWN["interp"] = _interpolated

@@ -21,11 +21,11 @@ import numpy as np
 
 from ..._base.arguments import PACKAGE, call_name
 from ..layout import Arguments, Numbers
-from .complexes import TracedComplex, is_complex, pair
+from .complexes import TracedComplex, pair
 from .nodes import ELEMENTARY, Graph, Node
 from .selections import helpers, selecting
 from .tables import Table, is_table
-from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, number, wrapped
+from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, is_complex, number, wrapped
 
 
 class Limits(NamedTuple):

@@ -27,6 +27,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     """
 
     __slots__ = ("cells", "decide")
+    #: The type of complex arrays, which `complexes` defines.
+    paired: Any = None
     __array_priority__ = 1000
 
     def __init__(self, cells: Any, decide: Callable[[Node], bool]) -> None:
@@ -146,7 +148,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         if options.pop("where", True) is not True:
             raise TraceError(f"numpy.{ufunc.__name__} with where=")
         options.pop("dtype", None)
-        if any(map(_is_complex, inputs)):
+        if any(map(is_complex, inputs)):
             return self._complex().__array_ufunc__(ufunc, method, *inputs, out=out, **options)
         graph = next(one._graph for one in (*inputs, *(out or ())) if isinstance(one, TracedArray))
         given = [cells_of(one, graph) for one in inputs]
@@ -170,13 +172,13 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         name = function.__name__
-        if any(map(_is_complex, args)):
+        if any(map(is_complex, args)):
             return self._complex().__array_function__(function, types, args, kwargs)
         if _all_constant(args) and _all_constant([*kwargs.values()]):
             return self._of_constants(function, args, kwargs)
-        if name in _OWN:
-            return wrapped(_OWN[name](self._graph, *args, **kwargs), self.decide)
-        if name not in _BY_OPERATORS:
+        if name in OWN:
+            return wrapped(OWN[name](self._graph, *args, **kwargs), self.decide)
+        if name not in BY_OPERATORS:
             raise TraceError(f"numpy.{name}")
         kwargs.pop("dtype", None)
         unwrapped = [_unwrapped(one, self._graph) for one in args]
@@ -199,9 +201,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         return found
 
     def _complex(self) -> Any:
-        from .complexes import TracedComplex
-
-        return TracedComplex(self, self * 0.0)
+        return self.paired(self, self * 0.0)
 
     def constant(self, value: Any) -> TracedArray:
         """Numbers as an array of nodes of the same graph."""
@@ -235,7 +235,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     def astype(self, dtype: Any, **_: Any) -> TracedArray:
         kind = np.dtype(dtype).kind
         if kind == "f":
-            return self._with(_mapped(number, self.cells))
+            return self._with(mapped(number, self.cells))
         if kind == "c":
             return self._complex()  # type: ignore[no-any-return]
         raise TraceError(f"astype({np.dtype(dtype)})")
@@ -290,7 +290,7 @@ def _scalar(node: Any) -> Any:
     return cells
 
 
-def _mapped(function: Callable[..., Any], *cells: Any) -> Any:
+def mapped(function: Callable[..., Any], *cells: Any) -> Any:
     found = np.frompyfunc(function, len(cells), 1)(*cells)
     return found if isinstance(found, np.ndarray) else _scalar(found)
 
@@ -306,15 +306,18 @@ def _plain_index(key: Any) -> Any:
     return key
 
 
-def _is_complex(value: Any) -> bool:
-    from .complexes import is_complex
-
-    return is_complex(value)
+def is_complex(value: Any) -> bool:
+    """Whether there are complex numbers in it."""
+    if isinstance(value, (list, tuple)):
+        return any(map(is_complex, value))
+    if isinstance(value, (TracedArray, Node)):
+        return False
+    return isinstance(value, complex) or getattr(getattr(value, "dtype", None), "kind", "") == "c"
 
 
 def has_traced(value: Any) -> bool:
     """Whether there are nodes in it."""
-    if isinstance(value, (TracedArray, Node)) or type(value).__name__ == "TracedComplex":
+    if isinstance(value, (TracedArray, Node, TracedArray.paired)):
         return True
     if isinstance(value, (list, tuple)):
         return any(has_traced(one) for one in value)
@@ -327,7 +330,7 @@ def cells_of(value: Any, graph: Graph) -> Any:
         return value.cells
     if isinstance(value, Node):
         return _scalar(value)
-    if _is_complex(value):
+    if is_complex(value):
         raise TraceError("complex values, where y is real")
     if isinstance(value, (list, tuple)) and has_traced(value):
         rows = [cells_of(one, graph) for one in value]
@@ -336,12 +339,12 @@ def cells_of(value: Any, graph: Graph) -> Any:
         return np.stack(rows) if rows else np.empty(0, dtype=object)
     found = np.asarray(value)
     if found.dtype == object:
-        return _mapped(lambda one: cells_of(one, graph)[()], found)
+        return mapped(lambda one: cells_of(one, graph)[()], found)
     if found.dtype.kind == "c":
         raise TraceError("complex numbers")
     if found.dtype.kind not in "biuf":
         raise TraceError(f"a value of type {type(value).__name__}")
-    return _mapped(lambda one: graph.node(float(one)), found.astype(object))
+    return mapped(lambda one: graph.node(float(one)), found.astype(object))
 
 
 def _all_constant(values: Any) -> bool:
@@ -363,7 +366,7 @@ def _constant(value: Any) -> Any:
 def _unwrapped(value: Any, graph: Graph) -> Any:
     """Arrays of nodes, for functions of NumPy's that need operators only; nothing else changes."""
     if isinstance(value, TracedArray):
-        return _mapped(number, value.cells)
+        return mapped(number, value.cells)
     if isinstance(value, (list, tuple)) and has_traced(value):
         return type(value)(_unwrapped(one, graph) for one in value)
     return value
@@ -483,17 +486,17 @@ _UNARY: dict[str, Callable[..., Node]] = {
 def _called(name: str, given: Sequence[Any]) -> Any:
     """A ufunc, element by element."""
     if name == "matmul":
-        return _mapped(number, given[0]) @ _mapped(number, given[1])
+        return mapped(number, given[0]) @ mapped(number, given[1])
     known = _UNARY if len(given) == 1 else _BINARY
     if name == "clip":
-        return _mapped(lambda a, low, high: _BINARY["minimum"](_BINARY["maximum"](a, low), high), *given)
+        return mapped(lambda a, low, high: _BINARY["minimum"](_BINARY["maximum"](a, low), high), *given)
     if name not in known:
         raise TraceError(f"numpy.{name}")
-    return _mapped(known[name], *given)
+    return mapped(known[name], *given)
 
 
 #: Functions of NumPy's that move elements or need operators only, so that they work on arrays of nodes.
-_BY_OPERATORS = {
+BY_OPERATORS = {
     *(
         "reshape",
         "ravel",
@@ -529,14 +532,14 @@ def _where(graph: Graph, condition: Any, yes: Any = None, no: Any = None) -> Any
     if yes is None:
         raise TraceError("numpy.where with one argument")
     given = [cells_of(one, graph) for one in (condition, yes, no)]
-    return _mapped(lambda c, a, b: graph.select(truth(c), number(a), number(b)), *given)
+    return mapped(lambda c, a, b: graph.select(truth(c), number(a), number(b)), *given)
 
 
 def _clip(graph: Graph, a: Any, a_min: Any = None, a_max: Any = None, **_: Any) -> Any:
     found = cells_of(a, graph)
     for bound, name in ((a_min, "maximum"), (a_max, "minimum")):
         if bound is not None:
-            found = _mapped(_BINARY[name], found, cells_of(bound, graph))
+            found = mapped(_BINARY[name], found, cells_of(bound, graph))
     return found
 
 
@@ -550,17 +553,17 @@ def _reduced(name: str) -> Callable[..., Any]:
 
 
 def _mean(graph: Graph, a: Any, axis: Any = None, **_: Any) -> Any:
-    cells = _mapped(number, cells_of(a, graph))
+    cells = mapped(number, cells_of(a, graph))
     total = cells.sum(axis=axis)
     return total / float(cells.size if axis is None else cells.shape[axis])
 
 
 def _norm(graph: Graph, a: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
-    cells = _mapped(number, cells_of(a, graph))
+    cells = mapped(number, cells_of(a, graph))
     if ord not in (None, 2) or (ord == 2 and cells.ndim > 1) or keepdims:
         raise TraceError(f"numpy.linalg.norm with ord={ord}")
     squares = cells * cells
-    return _mapped(_elementary("sqrt"), _scalar_or_array(squares.sum() if axis is None else squares.sum(axis=axis)))
+    return mapped(_elementary("sqrt"), _scalar_or_array(squares.sum() if axis is None else squares.sum(axis=axis)))
 
 
 def _scalar_or_array(value: Any) -> Any:
@@ -568,7 +571,7 @@ def _scalar_or_array(value: Any) -> Any:
 
 
 def _solve(graph: Graph, a: Any, b: Any) -> Any:
-    matrix, right = (_mapped(number, cells_of(one, graph)) for one in (a, b))
+    matrix, right = (mapped(number, cells_of(one, graph)) for one in (a, b))
     if matrix.ndim != 2 or right.ndim > 2:
         raise TraceError("numpy.linalg.solve with several systems")
     found = graph.solve(matrix.tolist(), right.reshape(len(right), -1).tolist())
@@ -581,45 +584,14 @@ def _inverse(graph: Graph, a: Any) -> Any:
     return _solve(graph, a, np.eye(len(cells_of(a, graph))))
 
 
-#: Longer tables have to be constants.
-_MOST_CHAINED = 50
-
-
-def _interpolated(
-    graph: Graph, x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None
-) -> Any:
-    """Piecewise linear: between two points the value of NumPy's formula."""
-    if period is not None:
-        raise TraceError("numpy.interp with a period")
-    xs, fs = (_mapped(number, cells_of(one, graph)) for one in (xp, fp))
-    first, last = (f if given is None else cells_of(given, graph)[()] for f, given in ((fs[0], left), (fs[-1], right)))
-
-    def one(at: Node) -> Node:
-        if all(node.op == "number" for node in (*xs, *fs)):
-            from .tables import linear
-
-            numbers = [np.array([node.value for node in each]) for each in (xs, fs)]
-            return linear(at, numbers[0], numbers[1], first, last)
-        if len(xs) > _MOST_CHAINED:
-            raise TraceError(f"numpy.interp in a table of more than {_MOST_CHAINED} values that are not constant")
-        found = fs[-1]
-        for i in range(len(xs) - 2, -1, -1):
-            slope = (fs[i + 1] - fs[i]) / (xs[i + 1] - xs[i])
-            found = graph.select(graph.make("less", at, xs[i + 1]), slope * (at - xs[i]) + fs[i], found)
-        found = graph.select(graph.make("less", at, xs[0]), first, found)
-        return graph.select(graph.make("less", xs[-1], at), last, found)
-
-    return _mapped(lambda node: one(number(node)), cells_of(x, graph))
-
-
 def _like(value: float) -> Callable[..., Any]:
     def filled(graph: Graph, a: Any, *_: Any, **__: Any) -> Any:
-        return _mapped(lambda _: graph.node(value), cells_of(a, graph))
+        return mapped(lambda _: graph.node(value), cells_of(a, graph))
 
     return filled
 
 
-_OWN: dict[str, Callable[..., Any]] = {
+OWN: dict[str, Callable[..., Any]] = {
     "where": _where,
     "clip": _clip,
     "max": _reduced("maximum"),
@@ -633,11 +605,10 @@ _OWN: dict[str, Callable[..., Any]] = {
     "norm": _norm,
     "solve": _solve,
     "inv": _inverse,
-    "interp": _interpolated,
     "zeros_like": _like(0.0),
     "empty_like": _like(math.nan),
     "ones_like": _like(1.0),
-    "full_like": lambda graph, a, value, **_: _mapped(lambda _: cells_of(value, graph)[()], cells_of(a, graph)),
+    "full_like": lambda graph, a, value, **_: mapped(lambda _: cells_of(value, graph)[()], cells_of(a, graph)),
     "real": lambda graph, a: cells_of(a, graph),
     "shape": lambda graph, a: cells_of(a, graph).shape,
     "size": lambda graph, a: cells_of(a, graph).size,
