@@ -119,8 +119,8 @@ class Solution(Exports):
         ----------
         t_end : float
             The new end, in the direction of integration beyond the point where the run ended, whether the end of its
-            interval, an event, the callback or a limit ended it. May be infinite. Where the run has ended there already,
-            the solution is this one.
+            interval, an event, the callback or a limit ended it. May be infinite. Where the run has ended there
+            already, the solution is this one.
         t_eval : array_like, optional
             Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
             output if there are none. Those beyond `t_end` are left for a further extension.
