@@ -212,7 +212,21 @@ class TracedFunction(OnGraph):
         return TypeError(f"compile({self.__name__}): {error}. Change that{instead}")
 
     def _traced(self, shape: Shape) -> list[Node]:
-        """The values for arguments that are handed over like this."""
+        """The values for arguments that are handed over like this; where y is complex and the function takes pairs of
+        real numbers, as other machine code does, of these."""
+        try:
+            return self._followed(shape)
+        except TraceError as error:
+            if not self.is_complex:
+                raise
+            self.is_complex = False
+            try:
+                return self._followed(shape)
+            except TraceError:
+                self.is_complex = True
+                raise error from None
+
+    def _followed(self, shape: Shape) -> list[Node]:
         arguments = shape.parameters if isinstance(shape.parameters, Arguments) else _in_one(shape.parameters)
         inplace = shape.size if self.inplace and not shape.event else 0
         found = trace(self.fun, shape.n, arguments, second=shape.second, inplace=inplace, is_complex=self.is_complex)
