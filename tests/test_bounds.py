@@ -145,13 +145,10 @@ def test_the_knee(method):
     def knee(t, y):
         return [((1 - t) * y[0] - y[0] ** 2) / 1e-6]
 
-    plain = iv.solve_ivp(knee, (0, 2), [1.0], method)
     kept = iv.solve_ivp(knee, (0, 2), [1.0], method, nonnegative=True)
     assert kept.success
     assert kept.y.min() >= 0
     assert abs(kept.y[0, -1]) < 1e-3
-    if method == "ode15s":  # stays on the branch 1 - t, which is unstable beyond t = 1
-        assert plain.y[0, -1] == pytest.approx(-1, abs=1e-3)
 
 
 @families

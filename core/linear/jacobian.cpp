@@ -62,7 +62,7 @@ Jacobian::Jacobian(const Source& source, Matrix matrix, const Weights& weights)
       weights_(weights),
       examined_(source_.found_pattern),
       check_(kind_ == Kind::complex_steps || examined_ ? matrix_.n() : 0) {
-  if (kind_ != Kind::differences && kind_ != Kind::complex_steps) return;
+  if (!computed() && kind_ != Kind::derived) return;
   const std::size_t n = matrix_.n();
   factor_.assign(n, first_factor);
   columns_.resize(n);
@@ -98,12 +98,12 @@ Status Jacobian::evaluate(Callback& f, double t, const double* y, const double* 
   switch (kind_) {
     case Kind::products:
     case Kind::constant: return Status::ok;
-    case Kind::function:
-    case Kind::derived: {
+    case Kind::function: {
       ++count_;
       constexpr double nowhere = 0;  // the state of no components, which may have no address: M(t) alone is without one
       return source_.function(t, y != nullptr ? y : &nowhere, matrix_);
     }
+    case Kind::derived: return derive(f, t, y, slope);
     case Kind::differences:
       ++count_;
       return examined_ ? difference_in_found_pattern(f, t, y, slope) : difference(f, t, y, slope);
@@ -168,10 +168,23 @@ Status Jacobian::step_complex(double t, const double* y, bool& finite) {
   return Status::ok;
 }
 
-/// f(t, y) is at hand only where it was needed.
+/// At the edge of where f is differentiable, as √y at 0, only differences are finite.
+Status Jacobian::derive(Callback& f, double t, const double* y, const double* slope) {
+  ++count_;
+  noise_ = 0;
+  if (source_.function(t, y, matrix_) == Status::stop) return Status::stop;
+  if (all_finite(matrix_.values.data(), matrix_.values.size())) return Status::ok;
+  return difference_anywhere(f, t, y, slope);
+}
+
 Status Jacobian::abandon_complex_steps(Callback& f, double t, const double* y, const double* slope) {
   kind_ = Kind::differences;
   abandoned_complex_steps_ = t;
+  return difference_anywhere(f, t, y, slope);
+}
+
+/// f(t, y) is at hand only where it was needed.
+Status Jacobian::difference_anywhere(Callback& f, double t, const double* y, const double* slope) {
   std::vector<double> own;
   if (slope == nullptr) {
     own.resize(matrix_.n());

@@ -31,7 +31,7 @@ namespace invariode {
 class Jacobian {
  public:
   /// `products` has no matrix and no entries: J is known by its products with vectors (linear/matrix_free.hpp).
-  /// `derived`: a function that follows from f, and is right.
+  /// `derived`: a function that follows from f, and is right; where it is not finite, differences take its place.
   enum class Kind { constant, function, derived, differences, complex_steps, products };
 
   /// Where its entries come from. `complex_f`: f of complex y, pairs of reals in and out.
@@ -106,6 +106,8 @@ class Jacobian {
   Status step_complex(double t, const double* y, bool& finite);
   Status examined_complex_steps(Callback& f, double t, const double* y, const double* slope);
   Status abandon_complex_steps(Callback& f, double t, const double* y, const double* slope);
+  Status derive(Callback& f, double t, const double* y, const double* slope);
+  Status difference_anywhere(Callback& f, double t, const double* y, const double* slope);
   Status difference_in_found_pattern(Callback& f, double t, const double* y, const double* slope);
   Status enlarge_pattern(Callback& f, double t, const double* y, const double* slope,
                          const std::vector<double>& displacement, bool& larger);

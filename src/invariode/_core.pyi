@@ -555,7 +555,7 @@ class Stepper:
     @property
     def nlu(self) -> int: ...
 
-MEMORY_VERSION: int = 4
+MEMORY_VERSION: int = 5
 
 STATES: list = ...
 

@@ -88,7 +88,7 @@ def to_members(name: str, value: Any) -> tuple[str, str]:
 
 
 def _flag_or_strict(name: str, value: object) -> bool | Literal["strict"]:
-    if value == "strict":
+    if isinstance(value, str) and value == "strict":
         return "strict"
     if isinstance(value, str):
         raise TypeError(f'{name} must be True, False or "strict", got {shown(value)}')
