@@ -122,13 +122,12 @@ class CompiledFunction:
     """
 
     #: Whether its further arguments may be anything, not only numbers.
-    takes_any = False
-
-    elementary = "libm"
+    _takes_any = False
 
     def __init__(self, fun: Callable[..., Any], inplace: bool) -> None:
         self.fun = fun
         self.inplace = inplace
+        self.elementary = "libm"
         self.__name__ = call_name(fun, "compiled")
         self.__module__ = getattr(fun, "__module__", __name__)
         self.__qualname__ = getattr(fun, "__qualname__", self.__name__)
@@ -512,4 +511,4 @@ def constants(functions: Iterable[Any], parameters: Array) -> int:
 
 
 def _takes_any(fun: Any) -> bool:
-    return _takes_any(fun.fun) if isinstance(fun, NativeWithInputs) else getattr(fun, "takes_any", False)
+    return _takes_any(fun.fun) if isinstance(fun, NativeWithInputs) else getattr(fun, "_takes_any", False)

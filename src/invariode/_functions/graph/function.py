@@ -109,7 +109,7 @@ class TracedFunction(OnGraph):
         Whether numba may compile what cannot be traced.
     """
 
-    takes_any = True
+    _takes_any = True
 
     def __init__(
         self, fun: Any, inplace: bool, elementary: str, by: Literal["trace", "auto"], is_complex: bool = False
