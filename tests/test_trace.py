@@ -176,6 +176,158 @@ def test_a_compiled_function_has_the_values_of_the_function(name):
         np.testing.assert_allclose(formula(t, y, *args), np.ravel(fun(t, y.copy(), *args)), rtol=1e-13, atol=1e-14)
 
 
+# ----------------------------------------------------------------------------------------------------------------------
+# What is rarely asked for, and easily translated wrongly
+
+
+def zero_first(d):
+    d[0] = 0.0
+    return d[1]
+
+
+def written_by_a_helper(t, y):
+    d = -y
+    s = zero_first(d) if t < 5 else 0.0
+    return [d[0], d[1] + 0 * s]
+
+
+def augmented_and_rebound(t, y):
+    d = -y
+    if t < 5:
+        d += 1.0
+        d = d * 2.0
+    return d
+
+
+def view_that_is_written(t, y):
+    d = -y
+    a = d[:1]
+    if t > 5:
+        a[0] = 10.0
+        d[1] = 20.0
+    return d
+
+
+def view_that_is_read(t, y):
+    d = -y
+    q = d[:1]
+    if t > 5:
+        d[0] = 10.0
+        d[1] = q[0] * 2
+    return d
+
+
+def dictionary_of_its_own(t, y):
+    state = {"k": 1.0}
+    if t < 5:
+        state["k"] = 2.0
+    return state["k"] * y
+
+
+def lists_in_a_list(t, y):
+    rows = [[y[0], 0.0], [0.0, y[1]]]
+    if t > 5:
+        rows[0][1] = 3.0
+        return [rows[0][1], y[0]]
+    return [rows[0][1], y[1]]
+
+
+def copied_and_flattened(t, y):
+    d = -y
+    if t > 5:
+        for i in range(2):
+            z = d.flatten()
+            z[i] = 0.0
+            np.asarray(d)[i] = float(i)
+    return d
+
+
+def handled(t, y):
+    try:
+        s = math.sin(t) / t
+    except ZeroDivisionError:
+        s = 1.0
+    return [s * y[0], y[1]]
+
+
+def of_a_generator(t, y):
+    if t > 5:
+        return -max(k for k in (1.0, 2.0)) * y
+    return -y
+
+
+def at_least_one_dimension(t, y):
+    if t > 5:
+        return np.concatenate([np.atleast_1d(-y[0]), -y[1:]])
+    return -y
+
+
+SUBTLE = {
+    "written by a helper": written_by_a_helper,
+    "augmented and rebound": augmented_and_rebound,
+    "a view that is written": view_that_is_written,
+    "a view that is read": view_that_is_read,
+    "a dictionary of its own": dictionary_of_its_own,
+    "lists in a list": lists_in_a_list,
+    "copied and flattened": copied_and_flattened,
+    "exceptions that are handled": handled,
+    "a generator": of_a_generator,
+    "at least one dimension": at_least_one_dimension,
+    "NaN in maximum": lambda t, y: np.maximum(0.0, np.sqrt(y)),
+    "NaN in max": lambda t, y: [np.max(np.log(y)), np.min(np.log(y))],
+    "NaN in fmax": lambda t, y: np.fmax(np.sqrt(y), 0.0),
+    "quotients": lambda t, y: [(y[0] // 0.1) / 10, y[1] // 0.3],
+    "truths": lambda t, y: [((y[0] > 50) + (y[1] > 50)) * 1.0, ((y[0] > 50) | (y[1] < 2)) * 1.0],
+    "kept dimensions": lambda t, y: (y.reshape(2, 1) - np.mean(y.reshape(2, 1), 0, keepdims=True)).ravel(),
+    "order of Fortran": lambda t, y: np.outer(y, [1.0, 2.0]).ravel(order="F")[:2],
+    "weights": lambda t, y: [np.average(np.abs(y), weights=[1.0, 3.0]), y[0]],
+    "complex roots": lambda t, y: [np.sqrt(y[0] + 1j * y[1]).imag, np.sqrt(y[0] + 1j * y[1]).real],
+    "complex powers": lambda t, y: [abs((y[0] + 1j * y[1]) ** 1.5), ((y[0] + 1j * y[1]) ** 0.5).real],
+    "a table of one point": lambda t, y: -np.interp(t, [0.0], [5.0]) * y,
+}  # fmt: skip
+PLACES = [
+    *((t, y) for t in (0.0, 6.0) for y in ([1.0, 2.0], [60.0, 60.0], [-1.0, 1e-7], [1.0, -1.0], [1.0, 1e-9])),
+    (6.0, [0.0, 0.0]),
+]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("name", SUBTLE)
+def test_values_are_right_at_points_that_are_not_compared_or_there_is_no_graph(name):
+    fun = SUBTLE[name]
+    code = iv.compile(fun, by="trace")
+    try:
+        compiled = as_python(code.native(2, 2, 0, False), 2)
+    except TypeError as refused:
+        assert 'leave by="trace" out' in str(refused)
+        return
+    for t, y in PLACES:
+        try:
+            expected = np.ravel(fun(t, np.array(y)))
+        except (ArithmeticError, ValueError):
+            expected = np.full(2, np.nan)
+        np.testing.assert_allclose(
+            compiled(t, np.array(y), np.zeros(0)), expected, rtol=1e-9, atol=1e-300, err_msg=f"at t = {t}, y = {y}"
+        )
+
+
+def test_an_integer_that_is_asked_for_its_bits_is_a_constant():
+    bits = iv.compile(lambda t, y, k: (-1.0 if k & 1 else -2.0) * y)
+    ends = [iv.solve_ivp(bits, (0, 1), [1.0], args=(k,), rtol=1e-8).y[0, -1] for k in (1, 2, 3)]
+    np.testing.assert_allclose(ends, np.exp([-1.0, -2.0, -1.0]), rtol=1e-6)
+
+
+def test_functions_that_are_seldom_defined_are_compared_too():
+    def event(t, y):
+        return np.average([math.sqrt(v) for v in y], weights=np.arange(1.0, 9.0)) - 2
+
+    plain, code = (
+        iv.solve_ivp(lambda t, y: np.ones(8), (0, 5), np.linspace(0.5, 3, 8), events=one).t_events[0]
+        for one in (event, iv.compile(event))
+    )
+    np.testing.assert_allclose(code, plain, rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["arguments", "kinks", "loops", "matrices", "callable object", "math"])
 def test_runs_are_those_of_the_function(name):
     fun, n, args = FUNCTIONS[name]
@@ -303,7 +455,7 @@ def test_a_graph_that_is_wrong_in_one_branch_is_found(monkeypatch):
     fun = iv.compile(wrong_in_one_branch, by="trace")
     found = trace(wrong_in_one_branch, 2)
     monkeypatch.setattr(hidden, "value", 2.0)
-    monkeypatch.setattr("invariode._functions.graph.function.trace", lambda *args, **options: found)
+    monkeypatch.setattr("invariode._functions.graph.trace.trace", lambda *args, **options: found)
     with pytest.raises(TypeError, match=r"cannot be traced: at t = .* its value 0 is"):
         fun.native(2, 2, 0, False)
 

@@ -14,7 +14,8 @@ from .._results.solution import Solution
 
 
 def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]) -> None:
-    """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run.
+    """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run, and at the
+    last ones.
 
     Raises
     ------
@@ -26,7 +27,8 @@ def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]
     if not check or not isinstance(traced, TracedFunction) or not traced.outputs:
         return
     t, y = np.asarray(sol.t), np.asarray(sol.y)
-    chosen = [k for k in (2**i for i in range(len(t).bit_length())) if k < len(t)] or [0] * (len(t) > 0)
+    last = len(t) - 1
+    chosen = sorted({min(2**i, last) for i in range(len(t).bit_length())} | ({3 * last // 4, last} if len(t) else set()))
     objection = _difference(problem, traced, t[chosen], y[:, chosen])
     if objection is None:
         traced.outputs.clear()

@@ -8,7 +8,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from .traced import BY_OPERATORS, TracedArray, TraceError, has_traced
+from .nodes import TraceError
+from .traced import BY_OPERATORS, TracedArray, has_traced
 
 #: Functions that are linear in all their arguments together, or only move elements: applied to both parts.
 _LINEAR = BY_OPERATORS - {
@@ -206,9 +207,10 @@ def _log(a: TracedComplex) -> TracedComplex:
 
 
 def _sqrt(a: TracedComplex) -> TracedComplex:
-    size = np.hypot(a.real, a.imag)
-    imag = np.sqrt((size - a.real) / 2)
-    return TracedComplex(np.sqrt((size + a.real) / 2), np.where(a.imag < 0, -imag, imag))
+    larger = np.sqrt((np.hypot(a.real, a.imag) + np.abs(a.real)) / 2)  # without cancellation
+    other = np.where(larger == 0, 0.0, np.abs(a.imag) / (2 * larger))
+    real, imag = np.where(a.real < 0, other, larger), np.where(a.real < 0, larger, other)
+    return TracedComplex(real, np.where(a.imag < 0, -imag, imag))
 
 
 #: Larger integer powers are exponentials.
@@ -224,7 +226,15 @@ def _power(a: TracedComplex, b: TracedComplex) -> TracedComplex:
         for _ in range(int(exponent) - 1):
             found = _times(found, a)
         return found
-    return _exp(_times(b, _log(a)))
+    if real and exponent == 0:
+        return TracedComplex(a.real * 0.0 + 1.0, a.imag * 0.0)
+    if real and exponent == 0.5:
+        return _sqrt(a)
+    found = _exp(_times(b, _log(a)))
+    if real and exponent is not None and exponent > 0:  # 0 at 0
+        at_zero = (a.real == 0) & (a.imag == 0)
+        return TracedComplex(np.where(at_zero, 0.0, found.real), np.where(at_zero, 0.0, found.imag))
+    return found
 
 
 _UFUNCS: dict[str, Callable[..., Any]] = {

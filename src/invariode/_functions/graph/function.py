@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from ... import _core
 from ..._base.arguments import Array
 from ..compiled import CompiledFunction, Shape
 from ..layout import TRUTHS, Arguments, Constant, Numbers, count_of
-from .nodes import Node, in_order
+from .nodes import Node, TraceError, in_order
 from .python import Formula
-from .rounding import bounds
-from .trace import Traced, trace
-from .traced import TraceError
+
+if TYPE_CHECKING:  # the tracer is imported when a function is traced
+    from .trace import Traced
 
 
 class OnGraph(CompiledFunction):
@@ -93,7 +93,9 @@ class GraphFunction(OnGraph):
 
 
 #: Where a graph is compared with its function: sizes of y, and the seed of the points.
-_SIZES, _SEED = (1.0, 0.1, 10.0, 1.0, 0.5), 27
+_SIZES, _SEED = (1.0, 0.1, 10.0, 1.0, 0.5, 30.0, 3.0), 27
+#: The times, and whether y is positive there, where roots and logarithms are defined.
+_TIMES, _POSITIVE = (0.3, 0.0, 3.0, 0.7, 30.0, 1000.0, 10.0), (False, False, False, True, False, True, True)
 #: By how much the bound of roundoff may be exceeded: it is of first order.
 _SAFETY = 16.0
 
@@ -227,6 +229,8 @@ class TracedFunction(OnGraph):
                 raise error from None
 
     def _followed(self, shape: Shape) -> list[Node]:
+        from .trace import trace
+
         arguments = shape.parameters if isinstance(shape.parameters, Arguments) else _in_one(shape.parameters)
         inplace = shape.size if self.inplace and not shape.event else 0
         found = trace(self.fun, shape.n, arguments, second=shape.second, inplace=inplace, is_complex=self.is_complex)
@@ -242,7 +246,8 @@ class TracedFunction(OnGraph):
         rng = np.random.default_rng(_SEED)
         own = arguments.values()
         for i, size in enumerate(_SIZES):
-            t, y, p = rng.random(), size * rng.standard_normal(shape.n), rng.uniform(0.5, 2, len(own))
+            t, y, p = _TIMES[i], size * rng.standard_normal(shape.n), rng.uniform(0.5, 2, len(own))
+            y = np.abs(y) if _POSITIVE[i] else y
             p = np.where(arguments.known(), own, p) if i % 2 else own
             first = shape.n - shape.second
             vectors = [y[:first].copy(), *([y[first:].copy()] if shape.second else [])]
@@ -257,7 +262,10 @@ class TracedFunction(OnGraph):
                     expected = out if filled else np.ravel(np.asarray(returned, dtype=kind)).view(float)
             except Exception:  # whatever it raises where it is not defined
                 continue
-            values = np.asarray(formula(t, y, *p.tolist()))
+            try:
+                values = np.asarray(formula(t, y, *p.tolist()))
+            except (ArithmeticError, ValueError, IndexError) as error:
+                raise TraceError(f"{self.__name__} cannot be traced: its graph raises {error!r}") from error
             if not np.isfinite(expected).all():
                 values = np.where(np.isfinite(expected) & np.isfinite(values), values, expected)
             if objection := _difference(found.outputs, t, y, p, (values, expected)):
@@ -295,6 +303,8 @@ def _difference(outputs: list[Node], t: float, y: Array, p: Array, found: tuple[
     wrong = ~((values == expected) | (np.isnan(values) & np.isnan(expected)))
     if not wrong.any():
         return None
+    from .rounding import bounds
+
     wrong &= ~(np.abs(values - expected) <= _SAFETY * np.array(bounds(outputs, t, y.tolist(), p.tolist())))
     i = int(np.argmax(wrong))
     return f"its value {i} is {expected[i]:.17g}, that of the graph {values[i]:.17g}" if wrong[i] else None

@@ -20,6 +20,10 @@ _TRUTHS = {*COMPARISONS, "and", "or", "not"}
 _MOST_FACTORS = 16
 
 
+class TraceError(TypeError):
+    """Why a function has no graph: it cannot be traced."""
+
+
 class Node:
     """A value in a graph: an operation on other nodes, or a number, t, y[i], p[i].
 

@@ -13,12 +13,12 @@ import itertools
 import textwrap
 import types
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .nodes import Node
-from .traced import TracedArray, TraceError, cells_of, has_traced, number, truth, wrapped
+from .nodes import Node, TraceError
+from .traced import JOURNALS, TracedArray, cells_of, has_traced, number, truth, wrapped
 
 #: Names in the rewritten function begin with this.
 _OURS = "_invariode_"
@@ -29,6 +29,9 @@ class _Unbound:
 
 
 _UNBOUND = _Unbound()
+
+
+_Written: TypeAlias = dict[int, tuple[Any, Any, Any]]
 
 
 class _DifferError(Exception):
@@ -253,9 +256,11 @@ _REBOUND, _AUGMENTED, _FILLED = "{0} = {1}", "{0} = " + _OURS + "fill({0}, {1})"
 class _Stored(dict[str, str]):
     """The variables that statements assign to, or to whose elements, and how."""
 
+    changed: set[str]  # in place
+
     def given(self) -> str:
         """Arguments of a function that does the same to values and copies of its own."""
-        how = {one: "value" if kind == _REBOUND else "copy" for one, kind in self.items()}
+        how = {one: "copy" if one in self.changed else "value" for one in self}
         return ", ".join(f"{one}={_OURS}{way}(lambda: {one})" for one, way in how.items())
 
 
@@ -269,7 +274,9 @@ def _stored(body: Iterable[ast.stmt]) -> _Stored:
     rebound = {one.id for one in names if id(one) not in targets}
     rebound |= {one.name for one in nodes if isinstance(one, ast.FunctionDef)}
     kinds = dict.fromkeys(filled, _FILLED) | dict.fromkeys(augmented, _AUGMENTED) | dict.fromkeys(rebound, _REBOUND)
-    return _Stored(sorted(kinds.items()))
+    stored = _Stored(sorted(kinds.items()))
+    stored.changed = augmented | filled
+    return stored
 
 
 def _returns(body: Sequence[ast.stmt]) -> bool:
@@ -312,10 +319,17 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
         if node is None:
             return None
         try:
-            return _selected(node, yes(), no(), decide)
+            found = [_tried(branch) for branch in (yes, no)]
         except TraceError:
             raise
         except Exception:  # whatever a branch raises that is not taken: then they are followed one by one
+            return None
+        before = _merge_arrays(node, found[0].written, found[1].written)
+        try:
+            return _selected(node, found[0].value, found[1].value, decide)
+        except _DifferError:
+            for whole, cells in before:
+                whole[...] = cells
             return None
 
     def choose(condition: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
@@ -335,8 +349,7 @@ def helpers(decide: Callable[[Node], bool]) -> dict[str, Any]:
             return _UNBOUND
 
     def copied(get: Callable[[], Any]) -> Any:
-        found = value(get)
-        return found.copy() if isinstance(found, (TracedArray, list)) else found
+        return _own_copy(value(get))
 
     def filled(target: Any, merged: Any) -> Any:
         if isinstance(target, list):
@@ -370,7 +383,10 @@ def _joined(op: str, last: bool, decide: Callable[[Node], bool]) -> Callable[...
                 value = part()
                 continue
             try:
-                other = part()
+                tried = _tried(part)
+                if tried.written:
+                    raise _DifferError
+                other = tried.value
                 further = _as_condition(other)
                 if further is None:
                     further = node.graph.node(float(bool(other)))
@@ -385,6 +401,54 @@ def _joined(op: str, last: bool, decide: Callable[[Node], bool]) -> Callable[...
         return value
 
     return of
+
+
+class _Tried(NamedTuple):
+    """What a branch returns, and the arrays that it writes to: themselves, their cells before and after."""
+
+    value: Any
+    written: _Written
+
+
+def _tried(branch: Callable[[], Any]) -> _Tried:
+    """A branch, whose writes to arrays are taken back: so other names and views of the same arrays see what they would
+    see."""
+    journal: dict[int, tuple[Any, Any]] = {}
+    token = JOURNALS.set((*JOURNALS.get(), journal))
+    try:
+        value = branch()
+        return _Tried(value, {key: (whole, cells, whole.copy()) for key, (whole, cells) in journal.items()})
+    finally:
+        JOURNALS.reset(token)
+        for whole, cells in journal.values():
+            whole[...] = cells
+
+
+def _merge_arrays(condition: Node, yes: _Written, no: _Written) -> list[tuple[Any, Any]]:
+    """Arrays as one or the other branch leaves them; they with their cells before."""
+    graph = condition.graph
+
+    def either(a: Node, b: Node) -> Node:
+        return a if a is b else graph.select(condition, number(a), number(b))
+
+    saved = []
+    for key in {**yes, **no}:
+        whole, before, _ = yes.get(key) or no.get(key)  # type: ignore[misc]  # one has it
+        after = [found[key][2] if key in found else before for found in (yes, no)]
+        whole[...] = np.frompyfunc(either, 2, 1)(*after)
+        saved.append((whole, before))
+    return saved
+
+
+def _own_copy(value: Any) -> Any:
+    """What a branch may change in place. Writes to traced arrays are taken back; what cannot be copied must not be
+    there."""
+    if isinstance(value, list):
+        return [_own_copy(one) if isinstance(one, list) else one for one in value]
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    known = (TracedArray, int, float, complex, str, tuple, np.generic, _Unbound)
+    return value if value is None or isinstance(value, known) else _UNBOUND
 
 
 def _as_condition(value: Any) -> Node | None:

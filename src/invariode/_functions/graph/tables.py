@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .nodes import Graph, Node
-from .traced import OWN, TracedArray, TraceError, cells_of, has_traced, mapped, number
+from .nodes import Graph, Node, TraceError
+from .traced import OWN, TracedArray, cells_of, has_traced, mapped, number
 
 #: SciPy's interpolators, which a function may also make.
 _KINDS = (
@@ -34,7 +34,10 @@ def looked_up(x: Node, breaks: Any, values: Any) -> Node:
 def linear(x: Node, xs: Any, fs: Any, left: Node, right: Node) -> Node:
     """`numpy.interp`, by its formula."""
     graph, last = x.graph, x.graph.node(float(xs[-1]))
-    slopes = np.diff(fs) / np.diff(xs)
+    if len(xs) == 1:
+        raise TraceError("numpy.interp in a table of one point")
+    with np.errstate(all="ignore"):  # where points coincide nothing lies between them
+        slopes = np.diff(fs) / np.diff(xs)
     start, value, slope = (looked_up(x, xs[1:-1], one) for one in (xs[:-1], fs[:-1], slopes))
     inside = slope * (x - start) + value
     beyond = graph.select(graph.make("less", last, x), right, graph.node(float(fs[-1])))

@@ -22,10 +22,10 @@ import numpy as np
 from ..._base.arguments import PACKAGE, call_name
 from ..layout import Arguments, Numbers
 from .complexes import TracedComplex, pair
-from .nodes import ELEMENTARY, Graph, Node
+from .nodes import ELEMENTARY, Graph, Node, TraceError
 from .selections import helpers, selecting
 from .tables import Table, is_table
-from .traced import _UNARY, TracedArray, TraceError, cells_of, has_traced, is_complex, number, wrapped
+from .traced import _UNARY, TracedArray, cells_of, has_traced, is_complex, number, wrapped
 
 
 class Limits(NamedTuple):
@@ -113,6 +113,16 @@ def _required(found: Traced | None) -> Traced:
 _UNDEFINED = (ArithmeticError, ValueError, AssertionError, RuntimeError)
 
 
+def _is_of_user(error: BaseException) -> bool:
+    """Whether code of the user's raised it, and neither NumPy nor the tracer."""
+    position = error.__traceback__
+    while position is not None and position.tb_next is not None:
+        position = position.tb_next
+    file = "" if position is None else position.tb_frame.f_code.co_filename
+    unlike = (RecursionError, NotImplementedError)
+    return not (isinstance(error, unlike) or file.startswith(PACKAGE) or "site-packages" in file)
+
+
 class _Run:
     """One function being traced."""
 
@@ -186,7 +196,7 @@ class _Run:
         except TraceError as error:
             raise TraceError(self._refused(str(error), error)) from None
         except _UNDEFINED as error:
-            if self._decisions:
+            if self._decisions and _is_of_user(error):
                 return None
             raise TraceError(self._refused(f"{type(error).__name__}: {error}", error)) from error
         except Exception as error:
@@ -379,6 +389,8 @@ class _Copies:
         names = _names(function.__code__)
         if written := _written(function.__code__):
             raise TraceError(f"{function.__name__} writes to {written}, which is not its own")
+        if _has_handlers(function.__code__):
+            raise TraceError(f"{function.__name__} handles exceptions, which symbolic values do not raise")
         code = (selecting(function) if self._selections else None) or function.__code__
         found = {**function.__globals__}
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
@@ -446,6 +458,12 @@ def _written(code: types.CodeType) -> str | None:
         if one.opname == "STORE_GLOBAL" or outer:
             return str(one.argval)
     return None
+
+
+def _has_handlers(code: types.CodeType) -> bool:
+    """Whether it has `except` or `finally`; `with` and generators have tables of exceptions too."""
+    names = [one.opname for one in dis.get_instructions(code)]
+    return names.count("PUSH_EXC_INFO") > names.count("WITH_EXCEPT_START")
 
 
 class _NumPy:
@@ -520,11 +538,15 @@ def _gathered(value: Any, run: Any) -> Any:
 
 def _array(run: Any, function: Any, args: Any, kwargs: Any) -> Any:
     first, *_ = args
+    if isinstance(first, TracedArray) and function.__name__ != "array" and len(args) == 1 and not kwargs:
+        return first
     if is_complex(first) and has_traced(first):
         return pair(first, run._real).copy()
     if has_traced(first):
         found = TracedArray(cells_of(first, run._graph).copy(), run.decide)
         dtype = kwargs.get("dtype", args[1] if len(args) > 1 else None)
+        if dtype is not None and np.dtype(dtype).kind not in "fc":
+            raise TraceError(f"an array of {np.dtype(dtype)} made of values")
         return found if dtype is None or np.dtype(dtype).kind != "c" else found.astype(complex)
     return _filled(run, function(*args, **kwargs))
 
@@ -549,7 +571,7 @@ def _number(run: Any, function: Any, args: Any, kwargs: Any) -> Any:
 
 
 _CREATED: dict[str, Callable[..., Any]] = {
-    **dict.fromkeys(("array", "asarray", "ascontiguousarray", "asanyarray", "asfarray", "atleast_1d"), _array),
+    **dict.fromkeys(("array", "asarray", "ascontiguousarray", "asanyarray", "asfarray"), _array),
     **dict.fromkeys(("zeros", "empty", "ones", "full", "zeros_like", "empty_like", "ones_like", "full_like"), _new),
     "float64": _number,
 }
@@ -601,7 +623,7 @@ def _python(run: Any) -> dict[str, Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
             items = list(args[0]) if len(args) == 1 and isinstance(args[0], Iterable) else list(args)
             if kwargs or not has_traced(items):
-                return plain(*args, **kwargs)
+                return plain(items, **kwargs) if len(args) == 1 else plain(*args, **kwargs)
             nodes = [number(cells_of(one, run._graph)[()]) for one in items]
             return wrapped(functools.reduce(lambda a, b: run._graph.make(name, a, b), nodes), run.decide)
 

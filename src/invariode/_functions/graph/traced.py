@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any, NoReturn
 
 import numpy as np
 
-from .nodes import ELEMENTARY, Graph, Node
+from .nodes import ELEMENTARY, Graph, Node, TraceError
 
-
-class TraceError(TypeError):
-    """Why a function cannot be traced."""
+#: What the branches that are being tried have written to: arrays, by id, and their cells before.
+JOURNALS: ContextVar[tuple[dict[int, tuple[Any, Any]], ...]] = ContextVar("journals", default=())
 
 
 class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
@@ -101,6 +101,9 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     def _require_own(self) -> None:
         if not self.cells.flags.writeable:
             raise TraceError("it writes to an array that it does not make")
+        whole = self.cells if self.cells.base is None else self.cells.base
+        for journal in JOURNALS.get():
+            journal.setdefault(id(whole), (whole, whole.copy()))
 
     @property
     def _graph(self) -> Graph:
@@ -155,6 +158,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         if method == "__call__":
             found = _called(ufunc.__name__, given)
         elif method in ("reduce", "accumulate", "outer") and ufunc.__name__ in _BINARY:
+            counting = method == "reduce" and ufunc.__name__ == "add"  # sums of truths count them
+            given = [mapped(number, one) for one in given] if counting else given
             found = getattr(np.frompyfunc(_BINARY[ufunc.__name__], 2, 1), method)(*given, **options)
         else:
             raise TraceError(f"numpy.{ufunc.__name__}.{method}")
@@ -213,12 +218,15 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         return self.__array_function__(getattr(np, name), (), (self, *args), kwargs)
 
     def item(self, *index: Any) -> TracedArray:
-        return self.ravel()[index[0] if index else 0]
+        return self[index] if len(index) > 1 else self.ravel()[index[0] if index else 0]
 
-    def ravel(self, *_: Any, **__: Any) -> TracedArray:
+    def ravel(self, order: str = "C") -> TracedArray:
+        _require_c(order)
         return self._with(self.cells.ravel())
 
-    flatten = ravel
+    def flatten(self, order: str = "C") -> TracedArray:
+        _require_c(order)
+        return self._with(self.cells.flatten())
 
     def reshape(self, *shape: Any, **options: Any) -> TracedArray:
         return self._with(self.cells.reshape(*shape, **options))
@@ -338,6 +346,8 @@ def cells_of(value: Any, graph: Graph) -> Any:
             raise TraceError("rows of different shapes")
         return np.stack(rows) if rows else np.empty(0, dtype=object)
     found = np.asarray(value)
+    if found.dtype == object and not found.ndim:
+        raise TraceError(f"a value of type {type(value).__name__}")
     if found.dtype == object:
         return mapped(lambda one: cells_of(one, graph)[()], found)
     if found.dtype.kind == "c":
@@ -345,6 +355,11 @@ def cells_of(value: Any, graph: Graph) -> Any:
     if found.dtype.kind not in "biuf":
         raise TraceError(f"a value of type {type(value).__name__}")
     return mapped(lambda one: graph.node(float(one)), found.astype(object))
+
+
+def _require_c(order: str) -> None:
+    if order != "C":
+        raise TraceError(f"order={order!r}")
 
 
 def _all_constant(values: Any) -> bool:
@@ -418,6 +433,44 @@ def _truncated(a: Node) -> Node:
     return graph.select(graph.make("less", a, graph.node(0.0)), graph.make("ceil", a), graph.make("floor", a))
 
 
+def _floor_quotient(a: Node, b: Node) -> Node:
+    """a // b as Python and NumPy have it: (a - a mod b) / b is an integer but for roundoff."""
+    graph = a.graph
+    exact = graph.make("floor", (a - graph.make("modulo", a, b)) / b + 0.5)
+    return graph.select(graph.make("not_equal", exact, exact), graph.make("floor", a / b), exact)
+
+
+def _with_nan(name: str) -> Callable[..., Node]:
+    """NumPy's maximum and minimum: NaN if one is NaN, where Python's `max` and `min` look at the first."""
+
+    def chosen(a: Node, b: Node) -> Node:
+        a, b = (b, a) if a.op == "number" else (a, b)
+        found = a.graph.make(name, a, b)
+        return found if b.op == "number" else a.graph.select(a.graph.make("not_equal", b, b), b, found)
+
+    return _of_numbers(chosen)
+
+
+def _without_nan(name: str) -> Callable[..., Node]:
+    """fmax and fmin: the other one if one is NaN."""
+    return _of_numbers(lambda a, b: a.graph.select(a.graph.make("not_equal", a, a), b, a.graph.make(name, a, b)))
+
+
+def _bitwise(name: str) -> Callable[..., Node]:
+    def of_truths(*a: Node) -> Node:
+        if not all(one.is_truth for one in a):
+            raise TraceError("&, | or ~ of numbers")
+        return a[0].graph.make(name, *a)
+
+    return of_truths
+
+
+def _sum(a: Node, b: Node) -> Node:
+    if a.is_truth and b.is_truth:
+        raise TraceError("the sum of two truths: NumPy's is True, that of Python 2")
+    return number(a) + number(b)
+
+
 def _heaviside(a: Node, at_zero: Node) -> Node:
     graph, zero = a.graph, a.graph.node(0.0)
     side = graph.select(graph.make("less", zero, a), graph.node(1.0), zero)
@@ -429,20 +482,20 @@ def _not_finite(a: Node) -> Node:
 
 
 _BINARY: dict[str, Callable[..., Node]] = {
-    "add": _of_numbers(lambda a, b: a + b),
+    "add": _sum,
     "subtract": _of_numbers(lambda a, b: a - b),
     "multiply": _of_numbers(lambda a, b: a * b),
     "divide": _of_numbers(lambda a, b: a / b),
     "true_divide": _of_numbers(lambda a, b: a / b),
     "power": _of_numbers(lambda a, b: a**b),
     "float_power": _of_numbers(lambda a, b: a**b),
-    "floor_divide": _of_numbers(lambda a, b: a.graph.make("floor", a / b)),
+    "floor_divide": _of_numbers(_floor_quotient),
     "remainder": _made("modulo"),
     "mod": _made("modulo"),
-    "maximum": _made("maximum"),
-    "fmax": _made("maximum"),
-    "minimum": _made("minimum"),
-    "fmin": _made("minimum"),
+    "maximum": _with_nan("maximum"),
+    "fmax": _without_nan("maximum"),
+    "minimum": _with_nan("minimum"),
+    "fmin": _without_nan("minimum"),
     "arctan2": _made("atan2"),
     "hypot": _made("hypot"),
     "heaviside": _of_numbers(_heaviside),
@@ -454,8 +507,8 @@ _BINARY: dict[str, Callable[..., Node]] = {
     "not_equal": _made("not_equal"),
     "logical_and": _of_truths("and"),
     "logical_or": _of_truths("or"),
-    "bitwise_and": _of_truths("and"),
-    "bitwise_or": _of_truths("or"),
+    "bitwise_and": _bitwise("and"),
+    "bitwise_or": _bitwise("or"),
 }
 _UNARY: dict[str, Callable[..., Node]] = {
     **{name: _elementary(name) for name in ELEMENTARY},
@@ -477,7 +530,7 @@ _UNARY: dict[str, Callable[..., Node]] = {
     "rad2deg": _of_numbers(lambda a: a * (180 / math.pi)),
     "degrees": _of_numbers(lambda a: a * (180 / math.pi)),
     "logical_not": _of_truths("not"),
-    "invert": _of_truths("not"),
+    "invert": _bitwise("not"),
     "isnan": _of_numbers(lambda a: a.graph.make("not_equal", a, a)),
     "isfinite": _of_numbers(lambda a: a.graph.make("not", _not_finite(a))),
 }
@@ -535,7 +588,8 @@ def _where(graph: Graph, condition: Any, yes: Any = None, no: Any = None) -> Any
     return mapped(lambda c, a, b: graph.select(truth(c), number(a), number(b)), *given)
 
 
-def _clip(graph: Graph, a: Any, a_min: Any = None, a_max: Any = None, **_: Any) -> Any:
+def _clip(graph: Graph, a: Any, a_min: Any = None, a_max: Any = None, **options: Any) -> Any:
+    _no_others(options)
     found = cells_of(a, graph)
     for bound, name in ((a_min, "maximum"), (a_max, "minimum")):
         if bound is not None:
@@ -543,19 +597,31 @@ def _clip(graph: Graph, a: Any, a_min: Any = None, a_max: Any = None, **_: Any) 
     return found
 
 
+def _no_others(options: Mapping[str, Any]) -> None:
+    """Options that are understood nowhere must not be given."""
+    for name, value in options.items():
+        if value is not None and value is not np._NoValue:  # NumPy's 'not given'
+            raise TraceError(f"the option {name}= of a function of NumPy's")
+
+
 def _reduced(name: str) -> Callable[..., Any]:
-    def reduction(graph: Graph, a: Any, axis: Any = None, **_: Any) -> Any:
+    def reduction(graph: Graph, a: Any, axis: Any = None, keepdims: bool = False, **options: Any) -> Any:
+        _no_others(options)
         cells = cells_of(a, graph)
+        kept = (1,) * cells.ndim if axis is None and keepdims else None
         cells, axis = (cells.ravel(), 0) if axis is None else (cells, axis)
-        return np.frompyfunc(_BINARY[name], 2, 1).reduce(cells, axis=axis)
+        found = np.frompyfunc(_BINARY[name], 2, 1).reduce(cells, axis=axis, keepdims=keepdims and kept is None)
+        return found if kept is None else _scalar_or_array(found).reshape(kept)
 
     return reduction
 
 
-def _mean(graph: Graph, a: Any, axis: Any = None, **_: Any) -> Any:
+def _mean(graph: Graph, a: Any, axis: Any = None, dtype: Any = None, keepdims: bool = False, **options: Any) -> Any:
+    _no_others(options)
     cells = mapped(number, cells_of(a, graph))
-    total = cells.sum(axis=axis)
-    return total / float(cells.size if axis is None else cells.shape[axis])
+    total = cells.sum(axis=axis, keepdims=keepdims)
+    axes = range(cells.ndim) if axis is None else np.atleast_1d(axis)
+    return total / float(math.prod(cells.shape[one] for one in axes))
 
 
 def _norm(graph: Graph, a: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
