@@ -40,7 +40,7 @@ INVARIODE_EACH Aimed<Real, Mask> aimed(const Real& t, const Real& proposed, cons
   const Real full = forward * size, ahead = t + full;
   const Mask close = distance <= stretch * size;
   if (!any(close)) return {full, ahead, close};  // a tenth of hmin is left at least, which no rounding bridges
-  const Mask near = close & (distance <= reach * larger(size, proposed));
+  const Mask near = distance <= smaller(stretch * size, reach * larger(size, proposed));  // and close
   const Real h = choose(near, rest, full), t1 = choose(near, goal, ahead);
   return {h, t1, Mask(near | ((t1 <= goal) & (goal <= t1)))};  // rounding may lead there too
 }

@@ -161,7 +161,7 @@ class CompiledFunction:
         return CompiledFunction, (self.fun, self.inplace)
 
     def native(self, n: int, size: int, parameters: int, event: bool, second: int = 0) -> _core.Native:
-        """The machine code for n components, `size` values and that many parameters, or `Arguments`. With `second` the
+        """The machine code for n components, `size` values and that many parameters, or arguments. With `second` the
         function takes two vectors, of n - second and second components, which follow each other in y."""
         return self._machine_code(Shape(n, size, int(parameters), event, second))
 
