@@ -8,6 +8,7 @@ namespace invariode {
 /// y(θ) = c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + …))), the coefficients c_j (n,) one after the other.
 template <class Real>
 void nested_polynomial(const Real* coefficients, std::size_t size, std::size_t n, const Real& theta, Real* out) {
+  if (n == 0) return;
   const Real* c = coefficients + (size - n);
   for (std::size_t i = 0; i < n; ++i) out[i] = c[i];
   for (std::size_t j = size / n - 1; j-- > 0;) {
