@@ -42,7 +42,8 @@ INVARIODE_EACH Aimed<Real, Mask> aimed(const Real& t, const Real& proposed, cons
   if (!any(close)) return {full, ahead, close};  // a tenth of hmin is left at least, which no rounding bridges
   const Mask near = distance <= smaller(stretch * size, reach * larger(size, proposed));  // and close
   const Real h = choose(near, rest, full), t1 = choose(near, goal, ahead);
-  return {h, t1, Mask(near | ((t1 <= goal) & (goal <= t1)))};  // rounding may lead there too
+  // Rounding may lead there too. Of doubles these are bools:
+  return {h, t1, Mask(near | ((t1 <= goal) & (goal <= t1)))};  // NOLINT(bugprone-signed-bitwise)
 }
 
 /// The attempts of a run, the first one of each step and every retry.

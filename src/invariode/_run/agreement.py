@@ -14,8 +14,8 @@ from .._results.solution import Solution
 
 
 def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]) -> None:
-    """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run, and at the
-    last ones.
+    """Compares f as it was compiled with the Python function at the accepted points 1, 2, 4, 8, ... of a run and near
+    its end.
 
     Raises
     ------
@@ -28,7 +28,8 @@ def compare(problem: Description, sol: Solution, check: bool | Literal["strict"]
         return
     t, y = np.asarray(sol.t), np.asarray(sol.y)
     last = len(t) - 1
-    chosen = sorted({min(2**i, last) for i in range(len(t).bit_length())} | ({3 * last // 4, last} if len(t) else set()))
+    near_end = {3 * last // 4, last} if len(t) else set()
+    chosen = sorted({min(2**i, last) for i in range(len(t).bit_length())} | near_end)
     objection = _difference(problem, traced, t[chosen], y[:, chosen])
     if objection is None:
         traced.outputs.clear()
