@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import partial
 from statistics import median
 from time import process_time
-from typing import Any
+from typing import Any, Literal
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -25,6 +25,7 @@ from invariode._functions.graph.derived import Derived, derived
 
 Array = NDArray[np.float64]
 US = 1e-6
+WAYS: tuple[Literal["trace", "numba"], ...] = ("trace", "numba")
 #: Numbers of components of the heat equation.
 LARGE = (100, 1000, 4000)
 #: Of the problems that have Jacobians measured.
@@ -192,7 +193,7 @@ def calls(seconds: float, code: Any, y: Array, size: int) -> int:
 def against_numba(repetitions: int) -> str:
     rows, ratios = [], []
     for name, (fun, n) in PROBLEMS.items():
-        codes = {by: iv.compile(fun, by=by, inplace=True) for by in ("trace", "numba")}  # type: ignore[arg-type]
+        codes = {by: iv.compile(fun, by=by, inplace=True) for by in WAYS}
         seconds, made = {}, {}
         for by, one in codes.items():
             start = process_time()
@@ -238,9 +239,9 @@ def large(repetitions: int) -> str:
     rows = []
     for n in LARGE:
         codes, seconds = {}, {}
-        for by in ("trace", "numba"):
+        for by in WAYS:
             start = process_time()
-            codes[by] = iv.compile(heat, by=by, inplace=True).native(n, n, 0, event=False)  # type: ignore[arg-type]
+            codes[by] = iv.compile(heat, by=by, inplace=True).native(n, n, 0, event=False)
             seconds[by] = process_time() - start
         f = iv.compile(heat, by="trace", inplace=True)
         start = process_time()

@@ -129,7 +129,7 @@ def one_by_scipy(y0: Array, a: float, method: str, tolerance: float) -> Array:
 class Contestant:
     name: str
     at: Callable[[float], Run]  # with that tolerance
-    most: int = SIZES[-1]  # trajectories that it is asked for
+    most: int = SIZES[-1]  # trajectories, at most
     rows: int | None = None  # that it really solves, if fewer
 
 

@@ -380,7 +380,7 @@ constexpr Setting settings[] = {
 };
 
 void define_settings(nb::module_& module) {
-  nb::class_<RunSettings> defined(module, "Settings", "What a run is asked for, beyond the problem and the method.");
+  nb::class_<RunSettings> defined(module, "Settings", "The options of a run, in the form the core takes.");
   defined.def(nb::init<>());
   defined.def(
       "__init__",

@@ -9,7 +9,7 @@ namespace invariode {
 namespace {
 
 constexpr double expected_decrease = 3;  // of the correction by two halvings of h
-constexpr int most_refusals = 3;         // of corrections in a step before the invariant is looked at
+constexpr int most_refusals = 3;         // of corrections in a step before the invariant is tested
 
 }  // namespace
 
@@ -205,8 +205,8 @@ Integration::Verdict Integration::place(StepEnds& ends) {
   return Verdict::accepted;
 }
 
-/// A correction of a right invariant falls fast with h. Where two halvings in a row do not bring it down, the invariant
-/// is looked at.
+/// A correction of a right invariant falls fast with h. If two halvings in a row do not bring it down, the invariant
+/// is tested.
 Integration::Verdict Integration::oversized(const double* candidate) {
   const double before = attempt_.refused[0];
   attempt_.refused[0] = attempt_.refused[1];

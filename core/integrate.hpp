@@ -38,7 +38,7 @@ struct LoopFunctions {
   std::vector<EventFunction> events;
   std::vector<Breakpoint> breakpoints;
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
-  /// Moves y at t onto the algebraic equations; empty: there are none.
+  /// Moves y at t onto the algebraic equations. Empty if there are none.
   std::function<Consistency(double t, double* y)> consistent;
   Callback callback;  ///< after each step; may be empty
 };

@@ -153,7 +153,7 @@ def test_settings_are_what_they_were_set_to() -> None:
         setattr(settings, name, after)
         assert np.array_equal(getattr(settings, name), after)
     with pytest.raises(AttributeError):
-        settings.max_stp = 1  # type: ignore[attr-defined]
+        settings.max_stp = 1  # type: ignore[attr-defined]  # misspelt on purpose
 
 
 def test_a_plan_hands_over_every_setting_in_its_place() -> None:
@@ -201,7 +201,7 @@ def test_the_registry_has_a_row_for_each_method() -> None:
             method.order, method.min_order, method.stages, method.options, method.scipy_name,
         )  # fmt: skip
     with pytest.raises(AttributeError):
-        rows["ode45"].order = 6  # type: ignore[misc]
+        rows["ode45"].order = 6  # type: ignore[misc]  # read-only: the test
 
 
 def stepped(method: str, y0: Any = y0, **options: Any) -> _core.Stepper:

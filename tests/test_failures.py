@@ -97,7 +97,7 @@ def test_a_failure_after_an_event_at_the_start_raises_too():
 
 
 def typo(t, y):
-    return [undefined]  # noqa: F821
+    return [undefined]  # noqa: F821  # raises NameError: the test
 
 
 def some_explode(t, y):
@@ -198,7 +198,7 @@ class TestEnsemble:
             np.testing.assert_array_equal(drift.residual_before, alone.drift().residual_before)
             np.testing.assert_allclose(drift.residual_after, alone.drift().residual_after, atol=1e-12)
             with pytest.raises(ValueError, match="solve this trajectory alone"):
-                one.residual  # noqa: B018
+                one.residual  # noqa: B018  # raises: the test
         assert many[0].drift().names == ["energy"]
 
 
@@ -219,4 +219,4 @@ def test_a_file_knows_residuals_only_at_its_outputs(tmp_path):
     assert np.abs(sol.residual).max() < 1e-9
     sol.y = 2 * sol.y
     with pytest.raises(ValueError, match="the functions of the invariants square are not in the file"):
-        sol.residual  # noqa: B018
+        sol.residual  # noqa: B018  # raises: the test

@@ -480,7 +480,7 @@ def test_backwards(code):
     """With the same Jacobian: the first error estimate of ode23t has y'', and the roundoff of differences with it."""
     options = {"rtol": 1e-8, "atol": 1e-10}
     forward = code(diffusion, (0, 1), U0, jac=diffusion_jacobian, **options)
-    jac = lambda t, u: -diffusion_jacobian(-t, u)  # noqa: E731
+    jac = lambda t, u: -diffusion_jacobian(-t, u)  # noqa: E731  # beside the f that it belongs to
     mirrored = code(lambda t, u: -diffusion(-t, u), (0, -1), U0, jac=jac, **options)
     np.testing.assert_allclose(mirrored.t, -forward.t, rtol=1e-6 * slack(code.__name__))
     np.testing.assert_allclose(mirrored.y, forward.y, rtol=1e-6 * slack(code.__name__))

@@ -279,6 +279,8 @@ SUBTLE = {
     "quotients": lambda t, y: [(y[0] // 0.1) / 10, y[1] // 0.3],
     "truths": lambda t, y: [((y[0] > 50) + (y[1] > 50)) * 1.0, ((y[0] > 50) | (y[1] < 2)) * 1.0],
     "kept dimensions": lambda t, y: (y.reshape(2, 1) - np.mean(y.reshape(2, 1), 0, keepdims=True)).ravel(),
+    "dimensions kept by methods": lambda t, y: (y.reshape(1, 2) - y.reshape(1, 2).max(axis=1, keepdims=True)).ravel(),
+    "sums into an array": lambda t, y: np.cumsum(y, out=np.zeros(2)) + 0 * y,
     "order of Fortran": lambda t, y: np.outer(y, [1.0, 2.0]).ravel(order="F")[:2],
     "weights": lambda t, y: [np.average(np.abs(y), weights=[1.0, 3.0]), y[0]],
     "complex roots": lambda t, y: [np.sqrt(y[0] + 1j * y[1]).imag, np.sqrt(y[0] + 1j * y[1]).real],

@@ -154,7 +154,7 @@ def test_the_printed_start_of_a_slider_crank_is_imposed_with_default_weights(dig
 @explicit_and_implicit
 def test_a_solve_from_the_printed_start_of_a_slider_crank_projects_it(method):
     held = iv.Invariants(elastic_crank_constraints, value=0)
-    moving = lambda t, y: [*y[7:], *np.zeros(7)]  # noqa: E731 (true of its first 1e-9 s)
+    moving = lambda t, y: [*y[7:], *np.zeros(7)]  # noqa: E731  # true of its first 1e-9 s
     sol = iv.solve_ivp(moving, (0, 1e-9), ELASTIC_CRANK, method, invariants=held, check=False)
     assert sol.success
     assert sol.stats.projected_start

@@ -429,8 +429,8 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   }
 }
 
-/// Whether J is looked at after a first iteration, which was judged by a rate of the past. One that is not stiff cannot
-/// be much too large, and the solution is not farther off than its residual.
+/// Whether J is tested after a first iteration, whose convergence was judged by an earlier rate. One that is not stiff
+/// cannot be much too large, and the solution is not farther off than its residual.
 bool Newton::look_due(double before) {
   if (before <= most_left * weights_.rtol()) return false;
   if (jacobian_age() % look_period != 0 && before <= look_growth * looked_at_) return false;

@@ -84,7 +84,7 @@ class Tolerances:
     def __init__(self, rtol: float, threshold: float | Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None) -> None: ...
 
 class Settings:
-    """What a run is asked for, beyond the problem and the method."""
+    """The options of a run, in the form the core takes."""
 
     @overload
     def __init__(self) -> None: ...

@@ -152,7 +152,7 @@ def _some(random: Random, names: tuple[str, ...]) -> dict[str, Any]:
 
 
 RUN: Mapping[str, Any] = {"fun": oscillator, "t_span": (0, 1), "y0": [1.0, 0.0], "method": "ode45"}
-OPTIONS = tuple(sorted(iv.Problem.solve.__signature__.parameters.keys() - {"self", "method"}))  # type: ignore[attr-defined]
+OPTIONS = tuple(sorted(iv.Problem.solve.__signature__.parameters.keys() - {"self", "method"}))  # type: ignore[attr-defined]  # ours
 DESCRIBING = ("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass", "nonnegative", "bounds")
 CALLS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], tuple[str, ...]]] = {
     "solve_ivp": (iv.solve_ivp, RUN, (*OPTIONS, *DESCRIBING, "vectorized")),

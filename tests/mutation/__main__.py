@@ -42,7 +42,7 @@ FAST = [
 
 def libraries() -> None:
     """Imported once, before each mutant is a fork of this process."""
-    import xarray  # noqa: F401
+    import xarray  # noqa: F401  # for its import alone
 
 
 def outcome(tests: Path, names: list[str], environment: dict[str, str], folder: Path, seconds: float) -> str:

@@ -101,7 +101,7 @@ class _Replace(ast.NodeTransformer):
     def _here(self, node: ast.AST) -> bool:
         if self.change(copy.copy(node)) is None:
             return False
-        self.lines.append(node.lineno)  # type: ignore[attr-defined]
+        self.lines.append(node.lineno)  # type: ignore[attr-defined]  # statements have one
         return self.site == len(self.lines) - 1
 
     def _visit_field(self, node: ast.AST, name: str) -> None:

@@ -96,7 +96,7 @@ def polynomial(x: Value, coefficients: Sequence[float]) -> Value:
         x = x * x
         odd = sums[-1:] if len(sums) % 2 else []
         sums = [low + x * high for low, high in zip(sums[::2], sums[1::2], strict=False)] + odd
-    return sums[0]  # type: ignore[no-any-return]
+    return sums[0]  # type: ignore[no-any-return]  # LLVM values are Any
 
 
 class Angle(NamedTuple):

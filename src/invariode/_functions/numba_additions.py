@@ -17,7 +17,7 @@ _imputils: Any = import_module("numba.core.imputils")
 _ir, _ir_utils, _types = _core.ir, import_module("numba.core.ir_utils"), _core.types
 
 
-@_extending.intrinsic  # type: ignore[untyped-decorator]
+@_extending.intrinsic  # type: ignore[untyped-decorator]  # numba has no types
 def read_only(context: Any, array: Any) -> Any:
     """The same memory as an array to which numba compiles no assignment."""
 
@@ -27,7 +27,7 @@ def read_only(context: Any, array: Any) -> Any:
     return array.copy(readonly=True)(array), generate
 
 
-@_extending.register_jitable  # type: ignore[untyped-decorator]
+@_extending.register_jitable  # type: ignore[untyped-decorator]  # numba has no types
 def copied(array: Any) -> Any:
     """New memory with the same numbers."""
     return array.copy()
@@ -42,7 +42,7 @@ def _power(base: Any, exponent: Any) -> Any:
     return base**exponent
 
 
-@_extending.register_jitable  # type: ignore[untyped-decorator]
+@_extending.register_jitable  # type: ignore[untyped-decorator]  # numba has no types
 def _whole_power(base: Any, exponent: Any) -> Any:
     power, square, left = 1.0 + 0j, base, abs(exponent)
     while left > 0:
@@ -59,7 +59,7 @@ def _float_power(base: Any, exponent: Any) -> Any:
     return _whole_power(base, whole) if whole == exponent else base**exponent
 
 
-@_extending.overload(_power)  # type: ignore[untyped-decorator]
+@_extending.overload(_power)  # type: ignore[untyped-decorator]  # numba has no types
 def _power_code(base: Any, exponent: Any) -> Any:
     if isinstance(base, _types.Complex) and isinstance(exponent, _types.Integer):
         return _whole_power
@@ -72,7 +72,7 @@ def _is_power(value: Any) -> bool:
 
 
 @_machinery.register_pass(mutates_CFG=False, analysis_only=False)
-class _Powers(_machinery.FunctionPass):  # type: ignore[misc]
+class _Powers(_machinery.FunctionPass):  # type: ignore[misc]  # numba has no types
     """Every ** becomes a call of `_power`."""
 
     _name = "invariode_powers"
@@ -100,7 +100,7 @@ class _Powers(_machinery.FunctionPass):  # type: ignore[misc]
         return changed
 
 
-class ComplexCompiler(_compiler.CompilerBase):  # type: ignore[misc]
+class ComplexCompiler(_compiler.CompilerBase):  # type: ignore[misc]  # numba has no types
     """numba's pipeline, with powers that keep derivatives."""
 
     def define_pipelines(self) -> list[Any]:

@@ -220,7 +220,7 @@ class MethodOptions(TypedDict, total=False):
             'bool or "strict"',
             "Test that f conserves the invariants, and that their Jacobians are right; and, at the first run of a "
             "function of `invariode.compile` in a process, that it has the values of the Python function at the "
-            'accepted steps 1, 2, 4, 8, ... A difference is a warning; with "strict" an error.',
+            'accepted steps 1, 2, 4, 8, ... and near the end. A difference is a warning; with "strict" an error.',
             _flag_or_strict,
         ),
     ]

@@ -142,7 +142,7 @@ class _Writer(ast.NodeTransformer):
             pairs = zip(sides, test.ops, sides[1:], strict=False)
             which, parts = "both", [_lazy(ast.Compare(a, [op], [b])) for a, op, b in pairs]
         else:
-            return self.visit(test)  # type: ignore[no-any-return]
+            return self.visit(test)  # type: ignore[no-any-return]  # ast: what a visitor returns
         return ast.copy_location(ast.Call(_name(which), parts, []), test)
 
     def _block(self, body: Sequence[ast.stmt], returns: bool) -> list[ast.stmt]:
@@ -155,7 +155,7 @@ class _Writer(ast.NodeTransformer):
             elif isinstance(one, ast.If) and returns and (_returns(one.body) or _returns(one.orelse)):
                 if _can_be_function(one.body) and _can_be_function([*one.orelse, *rest]):
                     return [*done, *self._returning(one, rest)]
-                done.append(self.generic_visit(one))  # type: ignore[arg-type]
+                done.append(self.generic_visit(one))  # type: ignore[arg-type]  # a statement again
             elif isinstance(one, ast.If):
                 one.test = self.visit(one.test)
                 one.body, one.orelse = (self._block(part, returns=False) for part in (one.body, one.orelse))

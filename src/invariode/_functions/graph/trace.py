@@ -436,7 +436,7 @@ def _has_own_code(kind: type) -> bool:
 
 def _is_full(cell: Any) -> bool:
     try:
-        cell.cell_contents  # noqa: B018
+        cell.cell_contents  # noqa: B018  # raises if it is empty
     except ValueError:
         return False
     return True

@@ -15,6 +15,15 @@ from .nodes import ELEMENTARY, Graph, Node, TraceError
 JOURNALS: ContextVar[tuple[dict[int, tuple[Any, Any]], ...]] = ContextVar("journals", default=())
 
 
+def _method(name: str) -> Callable[..., Any]:
+    """The method of arrays that does what the function of this name does."""
+
+    def method(self: TracedArray, *args: Any, **options: Any) -> Any:
+        return self._by(name, *args, **options)
+
+    return method
+
+
 class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     """An array of nodes, of any shape; of shape () for one number.
 
@@ -41,15 +50,15 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        return self.cells.shape  # type: ignore[no-any-return]
+        return self.cells.shape  # type: ignore[no-any-return]  # cells are Any
 
     @property
     def ndim(self) -> int:
-        return self.cells.ndim  # type: ignore[no-any-return]
+        return self.cells.ndim  # type: ignore[no-any-return]  # cells are Any
 
     @property
     def size(self) -> int:
-        return self.cells.size  # type: ignore[no-any-return]
+        return self.cells.size  # type: ignore[no-any-return]  # cells are Any
 
     @property
     def dtype(self) -> Any:
@@ -185,7 +194,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
             return wrapped(OWN[name](self._graph, *args, **kwargs), self.decide)
         if name not in BY_OPERATORS:
             raise TraceError(f"numpy.{name}")
-        kwargs.pop("dtype", None)
+        if kwargs.pop("dtype", None) not in (None, float, np.float64) or kwargs.get("out") is not None:
+            raise TraceError(f"numpy.{name} with dtype= or out=")
         unwrapped = [_unwrapped(one, self._graph) for one in args]
         options = {key: _unwrapped(one, self._graph) for key, one in kwargs.items()}
         return self._as_nodes(function(*unwrapped, **options))
@@ -245,7 +255,7 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
         if kind == "f":
             return self._with(mapped(number, self.cells))
         if kind == "c":
-            return self._complex()  # type: ignore[no-any-return]
+            return self._complex()  # type: ignore[no-any-return]  # `paired` is set later
         raise TraceError(f"astype({np.dtype(dtype)})")
 
     def tolist(self) -> Any:
@@ -258,32 +268,8 @@ class TracedArray(np.lib.mixins.NDArrayOperatorsMixin):
     def dot(self, other: Any) -> Any:
         return self._by("dot", other)
 
-    def sum(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("sum", axis=axis)
-
-    def prod(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("prod", axis=axis)
-
-    def mean(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("mean", axis=axis)
-
-    def cumsum(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("cumsum", axis=axis)
-
-    def max(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("max", axis=axis)
-
-    def min(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("min", axis=axis)
-
-    def clip(self, low: Any = None, high: Any = None, **_: Any) -> Any:
-        return self._by("clip", low, high)
-
-    def any(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("any", axis=axis)
-
-    def all(self, axis: Any = None, **_: Any) -> Any:
-        return self._by("all", axis=axis)
+    sum, prod, mean, cumsum = map(_method, ("sum", "prod", "mean", "cumsum"))
+    max, min, any, all, clip = map(_method, ("max", "min", "any", "all", "clip"))
 
     def conjugate(self) -> TracedArray:
         return self
@@ -605,7 +591,7 @@ def _no_others(options: Mapping[str, Any]) -> None:
 
 
 def _reduced(name: str) -> Callable[..., Any]:
-    def reduction(graph: Graph, a: Any, axis: Any = None, keepdims: bool = False, **options: Any) -> Any:
+    def reduction(graph: Graph, a: Any, axis: Any = None, *, keepdims: bool = False, **options: Any) -> Any:
         _no_others(options)
         cells = cells_of(a, graph)
         kept = (1,) * cells.ndim if axis is None and keepdims else None
@@ -616,7 +602,7 @@ def _reduced(name: str) -> Callable[..., Any]:
     return reduction
 
 
-def _mean(graph: Graph, a: Any, axis: Any = None, dtype: Any = None, keepdims: bool = False, **options: Any) -> Any:
+def _mean(graph: Graph, a: Any, axis: Any = None, *, keepdims: bool = False, **options: Any) -> Any:
     _no_others(options)
     cells = mapped(number, cells_of(a, graph))
     total = cells.sum(axis=axis, keepdims=keepdims)

@@ -49,7 +49,7 @@ def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> A
     import matplotlib.pyplot as plt  # here, since it chooses a backend, which axes that are given have
 
     # It chooses now: that of a notebook turns `interactive` on when it is loaded, which the context would take back.
-    plt.draw_if_interactive()  # type: ignore[no-untyped-call]
+    plt.draw_if_interactive()  # type: ignore[no-untyped-call]  # of matplotlib
     rows = len(heights)
     options = {"figsize": (6.4, 4.0 if rows == 1 else 3.2 + 0.8 * rows), **options}
     with matplotlib.rc_context(LOOK):
