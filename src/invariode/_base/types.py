@@ -39,6 +39,8 @@ Span: TypeAlias = Sequence[float] | Array
 #: A name in `METHODS`, or SciPy's name or class. The registry may grow, so that names are not part of the type.
 MethodName: TypeAlias = str | type[Any]
 
+#: A length, or a tenth of the interval.
+LargestStep: TypeAlias = float | Literal["tenth"]
 Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
@@ -9,6 +10,7 @@ from types import MappingProxyType
 from .. import _core
 from .._base.arguments import shown
 from .._base.suggestions import meant
+from .._base.types import LargestStep
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,12 @@ class Method:
     @property
     def fixed_order(self) -> bool:
         return self.min_order == self.order
+
+    @property
+    def max_step(self) -> LargestStep:
+        """The `max_step` of the function of this name by default: 'tenth' for MATLAB's codes, whose names begin with
+        ode, as it is there; infinite for the others, as in `solve_ivp`."""
+        return "tenth" if self.name.startswith("ode") else math.inf
 
 
 def _from_core(row: _core.Method) -> Method:

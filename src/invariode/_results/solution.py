@@ -124,8 +124,8 @@ class Solution(Exports):
         t_eval : array_like, optional
             Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
             output if there are none. Those beyond `t_end` are left for a further extension.
-        max_step : float, optional
-            Default: the run's, or a tenth of the whole interval.
+        max_step : float or 'tenth', optional
+            Default: the run's; 'tenth' is a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
         max_steps, limits : optional

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Unpack
 
@@ -10,7 +11,7 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from .. import _core
 from .._base.arguments import ATOL, RTOL, Array, flag, warn
-from .._base.types import Numbers
+from .._base.types import LargestStep, Numbers
 from .._functions.compiled import is_native
 from .._problem.accepted import stepper_options
 from .._problem.description import Description
@@ -60,8 +61,7 @@ class Stepper(OdeSolver):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     max_step, rtol, atol, first_step, vectorized : optional
-        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`. `max_step` is a tenth of the interval by
-        default here too; ``inf`` lifts that.
+        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`.
 
     Other Parameters
     ----------------
@@ -96,7 +96,7 @@ class Stepper(OdeSolver):
         t0: float,
         y0: ArrayLike,
         t_bound: float,
-        max_step: float | None = None,
+        max_step: LargestStep = math.inf,
         rtol: Numbers = RTOL,
         atol: Numbers = ATOL,
         vectorized: bool = False,
