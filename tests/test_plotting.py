@@ -488,7 +488,7 @@ def test_corrections_too_small_to_be_seen_are_not_named():
 
 
 def test_equal_steps_are_shown_as_equal():
-    sol = iv.solve_ivp(lambda t, y: [-y[0]], (0, 1), [1.0], atol=1e-3)
+    sol = iv.solve_ivp(lambda t, y: [-y[0]], (0, 1), [1.0], atol=1e-3, first_step=0.1, max_step=0.1)
     low, high = sol.plot_steps()[0].get_ylim()
     assert low < 0.6 * np.abs(sol.steps.h).min()
     assert high > 1.5 * np.abs(sol.steps.h).max()
@@ -657,8 +657,8 @@ class TestWorkAndPrecision:
 
     def test_names_of_scipy_run_what_they_mean(self):
         """BDF is ode15s with an option, and takes other steps."""
-        problem = turning((0, 5), invariants=None)
-        given = {"reference": [np.cos(5), np.sin(5)], "rtols": [1e-3], "axes": Figure().subplots(1, 2)}
+        problem = turning((0, 10), invariants=None)
+        given = {"reference": [np.cos(10), np.sin(10)], "rtols": [1e-3], "axes": Figure().subplots(1, 2)}
         panels = iv.plot_work_precision(problem, ["BDF", "ode15s", "RK45"], **given)
         work = [int(line.get_xdata()[0]) for line in panels[0].lines]
         stats = [problem.solve(name, rtol=1e-3, atol=1e-6).stats for name in ("BDF", "ode15s", "ode45")]

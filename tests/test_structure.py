@@ -206,7 +206,7 @@ class TestReplace:
     def test_it_solves_as_the_problem_made_so(self):
         replaced = self.problem().replace(y0=[5.0], args=(1.0,)).solve(rtol=1e-6)
         np.testing.assert_array_equal(
-            replaced.y, iv.ode45(lambda t, y, a: -a * y, (0, 1), [5.0], args=(1.0,), rtol=1e-6, refine=1).y
+            replaced.y, iv.solve_ivp(lambda t, y, a: -a * y, (0, 1), [5.0], args=(1.0,), rtol=1e-6).y
         )
 
 

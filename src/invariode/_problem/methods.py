@@ -93,14 +93,14 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     name implies."""
     name = getattr(method, "_method", method.__name__) if isinstance(method, type) else method
     if not isinstance(name, str):
-        raise TypeError(f"method must be the name of a method, one of {_names()}; got {shown(method)}")
+        raise TypeError(f"`method` must be one of {_names()}, by name; got {shown(method)}")
     for candidate in METHODS.values():
         if name == candidate.name:
             return candidate, {}
         if name == candidate.scipy_name:
             return candidate, candidate.scipy_options
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
-    raise ValueError(f"unknown method {name!r}{meant(name, known)} Methods: {_names()}")
+    raise ValueError(f"unknown method {name!r}{meant(name, known) or '.'} `method` must be one of {_names()}")
 
 
 def _names() -> str:

@@ -274,7 +274,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     explicit_one, implicit_one = options["prefer"] or ("", "")
     first = options["first_step"]
     if first is not None and first > span:
-        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {shown(first)}")
+        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {shown(first)}")
     return Settings(
         t0=t0,
         tf=tf,

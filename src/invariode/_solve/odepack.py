@@ -219,8 +219,10 @@ class _Times(NamedTuple):
 
 def _times(t: ArrayLike) -> _Times:
     given = np.atleast_1d(real_numbers("t", t))
+    if not given.size:  # nothing to integrate, and no output: SciPy's shape, (0, n)
+        return _Times(np.zeros(1), np.zeros(0, dtype=np.intp))
     steps = np.diff(given)
-    if given.ndim != 1 or not given.size or not ((steps >= 0).all() or (steps <= 0).all()):
+    if given.ndim != 1 or not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("t must be a list of times in rising or falling order; they may repeat. Sort it")
     new = np.concatenate([[True], steps != 0])
     return _Times(given[new], np.cumsum(new) - 1)
