@@ -1,10 +1,11 @@
-"""SciPy's own tests of `solve_ivp` and its classes, with ours in their place."""
+"""SciPy's own tests of `solve_ivp` and its classes, of `odeint` and of `ode`, with ours in their place."""
 
 from __future__ import annotations
 
 import inspect
 import itertools
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ import invariode as iv
 import invariode.scipy as plugin
 
 theirs = pytest.importorskip("scipy.integrate._ivp.tests.test_ivp", reason="SciPy was installed without its tests")
+older = pytest.importorskip("scipy.integrate.tests.test_integrate", reason="SciPy was installed without its tests")
 
 #: What does not hold here. docs/scipy.md has the differences, here in their order.
 DIFFER = {
@@ -51,5 +53,38 @@ def test_that_hold(test, arguments, monkeypatch):
     test(**arguments)
 
 
+#: What does not hold of `odeint`; of `ode` and `complex_ode` everything does.
+OLDER_DIFFER = {
+    "TestOde.test_concurrent_fail": "in versions of SciPy that cannot, two objects are not used side by side",
+    "TestOdeint.test_odeint": "bands are given as a Jacobian without ml and mu, and their shape is checked",
+    "test_odeint_errors": "f that returns a string is a TypeError",
+    "test_odeint_bad_shapes": "wrong shapes are a ValueError",
+}
+
+
+def older_cases() -> Iterator[Any]:
+    """Each test function, and each method of a test class."""
+    for name, one in vars(older).items():
+        if name.startswith("test_") and name not in OLDER_DIFFER:
+            yield pytest.param(lambda one=one: one, id=name)
+        elif name.startswith("Test") and inspect.isclass(one):
+            tests = (f"{name}.{test}" for test in dir(one) if test.startswith("test_"))
+            for test in (test for test in tests if test not in OLDER_DIFFER):
+                yield pytest.param(lambda one=one, test=test: getattr(one(), test.partition(".")[2]), id=test)
+
+
+@pytest.mark.parametrize("case", [*older_cases()])
+def test_of_older_functions(case, monkeypatch):
+    for name in ("odeint", "ode", "complex_ode"):
+        monkeypatch.setattr(older, name, getattr(iv, name))
+    monkeypatch.setattr(older.TestOde, "ode_class", iv.ode)
+    monkeypatch.setattr(older.TestComplexOde, "ode_class", iv.complex_ode)
+    test = case()
+    threads = {"num_parallel_threads": 1} if "num_parallel_threads" in inspect.signature(test).parameters else {}
+    test(**threads)
+
+
 def test_that_do_not_hold_are_there():
     assert [name for name in (*DIFFER, *OTHERS) if not hasattr(theirs, name)] == []
+    for name in OLDER_DIFFER:
+        assert attrgetter(name)(older)

@@ -4,10 +4,12 @@ The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto
 Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
+import typing as _typing
 from importlib.metadata import version as _version
 from types import FunctionType as _FunctionType
 
 from ._base.failures import FailureWarning, InvariantError, SolveError
+from ._base.suggestions import absent as _absent
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
@@ -26,6 +28,7 @@ from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
 from ._solve.ivp import solve_ivp
 from ._solve.loading import load
+from ._solve.ode import complex_ode, ode
 from ._solve.ode_functions import *  # noqa: F403 - the registry says what is in it
 from ._solve.odepack import odeint
 from ._solve.prepared import PreparedSolver
@@ -72,9 +75,11 @@ __all__ = [
     "UnitVector",
     "check_invariants",
     "compile",
+    "complex_ode",
     "find_invariants",
     "impose",
     "load",
+    "ode",
     "odeint",
     "plot_work_precision",
     "solve_ensemble",
@@ -87,6 +92,13 @@ __version__ = _version("invariode")
 for _name in __all__:  # the rooms are private: pickles, tracebacks and documentation name what users import
     if isinstance(_public := globals()[_name], (type, _FunctionType)):
         _public.__module__ = __name__
+
+
+if not _typing.TYPE_CHECKING:  # for whom a name that is not there is an error
+
+    def __getattr__(name: str) -> _typing.NoReturn:
+        """A name that is not there."""
+        raise AttributeError(_absent(__name__, name, __all__, ("problems", "scipy", "symbolic")))
 
 
 def __dir__() -> list[str]:
