@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from invariode._base.arguments import Array
+from invariode._base.types import MethodName
 from invariode._problem.invariants import Invariants
 from invariode._problem.methods import METHODS
 from invariode._results.solution import Solution
@@ -38,7 +39,7 @@ DEMO_RTOL, DEMO_ATOL = 1e-5, 1e-4
 KINETICS_RTOL = 1e-6
 
 
-def solved(problem: Problem, method: str, **options: Any) -> Solution:
+def solved(problem: Problem, method: MethodName, **options: Any) -> Solution:
     """The problem solved as the suite does, with steps up to a tenth of the interval."""
     return problem.solve(method, max_step="tenth", **options)
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from invariode._base.arguments import Array
+from invariode._base.method_names import OwnName
 from invariode._problem.events import Event
 from invariode._results.result import StiffnessWarning
 from invariode._results.solution import Solution
@@ -40,7 +41,7 @@ def matlab_rows() -> list[Row]:
     return [*third_order, *_hires(), *_flame(), *_scalar_linear(), *_points(), *_blow_up()]
 
 
-def _third_order(method: str) -> list[Row]:
+def _third_order(method: OwnName) -> list[Row]:
     """u''' + u'' + 4 u' + 4 u = 4 t² + 8 t - 10 on [0, 2], whose solution is -sin 2t + t² - 3."""
     title = f"u‴ = −u″ − 4u′ − 4u + 4t² + 8t − 10 on [0, 2], rtol = atol, {method}"
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from .. import _core
 from .._base.arguments import shown
+from .._base.method_names import OwnName
 from .._base.suggestions import meant
 from .._base.types import LargestStep
 
@@ -52,7 +53,7 @@ class Method:
         Where the formulas come from.
     """
 
-    name: str
+    name: OwnName
     summary: str
     family: str
     min_order: int
@@ -85,7 +86,9 @@ def _from_core(row: _core.Method) -> Method:
 
 
 #: The methods by name, as the core lists them.
-METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for row in _core.methods()})
+METHODS: Mapping[OwnName, Method] = MappingProxyType(
+    {method.name: method for method in map(_from_core, _core.methods())}
+)
 
 
 def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
 from .._base.arguments import ATOL, RTOL, Array, flag
-from .._base.types import LargestStep, Numbers
+from .._base.types import LargestStep, MethodName, Numbers
 from .._functions.compiled import is_native
 from .._problem.accepted import stepper_options
 from .._problem.description import Description
@@ -84,7 +84,7 @@ class Stepper(OdeSolver):
     Invariants are called as ``g(t, y)``: SciPy's solve_ivp passes `args` only to `fun`, `jac` and events.
     """
 
-    _method: ClassVar[str]
+    _method: ClassVar[MethodName]
 
     def __init__(
         self,
