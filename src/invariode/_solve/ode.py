@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, count, function, number, state, warn
+from .._base.public import public
 from .._base.suggestions import meant
 from .._base.types import Function, MethodName
 from .._functions.compiled import is_native
@@ -194,6 +195,7 @@ class _Calls:
         return of_ours
 
 
+@public
 class ode:  # noqa: N801 - SciPy's name
     """Advances y' = f(t, y) to one time after the other, with the calls of `scipy.integrate.ode`.
 
@@ -472,6 +474,7 @@ class ode:  # noqa: N801 - SciPy's name
         warn(f"{chosen.name}: {why}")
 
 
+@public
 class complex_ode(ode):  # noqa: N801 - the same
     """`ode` for complex states.
 
