@@ -121,11 +121,40 @@ Status AgingJacobian::sensitivity_rate(double t, const double* Y, const double* 
   const std::size_t n = extent_.n;
   const double least = std::sqrt(eps) * std::max(std::abs(t), std::abs(t + h));
   const double dt = t + std::copysign(std::min(least, std::abs(h)), h) - t;
-  std::vector<double> beyond(Y, Y + extent_.size());
-  for (std::size_t i = 0; i < n; ++i) beyond[i] += dt * slope[i];
-  if ((*sensitivities_)(t + dt, beyond.data(), rate + n) == Status::stop) return Status::stop;
+  beyond_.assign(Y, Y + extent_.size());
+  for (std::size_t i = 0; i < n && slope != nullptr; ++i) beyond_[i] += dt * slope[i];
+  if ((*sensitivities_)(t + dt, beyond_.data(), rate + n) == Status::stop) return Status::stop;
   for (std::size_t i = n; i < extent_.size(); ++i) rate[i] = dt == 0 ? 0 : (rate[i] - f[i]) / dt;
   if (!all_finite(rate + n, n * extent_.k)) std::fill_n(rate + n, n * extent_.k, 0);
+  return Status::ok;
+}
+
+Status AgingJacobian::solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f,
+                                  double* b) {
+  count_solve();
+  factors.solve(b);
+  if (extent_.k == 0) return Status::ok;
+  if (couple(c, t, Y, f, b) == Status::stop) return Status::stop;
+  for (std::size_t first = extent_.n; first < extent_.size(); first += extent_.n) {
+    count_solve();
+    factors.solve(b + first);
+  }
+  return Status::ok;
+}
+
+/// b_j += c ∂(J S_j + f_pj)/∂y b_0, by a difference along b_0. It need not be exact: the formulas have their order with
+/// any matrix, and it is what keeps S stable where y is stiff.
+Status AgingJacobian::couple(double c, double t, const double* Y, const double* f, double* b) {
+  const std::size_t n = extent_.n;
+  const double size = max_norm(n, [&](std::size_t i) { return b[i] / weights_.at(i, Y[i]); });
+  if (!(size > 0) || !std::isfinite(size)) return Status::ok;
+  const double part = std::sqrt(eps) / size;
+  beyond_.assign(Y, Y + extent_.size());
+  changed_.resize(n * extent_.k);
+  for (std::size_t i = 0; i < n; ++i) beyond_[i] += part * b[i];
+  if ((*sensitivities_)(t, beyond_.data(), changed_.data()) == Status::stop) return Status::stop;
+  if (!all_finite(changed_.data(), changed_.size())) return Status::ok;
+  for (std::size_t i = 0; i < changed_.size(); ++i) b[n + i] += c * ((changed_[i] - f[n + i]) / part);
   return Status::ok;
 }
 

@@ -111,8 +111,8 @@ class AgingJacobian {
   Status time_derivative(double t, const double* y, const double* slope, double h, double* ft) {
     return jacobian_.time_derivative(state_f_, t, y, slope, h, ft);
   }
-  /// d/dt (J S_j + f_pj) along the solution with S_j constant, (k, n) behind the state in `rate`, by a difference over
-  /// part of the signed step h. Y' is `slope`, and what the method integrates has the value `f` at (t, Y).
+  /// ∂/∂t (J S_j + f_pj), (k, n) behind the state in `rate`, by a difference over part of the signed step h; with
+  /// `slope` the derivative along y' is added. What the method integrates has the value `f` at (t, Y).
   Status sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h, double* rate);
   /// M, as it was last evaluated; null: the identity.
   [[nodiscard]] Mass* mass() const { return mass_; }
@@ -122,7 +122,7 @@ class AgingJacobian {
   void multiply_blocks(const Matrix& A, const double* v, double* out) const {
     for (std::size_t first = 0; first < extent_.size(); first += extent_.n) A.multiply(v + first, out + first);
   }
-  /// b, of all blocks, becomes the solution with the factors.
+  /// b, of all blocks, becomes the solution with the factors, of each block for itself.
   template <class Scalar>
   void solve_blocks(Factors<Scalar>& factors, Scalar* b) {
     for (std::size_t first = 0; first < extent_.size(); first += extent_.n) {
@@ -130,6 +130,9 @@ class AgingJacobian {
       factors.solve(b + first);
     }
   }
+  /// The same with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
+  /// what y does to the slopes of the sensitivities.
+  Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
   [[nodiscard]] LinearWork work() const;
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
@@ -165,6 +168,7 @@ class AgingJacobian {
   Outcome factored(double c, double t1, bool regular);
   void fields(Archive& archive);
   Outcome finite_or_noted(const double* out, std::size_t count);
+  Status couple(double c, double t, const double* Y, const double* f, double* b);
 
   Callback& f_;        // of all that the method integrates,
   Callback& state_f_;  // and of the state: the same without sensitivities
@@ -176,9 +180,10 @@ class AgingJacobian {
   std::optional<MatrixFree> free_;
   std::vector<double> scratch_;  // empty if matrix-free
   std::optional<JacobianCheck> check_;
-  std::vector<double> reach_;      // of the check
-  std::optional<double> fitting_;  // the largest size of a J that the check has passed
-  std::optional<Misfit> misfit_;   // of a J that is given
+  std::vector<double> reach_;             // of the check
+  std::vector<double> beyond_, changed_;  // a point beside Y, and the slopes of the sensitivities there
+  std::optional<double> fitting_;         // the largest size of a J that the check has passed
+  std::optional<Misfit> misfit_;          // of a J that is given
   LinearWork work_;
   std::optional<double> factored_;  // c of the factors at hand
   double factored_at_ = 0;          // t of the M in them

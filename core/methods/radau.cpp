@@ -255,7 +255,8 @@ Newton::Result Radau::solve_for_error(const double* f) {
   const double c = signed_h_ / formula_->mu;
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c * f[i] + gap_[i];
   const double tolerance = linear_part * weights_.rtol();
-  const Newton::Result result = solver_.solve_real(mass(), weight_.data(), tolerance, error_vector_.data());
+  const Newton::Result result =
+      solver_.solve_real(mass(), weight_.data(), tolerance, t_, y(), f_.data(), error_vector_.data());
   error_ = norm(error_vector_.data());
   return result;
 }

@@ -112,11 +112,12 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
   return result;
 }
 
-Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
+Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
+                                        const double* f, double* b) {
   if (has_matrices()) {
     assert(has_factors());
-    solve_blocks(*real_lu_, b);
-    return Newton::Result::converged;
+    const Status status = solve_whole(*real_lu_, h_ / formula_->mu, t, Y, f, b);
+    return status == Status::stop ? Newton::Result::stop : Newton::Result::converged;
   }
   count_solve();
   bool negligible = false;

@@ -34,8 +34,10 @@ class RadauSystems : public AgingJacobian {
   /// so if all updates are within the tolerance, and they may be 0. `scratch`: (n,).
   Newton::Result solve(const Matrix* M, const double* w, double tolerance, double* residuals, double* scratch,
                        bool& negligible);
-  /// b becomes (M − (h/μ) J)⁻¹ b, μ real.
-  Newton::Result solve_real(const Matrix* M, const double* w, double tolerance, double* b);
+  /// b becomes (M − (h/μ) J)⁻¹ b, μ real; with sensitivities the matrix is that of the whole system at (t, Y), where it
+  /// has the value `f`.
+  Newton::Result solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
+                            const double* f, double* b);
 
   /// Matrix-free, J is never an old one.
   [[nodiscard]] bool has_matrices() const { return static_cast<bool>(real_lu_); }
