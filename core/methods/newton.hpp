@@ -42,6 +42,7 @@ class Convergence {
   /// Iterations since `begin`, and the rate of convergence, if two of them have told it.
   [[nodiscard]] int iterations() const { return iteration_; }
   [[nodiscard]] double rate() const { return rate_; }
+  [[nodiscard]] bool rate_known() const { return rate_known_; }
   void state(Archive& archive) { archive(iteration_, rate_, rate_known_); }
 
  private:
@@ -118,14 +119,16 @@ class AgingJacobian {
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
   [[nodiscard]] const Extent& extent() const { return extent_; }
+  /// In which iterations for sensitivities converge, where there are any.
+  [[nodiscard]] const Weights& sensitivity_weights() const { return *sensitivity_weights_; }
   /// A v, block by block.
   void multiply_blocks(const Matrix& A, const double* v, double* out) const {
     for (std::size_t first = 0; first < extent_.size(); first += extent_.n) A.multiply(v + first, out + first);
   }
-  /// b, of all blocks, becomes the solution with the factors, of each block for itself.
+  /// b, in the blocks from component `first` to `end`, becomes the solution with the factors, of each block for itself.
   template <class Scalar>
-  void solve_blocks(Factors<Scalar>& factors, Scalar* b) {
-    for (std::size_t first = 0; first < extent_.size(); first += extent_.n) {
+  void solve_blocks(Factors<Scalar>& factors, Scalar* b, std::size_t first, std::size_t end) {
+    for (; first < end; first += extent_.n) {
       count_solve();
       factors.solve(b + first);
     }
@@ -175,6 +178,7 @@ class AgingJacobian {
   const Weights& weights_;
   Extent extent_;
   std::optional<Callback> sensitivities_;
+  const Weights* sensitivity_weights_;  // null without them
   Jacobian jacobian_;
   Mass* mass_;
   std::optional<MatrixFree> free_;
@@ -285,8 +289,7 @@ class Newton : public AgingJacobian {
   Outcome precondition(double* b);
 
   const Weights& weights_;
-  const Weights* sensitivity_weights_;  // of Y; null without sensitivities
-  std::unique_ptr<Factorization> lu_;   // null: matrix-free
+  std::unique_ptr<Factorization> lu_;  // null: matrix-free
   Convergence convergence_, sensitivity_convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
