@@ -21,6 +21,7 @@ from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
+from ._problem.sensitivities import Sensitivities
 from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
@@ -32,6 +33,7 @@ from ._solve.prepared import PreparedSolver
 from ._solve.problem import Problem
 from ._studies.check import CheckReport, check_invariants
 from ._studies.search import PolynomialInvariant, find_invariants
+from ._studies.sensitivities import SensitivityReport, check_sensitivities
 from ._studies.work_precision import plot_work_precision
 
 __all__ = [
@@ -63,6 +65,8 @@ __all__ = [
     "PreparedSolver",
     "Problem",
     "RotationMatrix",
+    "Sensitivities",
+    "SensitivityReport",
     "Solution",
     "SolveError",
     "Stats",
@@ -71,6 +75,7 @@ __all__ = [
     "UnitQuaternion",
     "UnitVector",
     "check_invariants",
+    "check_sensitivities",
     "compile",
     "find_invariants",
     "impose",
