@@ -24,6 +24,9 @@ class Convergence {
     int most_iterations;
     double goal;
     double first_goal;
+
+    /// For sensitivities, of which an iteration costs less than a step that is given up with the state known.
+    [[nodiscard]] Rules for_sensitivities() const { return {2 * most_iterations, goal, first_goal}; }
   };
   enum class [[nodiscard]] Verdict { go_on, converged, diverged };
 

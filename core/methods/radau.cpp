@@ -65,7 +65,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       formula_(lowest_),
       accepted_(lowest_),
       convergence_(newton_rules(*lowest_)),
-      sensitivity_convergence_(newton_rules(*lowest_)) {
+      sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
   if (solver_.has_matrices())  // others try no part of an update
     for (std::vector<double>* v : {&update_, &untried_}) v->reserve(residuals_.size());
@@ -79,7 +79,8 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
 /// The formula of the next attempt.
 void Radau::use(const RadauFormula* formula) {
   formula_ = formula;
-  convergence_ = sensitivity_convergence_ = Convergence(newton_rules(*formula));
+  convergence_ = Convergence(newton_rules(*formula));
+  sensitivity_convergence_ = Convergence(newton_rules(*formula).for_sensitivities());
   solver_.use(*formula);
 }
 
