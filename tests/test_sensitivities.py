@@ -575,3 +575,15 @@ def test_trajectories_have_those_of_single_runs(fun, tmp_path):
 def test_steppers_refuse_them():
     with pytest.raises(ValueError, match="steps y alone: sensitivities are those of solve_ivp"):
         invariode.scipy.ODE45(lambda t, y: -y, 0, [1.0], 1, sensitivities="y0")
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_problems_from_formulas_name_their_parameters(compiled):
+    sympy = pytest.importorskip("sympy")
+    from invariode import symbolic
+
+    x, v, k = sympy.symbols("x v k")
+    problem = symbolic.equations({x: v, v: -k * x}, parameters={k: 2.25}).problem((0, 1), [1.0, 0.0], compiled=compiled)
+    sol = problem.replace(sensitivities=["k", "y0[x]"]).solve("ode45", **TOLERANCES)
+    assert sol.stats.sensitivities == "graph"
+    np.testing.assert_allclose(sol.sensitivities[0, :, -1], [-np.sin(1.5) / 3, np.cos(1.5)], rtol=1e-6)

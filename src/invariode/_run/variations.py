@@ -329,6 +329,7 @@ class _Switching:
     _below: Callable[[float, Array], Array]
     _above: Callable[[float, Array], Array]
     _forward: float
+    _warned: bool = False
 
     def _crossing(self, t: float, y: Array) -> _Crossing | None:
         below, above = (np.asarray(branch(t, y)) for branch in (self._below, self._above))
@@ -358,7 +359,8 @@ class _Switching:
         found = self._crossing(t, y)
         if found is None:
             return S
-        if found.leads_back:
+        if found.leads_back and not self._warned:
+            self._warned = True
             warn(
                 f"sensitivities: fun jumps at t = {t:.6g} such that both of its branches lead back to where it jumps. "
                 "Sensitivities are not reliable from there on",
