@@ -85,15 +85,17 @@ bool RadauSystems::factorize() {
 }
 
 /// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
-Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, double* residuals,
+Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, Blocks blocks, double* residuals,
                                    double* scratch, bool& negligible) {
   assert(formula_ != nullptr && (!has_matrices() || has_factors()));
   tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
-    count_solve();
-    if (lu == nullptr) return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
-    lu->solve(b);
+    if (lu == nullptr) {
+      count_solve();
+      return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
+    }
+    solve_blocks(*lu, b, blocks.first, blocks.end);
     negligible = false;
     return Newton::Result::converged;
   };
@@ -110,13 +112,14 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
   return result;
 }
 
-Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
-  count_solve();
+Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
+                                        const double* f, double* b) {
   if (has_matrices()) {
     assert(has_factors());
-    real_lu_->solve(b);
-    return Newton::Result::converged;
+    const Status status = solve_whole(*real_lu_, h_ / formula_->mu, t, Y, f, b);
+    return status == Status::stop ? Newton::Result::stop : Newton::Result::converged;
   }
+  count_solve();
   bool negligible = false;
   return solve_by_gmres(h_ / formula_->mu, M, w, tolerance, b, false, negligible);
 }

@@ -36,6 +36,7 @@ Run::Run(const Solver& solver) : solver_(solver) {
   keep_within_bounds();
   derive_slope();
   bind_invariants();
+  add_sensitivities();
   start_loop();
 }
 
@@ -53,7 +54,9 @@ void Run::wrap_in_pieces(Problem& problem) {
     block.g = piece_.within(block.g);
     block.jacobian = piece_.within(block.jacobian);
     block.complex_g = piece_.within(block.complex_g);
+    block.tangent = piece_.within(block.tangent);
   }
+  if (problem.variations) problem.variations->slope = piece_.within(problem.variations->slope);
   if (!problem.linear) return;
   Jacobian::Source& source = problem.linear->source;
   source.function = piece_.within(source.function);
@@ -70,6 +73,8 @@ void Run::wrap_in_bounds(Problem& problem) {
   confined_.emplace(*solver_.problem().bounds, solver_.weights());
   users_f_ = problem.f;
   problem.f = confined_->within(problem.f);
+  if (problem.variations)
+    problem.variations->slope = confined_->augmented_within(problem.variations->slope, problem.extent());
   if (!problem.linear) return;
   problem.linear->source = confined_->within(problem.linear->source);
   if (problem.linear->krylov)
@@ -92,7 +97,8 @@ LinearAlgebra Run::linear_algebra() {
   return {.jacobian = &*jacobian_,
           .mass = mass_ ? &*mass_ : nullptr,
           .lapack = lapack ? &*lapack : nullptr,
-          .krylov = krylov ? &*krylov : nullptr};
+          .krylov = krylov ? &*krylov : nullptr,
+          .state = state_equations_ ? &*state_equations_ : nullptr};
 }
 
 /// With a mass matrix that is not diagonal f_i is not a multiple of y_i', and f stays as it is.
@@ -142,10 +148,12 @@ bool Run::moves_off_algebraic_equations() const { return solver_.problem().bound
 /// With a singular mass matrix the invariants are imposed together with the algebraic equations.
 Invariants Run::with_algebraic_equations() {
   const Problem& problem = this->problem();
-  algebraic_.emplace(f_, *jacobian_, *mass_);
+  const Callback slopes = problem.variations ? problem.variations->slope : Callback();
+  algebraic_.emplace(f_, *jacobian_, *mass_, slopes, problem.extent());
   InvariantBlock block;
   block.g = algebraic_->residual();
   block.jacobian = algebraic_->jacobian();
+  if (problem.variations) block.tangent = algebraic_->tangent();
   block.m = algebraic_->count();
   block.untested = true;
   std::vector<InvariantBlock> blocks = problem.invariants;
@@ -162,9 +170,26 @@ Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> va
   return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
 }
 
+/// Within bounds S rests with the components of the state that do.
+void Run::add_sensitivities() {
+  const Problem& problem = this->problem();
+  if (!problem.variations) return;
+  if (bounded_slope_) bounded_slope_->note_held();
+  augmented_slope_.emplace(*method_f_, problem.variations->slope, problem.extent(),
+                           bounded_slope_ ? &*bounded_slope_ : nullptr);
+  augmented_f_ = augmented_slope_->callback();
+  sensitivities_f_ = augmented_slope_->of_sensitivities();
+  state_equations_ = {.extent = problem.extent(),
+                      .f = method_f_,
+                      .sensitivities = &sensitivities_f_,
+                      .weights = &solver_.weights(),
+                      .iteration = &solver_.iteration_weights()};
+}
+
 void Run::start_loop() {
+  Callback& integrated = augmented_slope_ ? augmented_f_ : *method_f_;
   std::unique_ptr<Step> step =
-      solver_.method().step(*method_f_, solver_.weights(), solver_.options(), linear_algebra());
+      solver_.method().step(integrated, solver_.augmented_weights(), solver_.options(), linear_algebra());
   const Problem& all = solver_.problem();
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
@@ -172,11 +197,16 @@ void Run::start_loop() {
                           .breakpoints = all.breakpoints,
                           .piece = &piece_,
                           .consistent = {},
+                          .consistent_tangent = {},
                           .callback = all.callback};
   if (mass_ && mass_->singular())
     functions.consistent = [this](double t, double* y) {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
+    };
+  if (functions.consistent && state_equations_)
+    functions.consistent_tangent = [this](double t, double* Y) {
+      return make_tangent_consistent(linear_algebra(), t, Y);
     };
   integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
 }
@@ -197,7 +227,7 @@ std::int64_t Run::evaluations_of_prepare() const {
 }
 
 void Run::count_evaluations(RunResult& result) const {
-  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
+  result.nfev = evaluations() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
   result.nfev_check = integration_->discontinuities().evaluations() + result.linear.checks;
   if (!steps_) return;
   result.ng = -before_;
@@ -299,6 +329,7 @@ void Run::state(Archive& archive) {
   archive_prepared(archive);
   f_.state(archive);
   bounded_f_.state(archive);
+  augmented_f_.state(archive);
   if (bounded_slope_) bounded_slope_->state(archive);
   if (slope_) slope_->state(archive);
   if (algebraic_) algebraic_->state(archive);

@@ -24,6 +24,7 @@ from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
+from ._problem.sensitivities import Sensitivities
 from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
@@ -39,6 +40,7 @@ if _TYPE_CHECKING:
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
     from ._studies.search import PolynomialInvariant, find_invariants
+    from ._studies.sensitivities import SensitivityReport, check_sensitivities
     from ._studies.work_precision import plot_work_precision
 
 __all__ = [
@@ -70,6 +72,8 @@ __all__ = [
     "PreparedSolver",
     "Problem",
     "RotationMatrix",
+    "Sensitivities",
+    "SensitivityReport",
     "Solution",
     "SolveError",
     "Stats",
@@ -78,6 +82,7 @@ __all__ = [
     "UnitQuaternion",
     "UnitVector",
     "check_invariants",
+    "check_sensitivities",
     "compile",
     "complex_ode",
     "find_invariants",
@@ -100,6 +105,8 @@ _LATER = {
     "check_invariants": "._studies.check",
     "PolynomialInvariant": "._studies.search",
     "find_invariants": "._studies.search",
+    "SensitivityReport": "._studies.sensitivities",
+    "check_sensitivities": "._studies.sensitivities",
     "plot_work_precision": "._studies.work_precision",
 }
 
