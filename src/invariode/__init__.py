@@ -4,9 +4,9 @@ The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto
 Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
+import typing as _typing
 from importlib import import_module as _import_module
 from types import FunctionType as _FunctionType
-from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from ._base.failures import FailureWarning, InvariantError, SolveError
 from ._base.public import public as _public
@@ -35,7 +35,7 @@ from ._solve.odepack import odeint
 from ._solve.prepared import PreparedSolver
 from ._solve.problem import Problem
 
-if _TYPE_CHECKING:
+if _typing.TYPE_CHECKING:
     from ._mechanics.system import MechanicalSystem
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
@@ -115,7 +115,7 @@ for _name in {*__all__} - {*_LATER}:
         _public(_found)
 
 
-if _TYPE_CHECKING:  # for whom any other name is an error
+if _typing.TYPE_CHECKING:  # for whom any other name is an error
     __version__: str
 else:
 

@@ -55,6 +55,7 @@ class Sensitivities:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> def decay(t, y, rate):
     ...     return [-rate * y[0]]
