@@ -29,7 +29,6 @@ from .._results.solution import Solution
 from .._run.checkpoint import CHECKPOINT, read_checkpoint
 from .._run.identity import Identity, known_identity, options_of, require_same
 from .._run.run import RunOrigin, Solved
-from .._run.variations import Weights, make_variations
 
 
 def load(
@@ -274,6 +273,8 @@ def _tangents(path: PathLike, solution: Solution, problem: Description | None, b
             f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
             "load(path, problem)"
         )
+    from .._run.variations import Weights, make_variations
+
     rtol, threshold, _ = tolerances(solution._rtol, solution._atol, problem.y0)
     weights = Weights(rtol, threshold)
     with quietly():
