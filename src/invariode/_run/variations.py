@@ -132,7 +132,7 @@ def make_variations(
     """
     wanted, names = problem.sensitivities, problem.parameters()
     assert wanted is not None
-    _require_possible(problem, names)
+    require_possible(problem, names)
     t0, args, n = problem.t_span[0], problem.args, len(y0)
     at = Point(t0, y0)
     about = _Derivatives(args, names, n, at)
@@ -423,8 +423,8 @@ def _sign_of(slope: Directional, difference: Node) -> Callable[..., float]:
 # What is known, and what is possible
 
 
-def _require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
-    """What there are no sensitivities for is refused by name."""
+def require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
+    """That there are sensitivities. What there are none for is refused by name."""
     if isinstance(problem.fun, CoreFunction):
         raise ValueError(
             "sensitivities are not possible for a MechanicalSystem, whose accelerations the core computes: write its "
