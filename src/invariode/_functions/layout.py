@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -252,6 +253,48 @@ def _entry(value: Any) -> Entry:
     if type(value) in (list, tuple):
         return Listed(type(value), tuple(map(_entry, value)))
     return Constant(value)
+
+
+_NUMBER = (bool, int, float, np.bool_, np.integer, np.floating)
+
+
+def numbers_in(value: Any) -> Iterator[tuple[str, Any]]:
+    """The numbers of an argument in their order, each with what is added to the argument's name for it."""
+    if isinstance(value, _NUMBER):
+        yield "", value
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        for place, one in np.ndenumerate(value):
+            yield (f"[{', '.join(map(str, place))}]" if place else ""), one
+    elif type(value) in (list, tuple):
+        for i, entry in enumerate(value):
+            for suffix, one in numbers_in(entry):
+                yield f"[{i}]{suffix}", one
+
+
+def place_of(args: Sequence[Any], index: int, item: int | None) -> int:
+    """The place of a number of an argument among those of all arguments."""
+    return int(arguments_of(args[:index])) + (item or 0)
+
+
+def with_numbers(args: Sequence[Any], changes: Mapping[int, Mapping[int, Any]]) -> tuple[Any, ...]:
+    """The arguments with other numbers: by argument, and by place among its numbers."""
+    return tuple(_changed(value, changes[i], count()) if i in changes else value for i, value in enumerate(args))
+
+
+def _changed(value: Any, numbers: Mapping[int, Any], places: Iterator[int]) -> Any:
+    if isinstance(value, _NUMBER):
+        return numbers.get(next(places), value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        inside = {i: numbers[place] for i, place in zip(range(value.size), places, strict=False) if place in numbers}
+        if not inside:
+            return value
+        made = np.array(value, dtype=np.result_type(float, *inside.values()))
+        for i, number in inside.items():
+            made.flat[i] = number
+        return made
+    if type(value) in (list, tuple):
+        return type(value)(_changed(one, numbers, places) for one in value)
+    return value
 
 
 class Parameters(np.ndarray[Any, Any]):

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import inspect
 import operator
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import count
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from .._base.arguments import Array, call_name, items, shown
 from .._base.suggestions import meant
 from .._functions.compiled import CompiledFunction
+from .._functions.layout import numbers_in, with_numbers
 
 #: All initial values.
 Y0 = "y0"
@@ -109,7 +109,7 @@ def values_of(args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName]) 
     """The values of the parameters, of shape (k,)."""
 
     def value(one: ParameterName) -> Any:
-        return y0[one.index] if one.kind == Y0 else [*_numbers(args[one.index])][one.item or 0][1]
+        return y0[one.index] if one.kind == Y0 else [*numbers_in(args[one.index])][one.item or 0][1]
 
     return np.array([value(one) for one in names], dtype=float)
 
@@ -125,8 +125,7 @@ def with_values(
             start[one.index] = value
         else:
             changes.setdefault(one.index, {})[one.item or 0] = float(value)
-    changed = [_changed(value, changes[i], count()) if i in changes else value for i, value in enumerate(args)]
-    return tuple(changed), start
+    return with_numbers(args, changes), start
 
 
 class _Known:
@@ -141,7 +140,7 @@ class _Known:
     def of_argument(self, index: int) -> list[ParameterName]:
         """The numbers of an argument."""
         name = self._names[index]
-        found = [(i, suffix) for i, (suffix, value) in enumerate(_numbers(self._args[index])) if _is_real(value)]
+        found = [(i, suffix) for i, (suffix, value) in enumerate(numbers_in(self._args[index])) if _is_real(value)]
         return [ParameterName(name + suffix, "args", index, i if suffix else None) for i, suffix in found]
 
     def of_y0(self, index: int) -> ParameterName:
@@ -227,33 +226,5 @@ def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
     return own + plain[len(own) :]
 
 
-def _numbers(value: Any) -> Iterator[tuple[str, Any]]:
-    """What is added to the name of an argument for each of its numbers, and the number; truths count."""
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        for place, one in np.ndenumerate(value):
-            yield (f"[{', '.join(map(str, place))}]" if place else ""), one
-    elif type(value) in (list, tuple):
-        for i, entry in enumerate(value):
-            for suffix, one in _numbers(entry):
-                yield f"[{i}]{suffix}", one
-    elif isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating)):
-        yield "", value
-
-
 def _is_real(value: Any) -> bool:
     return not isinstance(value, (bool, np.bool_))
-
-
-def _changed(value: Any, numbers: Mapping[int, float], places: Iterator[int]) -> Any:
-    """An argument with other numbers in these places."""
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        inside = {i: numbers[place] for i, place in zip(range(value.size), places, strict=False) if place in numbers}
-        made = np.array(value, dtype=float) if inside else value
-        for i, number in inside.items():
-            made.flat[i] = number
-        return made
-    if type(value) in (list, tuple):
-        return type(value)(_changed(one, numbers, places) for one in value)
-    if isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating)):
-        return numbers.get(next(places), value)
-    return value

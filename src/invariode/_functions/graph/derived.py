@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
-from .derivatives import Row, gradient, jacobian, tangent
+from .derivatives import Row, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
 from .nodes import Node
 from .python import Formula, Pattern
@@ -104,6 +104,34 @@ class Derived:
     def curvature(self) -> GraphFunction:
         """d²/ds² of the same."""
         return self._function("curvature", lambda: tangent(tangent(self._outputs, self._direction), self._direction))
+
+    def tangents(self, places: Sequence[int | None]) -> GraphFunction:
+        """∂/∂y S_j + ∂/∂p_j for each parameter, given by its place (None: an initial value, of which the function does
+        not know), of (t, (y, S_1, S_2, ...)): one pass for all columns, which share what they have in common."""
+        graph, n = self._graph, self._n
+
+        def values() -> list[Node]:
+            start: dict[Node, Row] = {}
+            for i, y in enumerate(self._y):
+                start[y] = {j: graph.y(n + j * n + i) for j in range(len(places))}
+            for j, place in enumerate(places):
+                if place is not None:
+                    start.setdefault(graph.p(place), {})[j] = graph.node(1.0)
+            rows = tangents(self._outputs, start)
+            return [row.get(j, graph.node(0.0)) for j in range(len(places)) for row in rows]
+
+        return self._function(("tangents", *places), values)
+
+    def along(self, places: Sequence[int | None]) -> GraphFunction:
+        """d/ds of the function at (t + s dt, y + s dy, p + s dp), s = 0, of (t, (y, dt, dy, dp)), with the parameters
+        in these places."""
+        graph, n = self._graph, self._n
+
+        def values() -> list[Node]:
+            moving = {graph.p(at): graph.y(2 * n + 1 + j) for j, at in enumerate(places) if at is not None}
+            return tangent(self._outputs, self._direction | moving)
+
+        return self._function(("along", *places), values)
 
     def _filled(self, key: Any, size: int, place: Any) -> GraphFunction:
         def values() -> list[Node]:
