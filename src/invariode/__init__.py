@@ -31,6 +31,12 @@ from ._solve.odepack import odeint
 from ._solve.prepared import PreparedSolver
 from ._solve.problem import Problem
 from ._studies.check import CheckReport, check_invariants
+from ._studies.fit.experiment import Experiment
+from ._studies.fit.fit import fit
+from ._studies.fit.objective import Objective, objective
+from ._studies.fit.parameters import Parameter
+from ._studies.fit.profile import Profile
+from ._studies.fit.result import Fit, Prediction
 from ._studies.search import PolynomialInvariant, find_invariants
 from ._studies.work_precision import plot_work_precision
 
@@ -51,7 +57,9 @@ __all__ = [
     "EnsembleStats",
     "EnsembleStore",
     "Event",
+    "Experiment",
     "FailureWarning",
+    "Fit",
     "ImposeResult",
     "Input",
     "InvariantError",
@@ -59,9 +67,13 @@ __all__ = [
     "Limits",
     "MechanicalSystem",
     "Method",
+    "Objective",
+    "Parameter",
     "PolynomialInvariant",
+    "Prediction",
     "PreparedSolver",
     "Problem",
+    "Profile",
     "RotationMatrix",
     "Solution",
     "SolveError",
@@ -73,8 +85,10 @@ __all__ = [
     "check_invariants",
     "compile",
     "find_invariants",
+    "fit",
     "impose",
     "load",
+    "objective",
     "odeint",
     "plot_work_precision",
     "solve_ensemble",

@@ -21,8 +21,8 @@ class Data(NamedTuple):
     names: list[str] | None  # of the quantities; None: the data have none
 
 
-def read(t: Any, data: Any, m: int | None) -> Data:
-    """Times and values, checked; `m` is the number of quantities of data without names, None if it is not known."""
+def read(t: Any, data: Any, m: int) -> Data:
+    """Times and values, checked; `m` is the number of quantities of data without names."""
     if isinstance(data, Mapping) and not hasattr(data, "dims"):
         return _of_columns(t, data)
     if hasattr(data, "columns") and hasattr(data, "index"):
@@ -80,22 +80,18 @@ def _labelled(t: Any, data: Any) -> Data:
     return Data(times, _checked(values), names)
 
 
-def _oriented(values: Array, count: int, m: int | None) -> Array:
+def _oriented(values: Array, count: int, m: int) -> Array:
     """Values of shape (m, n_t), like `sol.y`; transposed ones are recognised unless that could be either."""
-    expected = f"({'m' if m is None else m}, {count}), a row for each observed quantity and a column for each time"
-    if values.ndim == 2:
-        rows, columns = values.shape
-        fits = columns == count and m in (None, rows)
-        fits_transposed = rows == count and m in (None, columns)
-        if fits and fits_transposed and rows > 1:
-            raise ValueError(
-                f"data of shape {values.shape} could have the times along either axis: give a dict, a DataFrame or a "
-                "labelled array, which name the quantities"
-            )
-        if fits:
-            return values
-        if fits_transposed:
-            return values.T
+    if values.shape == (m, count) == (count, m) and m > 1:
+        raise ValueError(
+            f"data of shape {values.shape} could have the times along either axis: give a dict, a DataFrame or a "
+            "labelled array, which name the quantities"
+        )
+    if values.shape == (m, count):
+        return values
+    if values.shape == (count, m):
+        return values.T
+    expected = f"({m}, {count}), a row for each observed quantity and a column for each time"
     raise ValueError(f"data must have shape {expected}, got {values.shape}")
 
 

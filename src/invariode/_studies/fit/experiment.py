@@ -85,7 +85,7 @@ class Experiment:
         self.problem = problem
         self.observation = Observation(problem, observe)
         self.noise = choice("noise", noise, ("normal", "lognormal"))
-        empty = Data(np.zeros(0), np.zeros((self.observation.size or 0, 0)), None)
+        empty = Data(np.zeros(0), np.zeros((self.observation.size, 0)), None)
         self.data = empty if data is None else self._matched(read(t, data, self.observation.size))
         self.events = _event_series(problem, event_times)
         self.sigma, self.event_sigma = sigma, event_sigma
@@ -188,7 +188,7 @@ class Observation:
         ``observe(t, y, *args, **extras)``.
     components : list of int
         Without a function.
-    size : int or None
+    size : int
         The number of quantities.
     extras : dict
         The keyword-only arguments of the function with their defaults.
@@ -231,11 +231,10 @@ class Observation:
             return int(one)
         raise ValueError(f"there is no component {shown(one)} to observe: there are {', '.join(labels)}{meant(one, labels)}")
 
-    def _count(self) -> int | None:
-        """Of the values of the function, at the start; None: it has parameters without a value."""
-        if None in self.extras.values():
-            return None
-        return len(self.at(self._problem.t_span[0], self._problem.y0, self._problem.args, self.extras))
+    def _count(self) -> int:
+        """Of the values of the function, at the start."""
+        extras = {name: 1.0 if value is None else value for name, value in self.extras.items()}
+        return len(self.at(self._problem.t_span[0], self._problem.y0, self._problem.args, extras))
 
     def at(self, t: float, y: Array, args: tuple[Any, ...], extras: Mapping[str, Any]) -> Array:
         """The values of the function, (m,)."""

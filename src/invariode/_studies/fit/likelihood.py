@@ -117,7 +117,8 @@ class Model:
         self._compared = np.where(self.lognormal, np.log(np.where(self.lognormal, self.measured, 1.0)), self.measured)
         self.relative = _is_relative(series, absolute_sigma)
         #: A unit for data of unknown noise, so that the search sees numbers of size 1.
-        self.unit = float(np.sqrt(np.mean(self._compared**2))) or 1.0 if self.relative else 1.0
+        unknown = any(one.sigma is None for one in series)
+        self.unit = float(np.sqrt(np.mean(self._compared**2))) or 1.0 if unknown else 1.0
         known = [np.full(len(one.values), self.unit) if one.sigma is None else one.sigma for one in series]
         self._factors = np.concatenate(known)
         self.size = len(self.measured)

@@ -286,7 +286,7 @@ class _Round:
         return Found(at, cost, success, message, jacobian)
 
 
-def starts(model: Model, count: int, seed: Any) -> list[Array]:
+def start_points(model: Model, count: int, seed: Any) -> list[Array]:
     """The first start, and others that fill the bounds evenly: a Latin hypercube."""
     space = model.space
     first = np.array([1.0 if one.start is None else one.start for one in space.free])

@@ -54,7 +54,7 @@ def uncertainty(model: Model, found: Found) -> Uncertainty:
         rows = information[:, inner]
         covariance[np.ix_(inner, inner)], groups = _inverse(rows, max(_NOISE * model.rtol, 1e-10))
         undetermined = [[space.free[inner[i]].name for i in group] for group in groups]
-    variance = model.variance(at, len(inner)) * _small_sample(model, at, len(inner))
+    variance = unit_of_variance(model, at, len(inner))
     slope = space.slope(at.free)
     fisher = information.T @ information / variance
     named = [(space.free[i].name, side, float(at.free[i])) for i, side in at_bound]
@@ -74,16 +74,21 @@ def _information(model: Model, found: Found) -> Array:
     return np.concatenate([*rows, model.space.priors(at.free)[1] * slope])
 
 
+def degrees_of_freedom(model: Model, k: int) -> int:
+    """What k parameters leave, of which the noise levels take none."""
+    return max(model.size - k + sum(one.level for one in model.space.free), 1)
+
+
 def _degrees(model: Model, at: Evaluation, k: int) -> float:
-    if not model.relative and not at.levels:
-        return np.inf
-    return max(model.size - k, 1)
+    return degrees_of_freedom(model, k) if model.relative or at.levels else np.inf
 
 
-def _small_sample(model: Model, at: Evaluation, k: int) -> float:
-    """Noise levels by maximum likelihood are too small by the degrees of freedom that the parameters take."""
-    others = k - sum(one.level for one in model.space.free)
-    return model.size / max(model.size - others, 1) if at.levels and not model.relative else 1.0
+def unit_of_variance(model: Model, at: Evaluation, k: int) -> float:
+    """The factor of σ² that the residuals give with k parameters. Noise levels by maximum likelihood are too small by
+    the degrees of freedom that the parameters take."""
+    if model.relative:
+        return model.variance(at, k)
+    return model.size / degrees_of_freedom(model, k) if at.levels else 1.0
 
 
 def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
