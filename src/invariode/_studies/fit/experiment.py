@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..._base.arguments import Array, call_name, choice, items, real_numbers, shown
 from ..._base.suggestions import meant
 from ..._functions.compiled import CompiledFunction, is_native
+from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, parameter_names, values_of
 from ..._solve.problem import Problem
 from .data import Data, read
@@ -53,6 +54,8 @@ class Experiment:
         Measured times of events by their name: the first value is that of the first occurrence, NaN is not measured.
     event_sigma : float, str or dict, optional
         The standard deviation of these times, as `sigma`.
+    **options
+        Of the runs of this experiment, such as `breakpoints` for its doses; they come before those of `fit`.
 
     Examples
     --------
@@ -73,6 +76,7 @@ class Experiment:
         noise: Literal["normal", "lognormal"] = "normal",
         event_times: Mapping[str, ArrayLike] | None = None,
         event_sigma: float | str | Mapping[str, Any] | None = None,
+        **options: Unpack[Options],
     ) -> None:
         if not isinstance(problem, Problem):
             raise TypeError(f"an experiment needs an invariode.Problem, got {shown(problem)}")
@@ -82,7 +86,7 @@ class Experiment:
             raise TypeError("an experiment needs data, or event_times")
         if data is None and t is not None:
             raise TypeError("t was given without data")
-        self.problem = problem
+        self.problem, self.options = problem, options
         self.observation = Observation(problem, observe)
         self.noise = choice("noise", noise, ("normal", "lognormal"))
         empty = Data(np.zeros(0), np.zeros((self.observation.size, 0)), None)

@@ -84,6 +84,8 @@ class Model:
         The parameters.
     relative : bool
         Whether sigma is known only up to a factor, which the residuals give.
+    rtol : float
+        The smallest relative tolerance of the runs.
     failures : Counter
         Why runs failed, with their number.
     runs : int
@@ -99,9 +101,10 @@ class Model:
         options: Options,
     ) -> None:
         for name in _OWN:
-            if name in options:
+            if name in options or any(name in one.options for one in experiments):
                 raise TypeError(f"{name} is no option of fit, which sets it itself")
         tolerant: Options = {"rtol": RTOL, "atol": ATOL, **options}
+        self.rtol = float(np.min(tolerant["rtol"]))
         self.experiments = experiments
         self.space = Space(parameters, experiments)
         unnamed = {one.level for each in experiments for one in each.series if one.level is not None} - {*parameters}
@@ -109,7 +112,8 @@ class Model:
             name = min(unnamed)
             raise ValueError(f'sigma names {name!r}, which is not among the parameters: add "{name}": (lower, upper)')
         self.simulations = [
-            Simulation(one, names, method, tolerant) for one, names in zip(experiments, self.space.names, strict=True)
+            Simulation(one, names, method, {**tolerant, **one.options})
+            for one, names in zip(experiments, self.space.names, strict=True)
         ]
         series = [one for each in experiments for one in each.series]
         self.measured = np.concatenate([one.values for one in series])
@@ -125,11 +129,6 @@ class Model:
         self.failures: Counter[str] = Counter()
         self.runs = 0
         self._last: Evaluation | None = None
-
-    @property
-    def rtol(self) -> float:
-        """The smallest relative tolerance of the runs."""
-        return float(np.min(self.simulations[0]._options["rtol"]))
 
     def evaluate(self, free: Array) -> Evaluation | Failed:
         """The model at these values. The last one is kept: searches ask for residuals and Jacobian one after the

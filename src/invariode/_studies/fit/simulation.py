@@ -70,7 +70,7 @@ class Simulation:
     def _prepared(self, problem: Any, times: Array) -> Any:
         own: Any = {"keep": "outputs", "on_failure": "return", "t_eval": times}
         if self._dynamic:
-            own["sensitivities"] = [one.name for one in self._dynamic]
+            problem = problem.replace(sensitivities=[one.name for one in self._dynamic])
         return problem.prepare(self._method, **{**self._options, **own})
 
     def _changed(self, values: Array) -> tuple[tuple[Any, ...], Array]:
@@ -125,7 +125,7 @@ class Simulation:
             return Failed(f"event {name} occurred {len(times)} times, and {last + 1} times were measured")
         tangent = np.zeros((len(times), k))
         if self._dynamic:
-            tangent[:, self._places] = sol.sensitivities_events[event].time
+            tangent[:, self._places] = sol.sensitivities_t_events[event]
         return np.column_stack([times, tangent])
 
     def curves(self, times: Array, values: Array) -> Curves | Failed:
