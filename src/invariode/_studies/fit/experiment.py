@@ -54,6 +54,9 @@ class Experiment:
         Measured times of events by their name: the first value is that of the first occurrence, NaN is not measured.
     event_sigma : float, str or dict, optional
         The standard deviation of these times, as `sigma`.
+    y0 : {"steady"}, optional
+        "steady": runs start at the steady state of f(t0, y) to which the problem's y0 leads for the parameters of each
+        trial, with the same linear totals, of which ``y0[label]`` can be parameters. Default: the problem's y0.
     **options
         Of the runs of this experiment, such as `breakpoints` for its doses; they come before those of `fit`.
 
@@ -76,6 +79,7 @@ class Experiment:
         noise: Literal["normal", "lognormal"] = "normal",
         event_times: Mapping[str, ArrayLike] | None = None,
         event_sigma: float | str | Mapping[str, Any] | None = None,
+        y0: Literal["steady"] | None = None,
         **options: Unpack[Options],
     ) -> None:
         if not isinstance(problem, Problem):
@@ -87,6 +91,7 @@ class Experiment:
         if data is None and t is not None:
             raise TypeError("t was given without data")
         self.problem, self.options = problem, options
+        self.steady = y0 is not None and choice("y0", y0, ("steady",)) == "steady"
         self.observation = Observation(problem, observe)
         self.noise = choice("noise", noise, ("normal", "lognormal"))
         empty = Data(np.zeros(0), np.zeros((self.observation.size, 0)), None)

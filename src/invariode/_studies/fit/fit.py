@@ -25,6 +25,7 @@ def fit(
     noise: Literal["normal", "lognormal"] = "normal",
     event_times: Any = None,
     event_sigma: Any = None,
+    y0: Literal["steady"] | None = None,
     absolute_sigma: bool = True,
     starts: int = 1,
     seed: int = 0,
@@ -41,7 +42,7 @@ def fit(
     ----------
     problem : Problem or list of Experiment
         The problem; or several experiments, ``fit(experiments, parameters)``, each with its data.
-    t, data, observe, sigma, noise, event_times, event_sigma
+    t, data, observe, sigma, noise, event_times, event_sigma, y0
         The data, and what is known about them: as in `Experiment`.
     parameters : dict
         The parameters by name, each a `Parameter` or a pair of bounds. Names are those of the arguments of f, such as
@@ -99,6 +100,7 @@ def fit(
         "noise": noise,
         "event_times": event_times,
         "event_sigma": event_sigma,
+        "y0": y0,
     }
     choice("loss", loss, LOSSES)
     model = to_model(problem, t, data, parameters, described, flag("absolute_sigma", absolute_sigma), method, options)

@@ -13,8 +13,9 @@ from ..._base.arguments import Array, shown
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .experiment import Experiment
+from .outcomes import Failed
 from .parameters import Parameter, Space, to_parameters
-from .simulation import Failed, Simulation
+from .simulation import Simulation
 
 #: Options of runs that a fit sets itself.
 _OWN = ("t_eval", "keep", "sensitivities", "dense_output", "refine", "on_failure", "callback", "checkpoint", "events")

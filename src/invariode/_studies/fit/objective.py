@@ -96,6 +96,7 @@ def objective(
     noise: Literal["normal", "lognormal"] = "normal",
     event_times: Any = None,
     event_sigma: Any = None,
+    y0: Literal["steady"] | None = None,
     absolute_sigma: bool = True,
     method: MethodName = "ode45",
     **options: Unpack[Options],
@@ -108,7 +109,7 @@ def objective(
 
     Parameters
     ----------
-    problem, t, data, parameters, observe, sigma, noise, event_times, event_sigma, absolute_sigma, method, **options
+    problem, t, data, parameters, observe, sigma, noise, event_times, event_sigma, y0, absolute_sigma, method, **options
         As in `fit`.
 
     Returns
@@ -134,5 +135,6 @@ def objective(
         "noise": noise,
         "event_times": event_times,
         "event_sigma": event_sigma,
+        "y0": y0,
     }
     return Objective(to_model(problem, t, data, parameters, described, absolute_sigma, method, options))

@@ -18,9 +18,9 @@ from ..._results.result import Record
 from ..._results.solution import Solution
 from . import picture
 from .likelihood import Model
+from .outcomes import Failed
 from .profile import Profile, Scale, profile
 from .search import Found
-from .simulation import Failed
 from .uncertainty import Uncertainty, degrees_of_freedom, unit_of_variance
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn

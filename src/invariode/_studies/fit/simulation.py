@@ -16,7 +16,9 @@ from ..._functions.layout import with_numbers
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
 from ..._results.solution import Solution
-from .experiment import Experiment
+from .experiment import Experiment, Series
+from .outcomes import Failed
+from .steady import SteadyStates
 
 
 class Simulated(NamedTuple):
@@ -26,17 +28,19 @@ class Simulated(NamedTuple):
     tangent: Array  # (N, k), for the parameters of the experiment
 
 
-class Failed(NamedTuple):
-    """A run that does not tell what the model says."""
-
-    reason: str
-
-
 class Curves(NamedTuple):
     """The observed quantities over time."""
 
     values: Array  # (m, n_t)
     tangent: Array  # (m, n_t, k)
+
+
+class _Start(NamedTuple):
+    """Where a run starts, and the derivatives of y0 for the parameters of the runs, (n, k), if it is a steady state."""
+
+    args: tuple[Any, ...]
+    y0: Array
+    slopes: Array | None
 
 
 class Simulation:
@@ -59,40 +63,51 @@ class Simulation:
         found = [(i, one) for i, name in enumerate(names) if (one := experiment.dynamic(name)) is not None]
         self._dynamic = [one for _, one in found]
         self._places = [i for i, _ in found]
+        self._steady = SteadyStates(problem, self._dynamic) if experiment.steady else None
         self._watch = _Watch(experiment, names, self._places, self._dynamic)
         t0, tf = problem.t_span
         self._times, self._which = _once(experiment.data.t, backwards=tf < t0)
         if len(self._times) and not experiment.events and self._times[-1] != t0:
             problem = problem.replace(t_span=(t0, self._times[-1]))  # nothing is known of what comes later
-        self._problem = problem
         self._solver = self._prepared(problem, self._times)
 
     def _prepared(self, problem: Any, times: Array) -> Any:
         own: Any = {"keep": "outputs", "on_failure": "return", "t_eval": times}
-        if self._dynamic:
-            problem = problem.replace(sensitivities=[one.name for one in self._dynamic])
+        if wanted := self._varied():
+            problem = problem.replace(sensitivities=wanted)
         return problem.prepare(self._method, **{**self._options, **own})
 
-    def _changed(self, values: Array) -> tuple[tuple[Any, ...], Array]:
-        problem = self.experiment.problem
-        return with_values(problem.args, problem.y0, self._dynamic, values[self._places])
+    def _varied(self) -> list[str]:
+        """The parameters of the runs. A steady state depends on all of the others by way of y0."""
+        if self._steady is None:
+            return [one.name for one in self._dynamic]
+        return [*(one.name for one in self._dynamic if one.kind == "args"), "y0"]
+
+    def _start(self, values: Array) -> _Start | Failed:
+        """The arguments and the initial value, and how it follows from the parameters if it is a steady state."""
+        problem, own = self.experiment.problem, values[self._places]
+        args, y0 = with_values(problem.args, problem.y0, self._dynamic, own)
+        if self._steady is None:
+            return _Start(args, y0, None)
+        found = self._steady.at(own, y0)
+        return found if isinstance(found, Failed) else _Start(args, found.y, found.slopes)
 
     def run(self, values: Array) -> Simulated | Failed:
         """The model's values for the data."""
-        args, y0 = self._changed(values)
-        sol = self._solution(self._solver, args, y0)
-        if isinstance(sol, Failed):
+        start = self._start(values)
+        sol = start if isinstance(start, Failed) else self._solution(self._solver, start)
+        if isinstance(start, Failed) or isinstance(sol, Failed):
             return sol
         if len(sol.t) < len(self._times):
             return Failed(f"the run ended at t = {sol.t_end:.6g}, before the last datum")
         found = [np.zeros((0, 1 + len(values)))]
-        curves = self._curves(sol, values) if len(self._times) else None
+        curves = self._curves(sol, start, values) if len(self._times) else None
         for one in self.experiment.series:
             if curves is not None and one.row < len(curves.values):
                 at = self._which[one.places]
                 found.append(np.column_stack([curves.values[one.row, at], curves.tangent[one.row, at]]))
                 continue
-            occurrences = self._occurrences(sol, one.row, one.name, int(one.places[-1]), len(values))
+            occurrences = self._occurrences(sol, start, one, len(values))
             if isinstance(occurrences, Failed):
                 return occurrences
             found.append(occurrences[one.places])
@@ -101,52 +116,63 @@ class Simulation:
             return Failed("the model or its derivatives are not finite")
         return Simulated(every[:, 0], every[:, 1:])
 
-    def _solution(self, solver: Any, args: tuple[Any, ...], y0: Array) -> Solution | Failed:
+    def _solution(self, solver: Any, start: _Start) -> Solution | Failed:
         """A run; its warnings are those of a trial, and it is the fit that they would be about."""
         try:
             with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
-                sol: Solution = solver(args=args, y0=y0)
+                sol: Solution = solver(args=start.args, y0=start.y0)
         except InvariantError as error:
             return Failed(str(error))
         return sol if sol.success else Failed(sol.message)
 
-    def _curves(self, sol: Any, values: Array) -> Curves:
-        tangent = np.zeros((*sol.y.shape, len(values)))
-        if self._dynamic:
-            tangent[:, :, self._places] = np.moveaxis(sol.sensitivities, 1, 2)
-        return self._watch(sol.t, sol.y, tangent, values)
+    def _parameters(self, S: Array, start: _Start, k: int) -> Array:
+        """Derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, k of the run)."""
+        found = np.zeros((*S.shape[:-1], k))
+        if start.slopes is None:
+            found[..., self._places] = S
+            return found
+        own = [j for j, one in enumerate(self._dynamic) if one.kind == "args"]
+        found[..., self._places] = S[..., len(own) :] @ start.slopes
+        found[..., [self._places[j] for j in own]] += S[..., : len(own)]
+        return found
 
-    def _occurrences(self, sol: Any, row: int, name: str, last: int, k: int) -> Array | Failed:
+    def _curves(self, sol: Any, start: _Start, values: Array) -> Curves:
+        varied = self._varied()
+        S = np.moveaxis(sol.sensitivities, 1, 2) if varied else np.zeros((*sol.y.shape, 0))
+        return self._watch(sol.t, sol.y, self._parameters(S, start, len(values)), values)
+
+    def _occurrences(self, sol: Any, start: _Start, one: Series, k: int) -> Array | Failed:
         """Times of an event with their derivatives, (occurrences, 1 + k)."""
-        event = [*self.experiment.events][row - len(self.experiment.data.values)]
-        times = sol.t_events[event]
-        if len(times) <= last:
-            return Failed(f"event {name} occurred {len(times)} times, and {last + 1} times were measured")
-        tangent = np.zeros((len(times), k))
-        if self._dynamic:
-            tangent[:, self._places] = sol.sensitivities_t_events[event]
-        return np.column_stack([times, tangent])
+        event = [*self.experiment.events][one.row - len(self.experiment.data.values)]
+        times, needed = sol.t_events[event], int(one.places[-1]) + 1
+        if len(times) < needed:
+            return Failed(f"event {one.name} occurred {len(times)} times, and {needed} times were measured")
+        slopes = sol.sensitivities_t_events[event] if self._varied() else np.zeros((len(times), 0))
+        return np.column_stack([times, self._parameters(slopes, start, k)])
 
     def curves(self, times: Array, values: Array) -> Curves | Failed:
         """The observed quantities at any times within the problem's interval, which are sorted."""
-        args, y0 = self._changed(values)
+        start = self._start(values)
         once, which = _once(times, backwards=False)
         t0, tf = self.experiment.problem.t_span
         if tf < t0:
             once, which = once[::-1], len(once) - 1 - which
-        sol = self._solution(self._prepared(self.experiment.problem, once), args, y0)
+        if isinstance(start, Failed):
+            return start
+        sol = self._solution(self._prepared(self.experiment.problem, once), start)
         if isinstance(sol, Failed):
             return sol
         if len(sol.t) < len(once):
             return Failed(f"the run ended at t = {sol.t_end:.6g}")
-        found = self._curves(sol, values)
+        found = self._curves(sol, start, values)
         return Curves(found.values[:, which], found.tangent[:, which])
 
     def solution(self, values: Array) -> Solution:
         """A run without sensitivities, as users make it."""
-        args, y0 = self._changed(values)
-        problem = self.experiment.problem.replace(args=args, y0=y0)
+        start = self._start(values)
+        assert isinstance(start, _Start)  # it was, in the fit
+        problem = self.experiment.problem.replace(args=start.args, y0=start.y0)
         return problem.solve(self._method, **{"dense_output": True, **self._options})
 
 
