@@ -58,7 +58,7 @@ class PythonFunction final : public Callable {
   PyObject* call_with_tuple(PyObject* time, PyArrayObject* const* parts) const;
   [[nodiscard]] PyObject* time_for(double t, const double*& y) const;
   PyArrayObject* array_for(std::size_t part, const double* y);
-  [[nodiscard]] bool reusable(PyArrayObject* a, npy_intp size) const;
+  [[nodiscard]] bool reusable(PyArrayObject* a, std::span<const npy_intp> shape) const;
   bool read(PyObject* result, double* out);
   bool read_truth(PyObject* result, double* out) const;
   [[nodiscard]] bool read_sequence(PyObject* result, double* out) const;
@@ -76,20 +76,25 @@ class PythonFunction final : public Callable {
   PyArrayObject* spare_[2] = {nullptr, nullptr};  // the arrays of the last call, if no call is under way
 };
 
-bool PythonFunction::reusable(PyArrayObject* a, npy_intp size) const {
-  constexpr int flags =
-      NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
-  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == 1 && PyArray_DIM(a, 0) == size &&
-         PyArray_FLAGS(a) == flags && PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE);
+bool PythonFunction::reusable(PyArrayObject* a, std::span<const npy_intp> shape) const {
+  constexpr int flags = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_OWNDATA | NPY_ARRAY_ALIGNED | NPY_ARRAY_WRITEABLE;
+  return a != nullptr && Py_REFCNT(a) == 1 && PyArray_NDIM(a) == static_cast<int>(shape.size()) &&
+         std::equal(shape.begin(), shape.end(), PyArray_DIMS(a)) &&
+         (PyArray_FLAGS(a) & ~NPY_ARRAY_F_CONTIGUOUS) == flags &&
+         PyArray_TYPE(a) == (takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE);
 }
 
 PyArrayObject* PythonFunction::array_for(std::size_t part, const double* y) {
   assert(part < 2);
-  npy_intp size = part == 0 ? takes_.n : takes_.second;
+  const bool matrix = part == 0 && takes_.rows > 0;
+  const npy_intp whole[] = {matrix ? takes_.rows : part == 0 ? takes_.n : takes_.second, takes_.n};
+  const std::span<const npy_intp> shape(whole, matrix ? 2 : 1);
+  const npy_intp size = matrix ? whole[0] * whole[1] : whole[0];
   PyArrayObject* a = std::exchange(spare_[part], nullptr);
-  if (!reusable(a, size)) {
+  if (!reusable(a, shape)) {
     Py_XDECREF(reinterpret_cast<PyObject*>(a));
-    a = reinterpret_cast<PyArrayObject*>(PyArray_SimpleNew(1, &size, takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE));
+    a = reinterpret_cast<PyArrayObject*>(
+        PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), takes_.complex ? NPY_CDOUBLE : NPY_DOUBLE));
     if (a == nullptr) return nullptr;
   }
   std::copy_n(y, size * (takes_.complex ? 2 : 1), static_cast<double*>(PyArray_DATA(a)));
@@ -110,7 +115,8 @@ bool PythonFunction::call(double t, const double* y, double* out) {
   PyObject* time = time_for(t, y);
   PyArrayObject* parts[2] = {array_for(0, y), nullptr};
   const bool two = takes_.second > 0;
-  if (two) parts[1] = array_for(1, y + takes_.n * (takes_.complex ? 2 : 1));
+  const std::ptrdiff_t first = takes_.n * std::max<std::ptrdiff_t>(takes_.rows, 1);
+  if (two) parts[1] = array_for(1, y + first * (takes_.complex ? 2 : 1));
   PyObject* result = nullptr;
   if (time != nullptr && parts[0] != nullptr && (!two || parts[1] != nullptr)) result = call_with(time, parts);
   const bool done = result != nullptr && read(result, out);
@@ -616,6 +622,24 @@ Callback Functions::product(nb::handle f, const std::string& name) {
   const auto n = static_cast<std::ptrdiff_t>(space_.components());
   return add(f, args_, name, {.rows = n, .complex = space_.complex},
              Takes{.n = n, .second = n, .complex = space_.complex});
+}
+
+Callback Functions::of_sensitivities(nb::handle f, const std::string& name, std::size_t k) {
+  const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(k);
+  return add(f, nb::tuple(), name, {.rows = rows, .columns = n, .matrix = true, .complex = space_.complex},
+             Takes{.n = n, .rows = 1 + rows, .complex = space_.complex});
+}
+
+Callback Functions::tangent(nb::handle f, const std::string& name, std::size_t k, std::size_t m) {
+  const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(k);
+  return add(f, nb::tuple(), name, {.rows = rows, .columns = static_cast<std::ptrdiff_t>(m), .matrix = true},
+             Takes{.n = n, .rows = 1 + rows, .complex = space_.complex});
+}
+
+Callback Functions::jump(nb::handle f, const std::string& name, std::size_t k) {
+  const auto n = static_cast<std::ptrdiff_t>(space_.components()), rows = static_cast<std::ptrdiff_t>(k);
+  return add(f, nb::tuple(), name, {.rows = rows, .columns = n, .matrix = true, .complex = space_.complex},
+             Takes{.n = n, .rows = 1 + rows, .second = n, .complex = space_.complex});
 }
 
 Preconditioner Functions::preconditioner(nb::handle f) {

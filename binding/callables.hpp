@@ -81,9 +81,11 @@ struct Returns {
   [[nodiscard]] std::ptrdiff_t size() const { return rows * columns; }
 };
 
-/// What a Python function takes after t: a vector of n numbers, or that and a second one, one behind the other.
+/// What a Python function takes after t: a vector of n numbers, or a matrix with rows of n, or that and a second one, a
+/// vector, one behind the other.
 struct Takes {
   std::ptrdiff_t n;
+  std::ptrdiff_t rows = 0;  ///< 0: a vector
   std::ptrdiff_t second = 0;
   bool complex = false;
   bool complex_time = false;  ///< t is the first of the complex numbers
@@ -112,6 +114,13 @@ class Functions {
   Callback rows(nb::handle f, const std::string& name, std::size_t m);
   /// f(t, y), or f(t), without args, -> what `read_matrix` takes
   MatrixFunction matrix(nb::handle f);
+  // Of a state with sensitivities to k parameters, Y of 1 + k states; without args.
+  /// f(t, Y) -> (k, state)
+  Callback of_sensitivities(nb::handle f, const std::string& name, std::size_t k);
+  /// f(t, Y) -> (k, m)
+  Callback tangent(nb::handle f, const std::string& name, std::size_t k, std::size_t m);
+  /// f(t, Y, state) -> (k, state)
+  Callback jump(nb::handle f, const std::string& name, std::size_t k);
   /// f(t, y, v) -> state
   Callback product(nb::handle f, const std::string& name);
   /// f(t, y, c), without args, -> a function that solves

@@ -54,7 +54,7 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
                  const ConstVector& data, std::size_t m, const std::string& interpolation, const std::string& extension,
                  double rtol, const std::variant<double, ConstVector>& threshold,
                  const std::optional<ConstVector>& scale, bool complex, const std::optional<ConstVector>& lower,
-                 const std::optional<ConstVector>& upper) {
+                 const std::optional<ConstVector>& upper, std::size_t parameters) {
   const std::size_t n = y.shape(1), segments = end.size();
   const std::optional<Interpolation> mode = find_in(interpolation_names, interpolation);
   const NamedExtension* raw = find_extension(std::string_view(extension));
@@ -63,15 +63,18 @@ Dense from_parts(const ConstVector& t, const ConstMatrix& y, const ConstVector& 
   require(n > 0 || segments == 0, "there is nothing to interpolate");
   require(t.size() == segments + 1 && y.shape(0) == t.size() && offset.size() == segments, "lengths do not match");
   const auto* each = std::get_if<ConstVector>(&threshold);
-  require((!each || each->size() == n) && (!scale || scale->size() == n), "weights do not match");
-  require(lower.has_value() == upper.has_value() && (!lower || lower->size() == n), "bounds do not match");
+  const std::size_t states = 1 + parameters;
+  require(n % states == 0, "a point is not a state with its sensitivities");
+  const Extent extent(n / states, parameters);
+  require((!each || each->size() == extent.n) && (!scale || scale->size() == extent.n), "weights do not match");
+  require(lower.has_value() == upper.has_value() && (!lower || lower->size() == extent.n), "bounds do not match");
   Dense dense{
-      DenseOutput(n, m, *mode, raw->evaluate,
+      DenseOutput(extent, m, *mode, raw->evaluate,
                   lower ? std::optional<Bounds>(std::in_place, to_vector(*lower), to_vector(*upper)) : std::nullopt),
-      Weights(rtol, each ? to_vector(*each) : std::vector<double>(n, std::get<double>(threshold)),
+      Weights(rtol, each ? to_vector(*each) : std::vector<double>(extent.n, std::get<double>(threshold)),
               scale ? to_vector(*scale) : std::vector<double>{}),
       complex};
-  const std::size_t overhead = Interpolant(n, m, *mode, raw->evaluate, nullptr, nullptr).overhead();
+  const std::size_t overhead = Interpolant(extent, m, *mode, raw->evaluate, nullptr, nullptr, nullptr).overhead();
   add_segments(dense, t, y, end, offset, data, overhead, *raw);
   return dense;
 }
@@ -82,28 +85,34 @@ Table Dense::evaluate(const ConstVector& t, const ProblemSpec* problem) const {
   std::optional<BoundProblem> bound;
   std::optional<Invariants> invariants;
   std::optional<Projector> projector;
+  std::optional<TangentProjector> tangent;
+  const Extent extent = output.extent();
   if (output.projects() && problem && !problem->invariants.empty()) {
     require(problem->value.size() == output.parts().m, "not the number of invariants of the run");
     bound.emplace(*problem);
     require_sizes(bound->problem(), weights);
-    invariants.emplace(output.n(), bound->problem().invariants, bound->problem().value, weights);
+    require(bound->problem().extent() == extent, "not the sensitivities of the run");
+    invariants.emplace(extent.n, bound->problem().invariants, bound->problem().value, weights);
     projector.emplace(*invariants, weights, 1);
+    if (extent.k > 0) tangent.emplace(*invariants, weights, extent, nullptr);
   }
-  std::vector<double> y(t.size() * output.n());
+  std::vector<double> y(t.size() * output.size());
   Status status = Status::ok;
   {
     const Unlocked unlocked(!bound || bound->native());
-    status = output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr);
+    status =
+        output.evaluate(t.data(), t.size(), y.data(), projector ? &*projector : nullptr, tangent ? &*tangent : nullptr);
   }
   if (status == Status::stop) throw nb::python_error();
-  return to_array<Table>(std::move(y), t.size(), output.n());
+  return to_array<Table>(std::move(y), t.size(), output.size());
 }
 
 Dense Dense::joined(const Dense& next) const {
   const DenseOutput::Parts a = output.parts(), b = next.output.parts();
-  require(output.n() == next.output.n() && complex == next.complex && a.m == b.m && a.mode == b.mode && a.raw == b.raw,
+  require(output.extent() == next.output.extent() && complex == next.complex && a.m == b.m && a.mode == b.mode &&
+              a.raw == b.raw,
           "continuous solutions of different kinds");
-  Dense both{DenseOutput(output.n(), a.m, a.mode, a.raw, a.bounds), weights, complex};
+  Dense both{DenseOutput(output.extent(), a.m, a.mode, a.raw, a.bounds), weights, complex};
   both.output.append(output);
   both.output.append(next.output);
   return both;
@@ -114,11 +123,12 @@ nb::dict Dense::parts() const {
   const std::vector<std::int64_t> offset(all.offset.begin(), all.offset.end());
   nb::dict d;
   d["t"] = copied(all.knots.t.copy());
-  d["y"] = to_array<Table>(all.knots.y.copy(), all.knots.t.size(), output.n());
+  d["y"] = to_array<Table>(all.knots.y.copy(), all.knots.t.size(), output.size());
   d["end"] = copied(all.end);
   d["offset"] = to_array<Integers>(std::vector<std::int64_t>(offset), offset.size());
   d["data"] = copied(all.data.copy());
   d["m"] = all.m;
+  d["parameters"] = output.extent().k;
   d["interpolation"] = name_of(all.mode);
   d["extension"] = find_extension(all.raw).name;
   d["rtol"] = weights.rtol();
@@ -136,14 +146,17 @@ void define_dense(nb::module_& module) {
       .def_static("from_parts", &from_parts, nb::kw_only(), nb::arg("t"), nb::arg("y"), nb::arg("end"),
                   nb::arg("offset"), nb::arg("data"), nb::arg("m"), nb::arg("interpolation"), nb::arg("extension"),
                   nb::arg("rtol"), nb::arg("threshold"), nb::arg("scale").none(), nb::arg("complex"),
-                  nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
+                  nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(), nb::arg("parameters") = 0,
                   "What `parts` gave, put together again.")
       .def("parts", &Dense::parts, "What it consists of: arrays, numbers and names.")
       .def("evaluate", &Dense::evaluate, nb::arg("t"), nb::arg("problem").none(),
-           "y at each t: (len(t), n); projected, where it projects, onto the invariants of `problem`.")
+           "y at each t: (len(t), n); projected, where it projects, onto the invariants of `problem`. With "
+           "sensitivities Y, (len(t), (1 + k) n).")
       .def("joined", &Dense::joined, nb::arg("next"), "This and then `next`, which starts where this ends.")
       .def_prop_ro(
-          "n", [](const Dense& d) { return d.output.n(); }, "Reals in a state.")
+          "n", [](const Dense& d) { return d.output.extent().n; }, "Reals in a state.")
+      .def_prop_ro(
+          "parameters", [](const Dense& d) { return d.output.extent().k; }, "How many have sensitivities.")
       .def_ro("complex", &Dense::complex)
       .def("knots", [](const Dense& d) { return copied(d.output.knots().copy()); });
 }

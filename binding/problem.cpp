@@ -168,6 +168,32 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
   return linear;
 }
 
+/// Into the problem, whose invariants, events and breakpoints are there.
+void add_variations(const VariationsSpec& spec, Functions& functions, Problem& problem) {
+  const auto require_one_each = [](std::size_t given, std::size_t count, const char* what) {
+    if (given == count) return;
+    throw std::invalid_argument("sensitivities have " + std::to_string(given) + " functions for " +
+                                std::to_string(count) + " " + what);
+  };
+  require_one_each(spec.invariants.size(), problem.invariants.size(), "invariants");
+  require_one_each(spec.jumps.size(), problem.events.size(), "events");
+  require_one_each(spec.breakpoints.size(), problem.breakpoints.size(), "breakpoints");
+  Variations& variations = problem.variations.emplace();
+  variations.k = spec.k;
+  variations.slope = functions.of_sensitivities(spec.slope, "the slope of the sensitivities", spec.k);
+  variations.tolerance = spec.thresholds;
+  variations.error_test = spec.error_test;
+  for (std::size_t i = 0; i < spec.invariants.size(); ++i) {
+    InvariantBlock& block = problem.invariants[i];
+    block.tangent = functions.tangent(spec.invariants[i], "the tangent of an invariant", spec.k, block.m);
+  }
+  const auto jump = [&](const nb::object& one) {
+    return one.is_none() ? Callback() : functions.jump(one, "the jump of the sensitivities", spec.k);
+  };
+  for (std::size_t i = 0; i < spec.jumps.size(); ++i) problem.events[i].jump = jump(spec.jumps[i]);
+  for (std::size_t i = 0; i < spec.breakpoints.size(); ++i) problem.breakpoints[i].jump = jump(spec.breakpoints[i]);
+}
+
 }  // namespace
 
 Weights Tolerances::for_size(std::size_t n) const {
@@ -188,15 +214,24 @@ BoundProblem::BoundProblem(const ProblemSpec& spec) : functions_({spec.n, spec.c
   for (const EventSpec& one : spec.events) problem_.events.push_back(make_event(one, functions_));
   if (!spec.lower.empty() || !spec.upper.empty()) problem_.bounds.emplace(spec.lower, spec.upper);
   for (const BreakpointSpec& one : spec.breakpoints) problem_.breakpoints.push_back(make_breakpoint(one, functions_));
+  if (spec.variations) add_variations(*spec.variations, functions_, problem_);
   problem_.parameters = functions_.parameters();
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
 // What Python sees
 
+int VariationsSpec::visit(visitproc visit, void* arg) const {
+  Py_VISIT(slope.ptr());
+  for (const std::vector<nb::object>* each : {&invariants, &jumps, &breakpoints})
+    for (const nb::object& one : *each) Py_VISIT(one.ptr());
+  return 0;
+}
+
 int ProblemSpec::visit(visitproc visit, void* arg) const {
   int stop = visit_all(visit, arg, {fun, args, callback});
   if (stop == 0 && linear) stop = linear->visit(visit, arg);
+  if (stop == 0 && variations) stop = variations->visit(visit, arg);
   const auto visit_each = [&](const auto& specs) {
     for (const auto& one : specs)
       if (stop == 0) stop = one.visit(visit, arg);
@@ -273,6 +308,32 @@ void define_linear(nb::module_& module) {
           "Number of algebraic equations: the dimension of the left null space of M.");
 }
 
+void define_variations(nb::module_& module) {
+  using Objects = std::vector<nb::object>;
+  nb::class_<VariationsSpec>(module, "Variations", nb::type_slots(slots<VariationsSpec>),
+                             "Sensitivities to k parameters. A run of a problem that has them integrates Y of shape (1 "
+                             "+ k, n): y, then dy/dp_j.")
+      .def(
+          "__init__",
+          [](VariationsSpec* self, std::size_t k, nb::object slope, const ConstMatrix& thresholds, Objects invariants,
+             Objects jumps, Objects breakpoints, bool error_test) {
+            new (self) VariationsSpec{k,
+                                      std::move(slope),
+                                      {thresholds.data(), thresholds.data() + thresholds.size()},
+                                      std::move(invariants),
+                                      std::move(jumps),
+                                      std::move(breakpoints),
+                                      error_test};
+          },
+          nb::arg("k"), nb::arg("slope"), nb::arg("thresholds"), nb::arg("invariants") = Objects{},
+          nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("error_test") = true,
+          "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
+          "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
+          "or None if it does not act. error_test=False: S has no part in the error test.")
+      .def_ro("k", &VariationsSpec::k)
+      .def_ro("error_test", &VariationsSpec::error_test);
+}
+
 void define_description(nb::module_& module) {
   nb::class_<ProblemSpec>(module, "Problem", nb::type_slots(slots<ProblemSpec>),
                           "What is to be solved, but for the initial value. n: reals in a state.")
@@ -281,7 +342,8 @@ void define_description(nb::module_& module) {
           [](ProblemSpec* self, std::size_t n, bool complex, nb::object fun, nb::tuple args,
              const ConstVector& parameters, std::optional<LinearSpec> linear, std::vector<EventSpec> events,
              std::vector<BreakpointSpec> breakpoints, nb::object callback, std::vector<InvariantSpec> invariants,
-             const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper) {
+             const OptionalVector& value, const OptionalVector& lower, const OptionalVector& upper,
+             std::optional<VariationsSpec> variations) {
             new (self) ProblemSpec{n,
                                    complex,
                                    std::move(fun),
@@ -294,12 +356,14 @@ void define_description(nb::module_& module) {
                                    std::move(invariants),
                                    value ? to_vector(*value) : std::vector<double>{},
                                    lower ? to_vector(*lower) : std::vector<double>{},
-                                   upper ? to_vector(*upper) : std::vector<double>{}};
+                                   upper ? to_vector(*upper) : std::vector<double>{},
+                                   std::move(variations)};
           },
           nb::kw_only(), nb::arg("n"), nb::arg("complex"), nb::arg("fun").none(), nb::arg("args"),
           nb::arg("parameters"), nb::arg("linear") = nb::none(), nb::arg("events") = nb::list(),
           nb::arg("breakpoints") = nb::list(), nb::arg("callback") = nb::none(), nb::arg("invariants") = nb::list(),
-          nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none());
+          nb::arg("value") = nb::none(), nb::arg("lower") = nb::none(), nb::arg("upper") = nb::none(),
+          nb::arg("variations") = nb::none());
   nb::class_<Tolerances>(module, "Tolerances", "rtol, thr = atol / rtol of all or of each, scales of a vector rtol.")
       .def(
           "__init__",
@@ -406,6 +470,7 @@ void define_settings(nb::module_& module) {
 void define_problem(nb::module_& module) {
   define_functions(module);
   define_linear(module);
+  define_variations(module);
   define_description(module);
   define_settings(module);
 }

@@ -75,6 +75,18 @@ struct LinearSpec {
   }
 };
 
+/// Sensitivities: how many parameters, M S' of each, tolerances of S (k, n), and one function for each invariant, event
+/// and breakpoint, or None where events and breakpoints do not act.
+struct VariationsSpec {
+  std::size_t k;
+  nb::object slope;
+  std::vector<double> thresholds;
+  std::vector<nb::object> invariants, jumps, breakpoints;
+  bool error_test;
+
+  int visit(visitproc visit, void* arg) const;
+};
+
 struct ProblemSpec {
   std::size_t n;
   bool complex;
@@ -88,6 +100,7 @@ struct ProblemSpec {
   std::vector<InvariantSpec> invariants;
   std::vector<double> value;
   std::vector<double> lower, upper;  // bounds of y; empty: none
+  std::optional<VariationsSpec> variations;
 
   int visit(visitproc visit, void* arg) const;
 };

@@ -246,7 +246,7 @@ FinishedRun drive(const BoundSolver& self, const Beginning& begin, const nb::obj
 
 FinishedRun integrate(const BoundSolver& self, const ConstVector& y0, const nb::object& progress, StopRequest* request,
                       const nb::object& kept, double every) {
-  require_state(y0, self.solver.problem().n);
+  require_state(y0, self.solver.problem().extent().size());
   return drive(self, {.y0 = y0.data()}, progress, request, kept, every);
 }
 
@@ -279,7 +279,8 @@ bool read_parameters(nb::handle args, std::span<double> out) {
 std::optional<FinishedRun> integrate_anew(BoundSolver& self, const ConstVector& y0, const nb::object& args,
                                           const std::optional<Cover>& cover) {
   const Problem& problem = self.solver.problem();
-  if (y0.size() != problem.n || !all_finite(y0.data(), problem.n)) return {};
+  const std::size_t n = problem.extent().size();
+  if (y0.size() != n || !all_finite(y0.data(), n)) return {};
   if (args.is_none())
     std::ranges::copy(self.parameters, problem.parameters.begin());
   else if (!read_parameters(args, problem.parameters))
@@ -306,7 +307,7 @@ class Stepper {
  public:
   Stepper(nb::object owner, const ConstVector& y0)
       : owner_(std::move(owner)), solver_(nb::cast<const BoundSolver&>(owner_).solver), run_(solver_) {
-    require_state(y0, solver_.problem().n);
+    require_state(y0, solver_.problem().extent().size());
     integration().keep_last_step();
     guarded([&] { integration().start(y0.data()); });
   }
@@ -333,7 +334,7 @@ class Stepper {
 
   [[nodiscard]] Vector y() {
     const double* y = integration().y();
-    const std::size_t n = solver_.problem().n;
+    const std::size_t n = solver_.problem().extent().size();
     return to_array<Vector>(std::vector<double>(y, y + n), n);
   }
   [[nodiscard]] Integration& integration() { return run_.integration(); }

@@ -21,8 +21,10 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       settings_(std::move(settings)),
       bounded_slope_(functions.bounded_slope),
       consistent_(std::move(functions.consistent)),
+      consistent_tangent_(std::move(functions.consistent_tangent)),
       callback_(functions.callback),
-      n_(weights.size()),
+      extent_(Extent::within(weights.size(), step_->n())),
+      n_(extent_.size()),
       forward_(settings_.tf >= settings_.t0 ? 1 : -1),
       aim_(forward_, settings_.hmax),
       manifold_(manifold, weights, settings_, *step_, !functions.events.empty()),
@@ -32,15 +34,15 @@ Integration::Integration(std::unique_ptr<Step> step, const Weights& weights, con
       stiffness_(weights),
       discontinuities_(functions.f, weights),
       events_(std::move(functions.events), n_, step_->max_degree()),
-      interpolant_(*step_, settings_.interpolation, manifold_.output_projector(), manifold_.projector(),
-                   manifold_.bounds()),
+      interpolant_(*step_, extent_, settings_.interpolation, manifold_.output_projector(), manifold_.output_tangent(),
+                   manifold_.projector(), manifold_.bounds()),
       emitter_(settings_, interpolant_, n_, events_.count(),
                settings_.dense ? std::optional(no_steps()) : std::nullopt),
       y0_(n_) {
   assert(step_->n() == n_);
   assert(settings_.hmax >= 0 && settings_.refine >= 1);
   if (!events_.empty()) event_y_.resize(n_);
-  if (!events_.empty() || !breaks_.empty()) before_.resize(n_);
+  if (!events_.empty() || !breaks_.empty()) before_.resize(n_ + extent_.n);
 }
 
 bool Integration::end(State state) {
@@ -71,6 +73,7 @@ State Integration::start(const double* y0) {
   report_.t = t;
   begin_piece();
   if (const State found = initial_checks_.inspect(y); found != State::created) return state_ = found;
+  if (consistent_tangent_ && !unless_stopped(consistent_tangent_(t, y))) return state_;
   if (!unless_stopped(manifold_.start(t, y))) return state_;
   emitter_.begin(reached_);
   const bool breaks = breaks_.at(t);
@@ -199,6 +202,7 @@ Integration::Verdict Integration::place(StepEnds& ends) {
   switch (manifold_.place(*step_, ends, counts_)) {
     case Manifold::Placed::outside: return reject(Cause::bounds);
     case Manifold::Placed::too_far: return oversized(candidate);
+    case Manifold::Placed::undefined: return reject(Cause::not_finite);
     case Manifold::Placed::stop: return ended(State::interrupted);
     case Manifold::Placed::accepted: break;
   }
@@ -273,7 +277,7 @@ bool Integration::explain_failure(Cause cause) {
   if (!unless_stopped(discontinuities_.gave_up(t0_, y0_.data(), step_->slope(), aim_.t1(), aim_.target())))
     return false;
   if (cause != Cause::error) return true;
-  for (std::size_t i = 0; i < n_ && !report_.pure_relative; ++i)
+  for (std::size_t i = 0; i < extent_.n && !report_.pure_relative; ++i)
     if (weights_.pure_relative(i) && y0_[i] == 0) {
       report_.pure_relative = true;
       report_.component = static_cast<int>(i);
@@ -423,17 +427,21 @@ bool Integration::take_actions(bool& rehold) {
     if (occurrence.t != reached_.t || !function.action) continue;
     rehold = rehold && function.rehold;
     report_.event = occurrence.event;
-    if (!take(function.action)) return false;
+    if (!take(function.action, function.jump)) return false;
   }
   return true;
 }
 
 /// The solution after the jump into the start of the next step.
-bool Integration::take(Callback& action) {
-  assert(before_.size() == n_);
-  before_ = y0_;
-  return unless_stopped(action(reached_.t, before_.data(), y0_.data())) &&
-         (all_finite(y0_.data(), n_) || end(State::action_undefined));
+bool Integration::take(Callback& action, Callback& jump) {
+  assert(before_.size() == n_ + extent_.n);
+  double* y_after = std::copy(y0_.begin(), y0_.end(), before_.data());
+  if (!unless_stopped(action(reached_.t, before_.data(), y0_.data()))) return false;
+  if (jump) {
+    std::copy_n(y0_.data(), extent_.n, y_after);
+    if (!unless_stopped(jump(reached_.t, before_.data(), y0_.data() + extent_.n))) return false;
+  }
+  return all_finite(y0_.data(), n_) || end(State::action_undefined);
 }
 
 /// Holds the invariants at the start of the next step, where the solution has jumped to, and starts again.
@@ -465,7 +473,7 @@ bool Integration::pass_breakpoint() {
     if (!point.action) continue;
     acts = true;
     report_.event = events_.count() + breaks_.index();
-    if (!take(point.action)) return false;
+    if (!take(point.action, point.jump)) return false;
   }
   if (!make_consistent(moved)) return false;
   if (acts || moved) return go_on_from_jump(acts);
@@ -477,21 +485,21 @@ bool Integration::pass_breakpoint() {
 bool Integration::make_consistent(bool& moved) {
   if (!consistent_) return true;
   switch (consistent_(reached_.t, y0_.data())) {
-    case Consistency::corrected: moved = true; return true;
+    case Consistency::corrected: moved = true; break;
     case Consistency::stop: return end(State::interrupted);
     case Consistency::not_found:
     case Consistency::index_too_high: return end(State::restart_inconsistent);
     case Consistency::consistent:
     case Consistency::undefined: break;  // the restart says so
   }
-  return true;
+  return !consistent_tangent_ || unless_stopped(consistent_tangent_(reached_.t, y0_.data()));
 }
 
 // ---------------------------------------------------------------------------------------------------------- afterwards
 
 DenseOutput Integration::no_steps() const {
   const std::size_t m = interpolant_.invariants();
-  return {n_, m, settings_.interpolation, step_->interpolate(),
+  return {extent_, m, settings_.interpolation, step_->interpolate(),
           manifold_.bounds() != nullptr ? std::optional(*manifold_.bounds()) : std::nullopt};
 }
 

@@ -40,6 +40,8 @@ struct LoopFunctions {
   Piece* piece = nullptr;  ///< through which functions are called that may jump at breakpoints
   /// Moves y at t onto the algebraic equations. Empty if there are none.
   std::function<Consistency(double t, double* y)> consistent;
+  /// Moves the sensitivities of such a y likewise. Empty without either.
+  std::function<Status(double t, double* Y)> consistent_tangent;
   Callback callback;  ///< after each step; may be empty
 };
 
@@ -47,7 +49,8 @@ struct LoopFunctions {
 /// both can be called again after `advance` returned `running`.
 class Integration {
  public:
-  /// The weights and what the manifold refers to belong to the caller and outlive this.
+  /// The weights of the state and what the manifold refers to belong to the caller and outlive this. The step is one of
+  /// the state, or of the state with its sensitivities.
   Integration(std::unique_ptr<Step> step, const Weights& weights, const ManifoldTerms& manifold,
               LoopFunctions functions, Settings settings);
 
@@ -132,7 +135,7 @@ class Integration {
   void discard_step(const double* y);
   bool jump();
   bool take_actions(bool& rehold);
-  bool take(Callback& action);
+  bool take(Callback& action, Callback& jump);
   void begin_piece();
   bool pass_breakpoint();
   bool make_consistent(bool& moved);
@@ -147,8 +150,10 @@ class Integration {
   const Settings settings_;
   BoundedSlope* bounded_slope_;
   std::function<Consistency(double t, double* y)> consistent_;
+  std::function<Status(double t, double* Y)> consistent_tangent_;
   Callback callback_;
-  std::size_t n_;
+  Extent extent_;
+  std::size_t n_;  // doubles of Y: of the state, and of its sensitivities
   double forward_;
 
   State state_ = State::created;
@@ -171,7 +176,7 @@ class Integration {
   std::vector<double> y0_;
   Reached reached_{0, nullptr};          // its end, or the event that has cut it
   std::vector<double> event_y_;          // state at an event
-  std::vector<double> before_;           // an action
+  std::vector<double> before_;           // an action: Y, and behind it the state after it
   bool keeps_last_ = false;              // see `keep_last_step`
   std::optional<DenseOutput> last_one_;  // the last step, if the method has started again at its end
   bool memory_outdated_ = false;         // the method's memory is not that of the point reached

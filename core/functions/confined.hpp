@@ -12,6 +12,7 @@
 #include "linear/jacobian.hpp"
 #include "linear/matrix.hpp"
 #include "manifold/bounds.hpp"
+#include "sensitivity/extent.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -42,6 +43,11 @@ class Confined {
   Callback product_within(const Callback& function) {
     if (!function) return {};
     return {&Confined::product_entry, &functions_.emplace_back(*this, function)};
+  }
+  /// The slopes of sensitivities, a function of Y.
+  Callback augmented_within(const Callback& function, Extent extent) {
+    extent_ = extent;
+    return {&Confined::augmented_entry, &functions_.emplace_back(*this, function)};
   }
   /// For tests whether f is what it should be: NaN beyond roundoff of the bounds.
   Callback defined(const Callback& function) {
@@ -85,6 +91,13 @@ class Confined {
     confined.bounds_.clip(confined.both_.data());
     return function(t, confined.both_.data(), out);
   }
+  static Status augmented_entry(void* self, double t, const double* Y, double* out) {
+    auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
+    if (confined.bounds_.contain(Y)) return function(t, Y, out);
+    confined.all_.assign(Y, Y + confined.extent_.size());
+    confined.bounds_.clip(confined.all_.data());
+    return function(t, confined.all_.data(), out);
+  }
   static Status complex_entry(void* self, double t, const double* y, double* out) {
     auto& [confined, function] = *static_cast<BoundedFunction<Callback>*>(self);
     confined.both_.assign(y, y + 2 * confined.inside_.size());
@@ -102,7 +115,8 @@ class Confined {
 
   const Bounds& bounds_;
   const Weights& weights_;
-  std::vector<double> inside_, both_;                // y; y and v, or complex y
+  Extent extent_;                                    // of Y
+  std::vector<double> inside_, both_, all_;          // y; y and v, or complex y; Y
   std::deque<BoundedFunction<Callback>> functions_;  // which stay where they are when there are more of them
   std::deque<BoundedFunction<MatrixFunction>> matrices_;
 };

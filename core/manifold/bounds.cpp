@@ -74,9 +74,12 @@ bool Bounds::leads_out(const Interval& one, const double* y, double forward, con
   return (s < 0 && y[i] <= lower) || (s > 0 && y[i] >= upper);
 }
 
-void Bounds::remove_outward(const double* y, double forward, double* slope) const {
-  for (const Interval& one : intervals_)
-    if (leads_out(one, y, forward, slope)) slope[one.component] = 0;
+void Bounds::remove_outward(const double* y, double forward, double* slope, std::vector<std::size_t>* removed) const {
+  for (const Interval& one : intervals_) {
+    if (!leads_out(one, y, forward, slope)) continue;
+    slope[one.component] = 0;
+    if (removed != nullptr) removed->push_back(one.component);
+  }
 }
 
 BoundedSlope::BoundedSlope(const Callback& f, const Bounds& bounds, double forward, bool of_implicit_method,
@@ -120,11 +123,13 @@ Status BoundedSlope::look(double t, const double* y) {
   return Status::ok;
 }
 
-void BoundedSlope::hold_what_rests(double* slope) const {
+void BoundedSlope::hold_what_rests(double* slope) {
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
     const double s = forward_ * slope[i] * mass(i);
-    if (rests_[k] != 0 && mass(i) != 0 && (rests_[k] * s > 0 || lower == upper)) slope[i] = 0;
+    if (rests_[k] == 0 || mass(i) == 0 || !(rests_[k] * s > 0 || lower == upper)) continue;
+    slope[i] = 0;
+    if (notes_held_) held_.push_back(i);
   }
 }
 
@@ -132,10 +137,11 @@ Status BoundedSlope::entry(void* self, double t, const double* y, double* out) {
   auto& bounded = *static_cast<BoundedSlope*>(self);
   const Status status = bounded.f_(t, y, out);
   if (status != Status::ok) return status;
+  bounded.held_.clear();
   if (bounded.by_step_)
     bounded.hold_what_rests(out);
   else
-    bounded.bounds_.remove_outward(y, bounded.forward_, out);
+    bounded.bounds_.remove_outward(y, bounded.forward_, out, bounded.notes_held_ ? &bounded.held_ : nullptr);
   return status;
 }
 

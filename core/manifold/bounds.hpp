@@ -46,8 +46,9 @@ class Bounds {
   /// Whether a slope leads out of an interval at whose lower or upper end, or beyond, y is.
   [[nodiscard]] static bool leads_out(const Interval& one, const double* y, double forward, const double* slope);
   /// Of a slope at y, takes away what leads out of the bounds where y is at one or beyond. `forward`: +1 or −1, the
-  /// direction of integration.
-  void remove_outward(const double* y, double forward, double* slope) const;
+  /// direction of integration. `removed`: takes the components where it did, unless null.
+  void remove_outward(const double* y, double forward, double* slope,
+                      std::vector<std::size_t>* removed = nullptr) const;
 
  private:
   std::size_t n_;
@@ -77,12 +78,17 @@ class BoundedSlope {
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   void state(Archive& archive) { archive(rests_, at_bound_, evaluations_); }
 
+  /// From now on the components whose slope it sets to 0 are noted.
+  void note_held() { notes_held_ = true; }
+  /// Those of the last evaluation.
+  [[nodiscard]] const std::vector<std::size_t>& held() const { return held_; }
+
   /// Refers to this object.
   Callback callback() { return {&entry, this}; }
 
  private:
   Status look(double t, const double* y);
-  void hold_what_rests(double* slope) const;
+  void hold_what_rests(double* slope);
   [[nodiscard]] double mass(std::size_t i) const { return mass_.empty() ? 1 : mass_[i]; }
   static Status entry(void* self, double t, const double* y, double* out);
 
@@ -96,6 +102,8 @@ class BoundedSlope {
   std::vector<char> rests_, rested_, at_bound_, arrived_;
   std::vector<double> slope_;
   std::int64_t evaluations_ = 0;
+  bool notes_held_ = false;
+  std::vector<std::size_t> held_;
 };
 
 }  // namespace invariode

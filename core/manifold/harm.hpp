@@ -20,13 +20,14 @@ namespace invariode {
 /// atol for positions and velocities, it corrects the errors of some at the cost of others that had none.
 class HarmDetector {
  public:
-  explicit HarmDetector(std::size_t n) : error_(n), errors_(n), corrections_(n) {}
+  /// Of a state of n doubles, in steps of `all`.
+  HarmDetector(std::size_t n, std::size_t all) : error_(all), errors_(n), corrections_(n) {}
 
   /// Step number `step`, from the candidate to y1, is about to be accepted. Looks at one step in eight.
   void note(const Step& method, std::int64_t step, const double* candidate, const double* y1, const double* w) {
     if (step % harm_period != 0 || !method.errors(error_.data())) return;
     ++looks_;
-    for (std::size_t i = 0; i < error_.size(); ++i) {
+    for (std::size_t i = 0; i < errors_.size(); ++i) {
       errors_[i] += std::abs(error_[i]) / w[i];
       corrections_[i] += std::abs(y1[i] - candidate[i]) / w[i];
     }

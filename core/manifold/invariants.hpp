@@ -35,6 +35,7 @@ struct InvariantBlock {
   int level = 0;                   ///< lower ones are imposed first, and later ones leave them alone
   std::vector<std::size_t> moves;  ///< the components that its correction may move; empty: all
   Metric metric;                   ///< in which its correction is the least; none: that of the error test
+  Callback tangent;                ///< (t, Y) -> G S_j + g_pj, (k, m), where there are sensitivities
 };
 
 /// All invariants of a run: r(t, y) = g(t, y) − value, J = ∂g/∂y, g_t.

@@ -22,12 +22,13 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
       off_bounds_only_(terms.off_bounds_only),
       check_(settings.check),
       weights_(weights),
-      n_(weights.size()) {
+      extent_(Extent::within(weights.size(), step.n())) {
   if (invariants_ != nullptr) {
     projector_.emplace(*invariants_, weights, settings.iterations, settings.negligible);
     guard_.emplace(*invariants_, weights, *terms.slope, std::abs(settings.tf - settings.t0));
     if (with_events && Restoration::needed(*invariants_)) restoration_.emplace(*invariants_, weights);
-    harm_.emplace(n_);
+    harm_.emplace(extent_.n, extent_.size());
+    if (extent_.k > 0) tangent_.emplace(*invariants_, weights, extent_, bounds_);
     if (invariants_->along_steps()) {
       directions_.resize(step.max_directions());
       if (directions_.empty())
@@ -38,19 +39,31 @@ Manifold::Manifold(const ManifoldTerms& terms, const Weights& weights, const Set
     if (bounds_ != nullptr) active_set_.emplace(*projector_, *bounds_);
     if (invariants_->any_one_sided()) one_sided_.emplace(*projector_, active_set_ ? &*active_set_ : nullptr);
   }
-  if (any()) y1_.resize(n_);
-  if (terms.between != nullptr) output_projector_.emplace(*terms.between, weights, 1);
+  if (any()) y1_.resize(extent_.size());
+  if (terms.between == nullptr) return;
+  output_projector_.emplace(*terms.between, weights, 1);
+  if (extent_.k > 0) output_tangent_.emplace(*terms.between, weights, extent_, bounds_);
 }
 
 // ---------------------------------------------------------------------------------------------- where a solution
 // starts
 
-Status Manifold::start(double t, const double* y) { return one_sided_ ? one_sided_->start(t, y) : Status::ok; }
+Status Manifold::start(double t, double* y) {
+  if (one_sided_ && one_sided_->start(t, y) == Status::stop) return Status::stop;
+  return start_tangent(t, y, true);
+}
+
+/// Where the tangent is not defined, S stays: the method will say what is wrong.
+Status Manifold::start_tangent(double t, double* y, bool rehold) {
+  if (!tangent_) return Status::ok;
+  if (rehold && tangent_->hold(t, y) == Status::stop) return Status::stop;
+  return tangent_->settle(t, y) == Outcome::stop ? Status::stop : Status::ok;
+}
 
 Outcome Manifold::project_start(double t, double* y) {
   assert(active_set_);
   for (int i = 0; i < start_iterations; ++i) {
-    std::copy(y, y + n_, y1_.begin());
+    std::copy(y, y + extent_.n, y1_.begin());
     const Outcome outcome = active_set_->project(t, y1_.data(), y).outcome;
     if (outcome != Outcome::ok) return outcome;
   }
@@ -64,6 +77,7 @@ Finding Manifold::restart(double t, double* y, bool rehold) {
   if (rehold && invariants_->hold(t, y) == Status::stop) return stop;
   if (const Finding finding = guard_->start_value(t, y); finding.kind != Finding::Kind::none) return finding;
   if (one_sided_ && one_sided_->go_on(t, y) == Status::stop) return stop;
+  if (start_tangent(t, y, rehold) == Status::stop) return stop;
   return {};
 }
 
@@ -92,8 +106,9 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
   projected_.skipped = true;  // until it is projected
   if (!outside_.off_bounds) return true;
   if (outside.size > weights_.rtol()) return false;
-  std::copy(ends.y1, ends.y1 + n_, y1_.begin());
+  std::copy(ends.y1, ends.y1 + extent_.size(), y1_.begin());
   outside_.clipped = bounds_->clip(y1_.data());
+  rest_at_bounds(*bounds_, extent_, ends.y1, y1_.data());
   ends.y1 = y1_.data();
   return true;
 }
@@ -101,7 +116,7 @@ bool Manifold::move_onto_bounds(Step& step, StepEnds& ends) {
 /// y₁ from the candidate y*. A correction that is too large fails the attempt.
 Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, Counts& counts) {
   const double* candidate = ends.y1;
-  std::copy(candidate, candidate + n_, y1_.begin());
+  std::copy(candidate, candidate + extent_.size(), y1_.begin());
   if (!directions_.empty()) choose_directions(step);
   projected_ = one_sided_    ? one_sided_->project(ends.t1, ends.y0, y1_.data())
                : active_set_ ? active_set_->project(ends.t1, ends.y0, y1_.data())
@@ -112,10 +127,22 @@ Manifold::Placed Manifold::project(const Step& step, StepEnds& ends, Counts& cou
   correction_ = defined ? projected_.correction : std::numeric_limits<double>::infinity();
   const bool large = correction_ > largest_correction * weights_.rtol();
   if (large && (!defined || !(correction_ <= roundoff_of_correction()))) return Placed::too_far;
+  switch (follow_tangent(ends.t1, candidate)) {
+    case Outcome::stop: return Placed::stop;
+    case Outcome::not_finite: return Placed::undefined;
+    case Outcome::ok: break;
+  }
   if (check_ && !at_bounds())
     harm_->note(step, counts.steps, candidate, y1_.data(), projector_->linearization().weights.data());
   ends.y1 = y1_.data();
   return Placed::accepted;
+}
+
+/// The sensitivities of y₁ from those of the candidate.
+Outcome Manifold::follow_tangent(double t, const double* candidate) {
+  if (!tangent_) return Outcome::ok;
+  if (bounds_ != nullptr) rest_at_bounds(*bounds_, extent_, candidate, y1_.data());
+  return projected_.skipped ? tangent_->settle(t, y1_.data()) : tangent_->follow(*projector_, t, y1_.data());
 }
 
 /// What the step is made of.
@@ -167,6 +194,7 @@ Finding Manifold::judge(const StepEnds& ends, const Step& step, std::int64_t num
 void Manifold::state(Archive& archive) {
   for (std::optional<Projector>* one : {&projector_, &output_projector_})
     if (*one) (*one)->state(archive);
+  if (tangent_) tangent_->state(archive);
   if (guard_) guard_->state(archive);
   if (restoration_) restoration_->state(archive);
   if (harm_) harm_->state(archive);

@@ -18,6 +18,7 @@
 #include "manifold/restoration.hpp"
 #include "manifold/slope.hpp"
 #include "report.hpp"
+#include "sensitivity/tangent.hpp"
 #include "settings.hpp"
 #include "step.hpp"
 #include "weights.hpp"
@@ -55,12 +56,15 @@ class Manifold {
   [[nodiscard]] const Invariants* invariants() const { return invariants_; }
   [[nodiscard]] const Projector* projector() const { return projector_ ? &*projector_ : nullptr; }
   [[nodiscard]] Projector* output_projector() { return output_projector_ ? &*output_projector_ : nullptr; }
+  /// Moves sensitivities to the tangent between steps; null without them.
+  [[nodiscard]] TangentProjector* output_tangent() { return output_tangent_ ? &*output_tangent_ : nullptr; }
   [[nodiscard]] Guard* guard() { return guard_ ? &*guard_ : nullptr; }
   [[nodiscard]] const Guard* guard() const { return guard_ ? &*guard_ : nullptr; }
   [[nodiscard]] Harm harm() const { return harm_ ? harm_->harm(weights_.rtol()) : Harm{}; }
 
-  /// The solution starts at (t, y), where it has been moved onto the manifold.
-  Status start(double t, const double* y);
+  /// The solution starts at (t, y), where the state has been moved onto the manifold: sensitivities are moved to its
+  /// tangent.
+  Status start(double t, double* y);
   /// The same after a jump. `rehold`: onto what an impact keeps, with new values of what it does not.
   Finding restart(double t, double* y, bool rehold);
   /// What is known of the gradients does not hold where the solution goes on.
@@ -69,8 +73,8 @@ class Manifold {
   Outcome project_start(double t, double* y);
 
   /// How `place` ended: `outside` of the bounds by more than the tolerance; moved too far by the projection, or not
-  /// projected; `stop`: a user function asks to.
-  enum class [[nodiscard]] Placed { accepted, outside, too_far, stop };
+  /// projected; the tangent is `undefined` there; `stop`: a user function asks to.
+  enum class [[nodiscard]] Placed { accepted, outside, too_far, undefined, stop };
   /// y₁ from the candidate y*, both in `ends.y1`: moved onto bounds and manifold.
   Placed place(Step& step, StepEnds& ends, Counts& counts);
   /// max_i |y*_i − y₁_i| / w_i; infinite where y* could not be projected.
@@ -104,7 +108,9 @@ class Manifold {
     int component = -1;       // the farthest
   };
 
+  Status start_tangent(double t, double* y, bool rehold);
   bool move_onto_bounds(Step& step, StepEnds& ends);
+  Outcome follow_tangent(double t, const double* candidate);
   Placed project(const Step& step, StepEnds& ends, Counts& counts);
   void choose_directions(const Step& step);
   [[nodiscard]] double roundoff_of_correction() const;
@@ -115,11 +121,12 @@ class Manifold {
   const Bounds* bounds_;
   bool off_bounds_only_, check_;
   const Weights& weights_;
-  std::size_t n_;
+  Extent extent_;
   std::optional<Projector> projector_;         // of the steps
   std::optional<Projector> output_projector_;  // of points between steps
-  std::optional<ActiveSet> active_set_;        // projects steps where there are bounds
-  std::optional<OneSided> one_sided_;          // and where some invariants may only rise or fall
+  std::optional<TangentProjector> tangent_, output_tangent_;
+  std::optional<ActiveSet> active_set_;  // projects steps where there are bounds
+  std::optional<OneSided> one_sided_;    // and where some invariants may only rise or fall
   std::optional<Guard> guard_;
   std::optional<Restoration> restoration_;  // after jumps
   std::optional<HarmDetector> harm_;

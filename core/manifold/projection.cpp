@@ -147,6 +147,23 @@ Outcome Projector::linearize_at(double t, const double* y) {
   return linearize(t, y);
 }
 
+Outcome Projector::factorize_at(double t, const double* y) {
+  const Outcome outcome = linearize_at(t, y);
+  if (outcome == Outcome::ok) solve(t);
+  return outcome;
+}
+
+void Projector::correction_for(const double* r, double* delta) {
+  if (rank_ == 0)
+    std::fill_n(delta, w_.size(), 0);
+  else if (levels_)
+    levels_->solve(J_.data(), r, std::vector<double>(r_.size()).data(), movable_w_, pivot_threshold(), apart_, delta);
+  else if (r_.size() == 1)
+    correct_one(r[0], delta);
+  else
+    apply_factors(r, delta);
+}
+
 Imposed Projector::impose(double t, double* y) {
   std::copy(y, y + w_.size(), original_.begin());
   const Imposed imposed = approach(t, y);
@@ -371,9 +388,9 @@ void Projector::scale_row(std::size_t i) {
 /// δ = W (J W)⁺ r of the last linearization, and its rank. One row needs no factorisation.
 std::size_t Projector::solve(double t) {
   std::fill(left_out_.begin(), left_out_.end(), 0);
-  const std::size_t rank = levels_ ? solve_in_levels(t) : r_.size() > 1 ? solve_several(t) : solve_one(t);
-  count_correction(t, rank);
-  return rank;
+  rank_ = levels_ ? solve_in_levels(t) : r_.size() > 1 ? solve_several(t) : solve_one(t);
+  count_correction(t, rank_);
+  return rank_;
 }
 
 /// For the verdict which invariants are redundant, of which corrections with fixed components tell nothing.
@@ -390,14 +407,11 @@ void Projector::count_correction(double t, std::size_t rank) {
 }
 
 std::size_t Projector::solve_one(double t) {
-  const std::size_t n = w_.size();
   if (norm_[0] == 0 || stuck(0) || all_idle()) {
     if (!all_idle()) leave_out(0, t);
     std::fill(delta_.begin(), delta_.end(), 0);
     return 0;
   }
-  double distance = r_[0] / norm_[0];
-  const double* row = basis_.vector(0).data();
   if (directions_) {
     const double share = basis_.vector(0).norm();
     if (share < least_share) {
@@ -405,10 +419,19 @@ std::size_t Projector::solve_one(double t) {
       std::fill(delta_.begin(), delta_.end(), 0);
       return 0;
     }
+  }
+  correct_one(r_[0], delta_.data());
+  return 1;
+}
+
+/// The correction of the only invariant for the residual r.
+void Projector::correct_one(double r, double* delta) {
+  double distance = r / norm_[0];
+  if (directions_) {
+    const double share = basis_.vector(0).norm();
     distance /= share * share;
   }
-  correction(w_.data(), row, distance, n, delta_.data());
-  return 1;
+  correction(w_.data(), basis_.vector(0).data(), distance, w_.size(), delta);
 }
 
 /// W Q z with Rᵀ z = r, where Q R is the basis of (J W)ᵀ; rows that are not in it are left out. What is one-sided
@@ -427,13 +450,17 @@ std::size_t Projector::solve_several(double t) {
   });
   for (std::size_t k = rank; k < order_.size(); ++k)
     if (!directions_ || out_of_reach(order_[k], 0)) leave_out(order_[k], t);
-  std::fill(delta_.begin(), delta_.end(), 0);
-  const auto right = [this](std::size_t i) { return preference(i) * r_[i] / norm_[i]; };
-  basis_.solve(0, right, [this](std::size_t i, double z) {
-    const auto q = basis_.vector(i);
-    for (std::size_t j = 0; j < w_.size(); ++j) delta_[j] += w_[j] * (q[index(j)] * z);
-  });
+  apply_factors(r_.data(), delta_.data());
   return rank;
+}
+
+void Projector::apply_factors(const double* r, double* delta) {
+  std::fill_n(delta, w_.size(), 0);
+  const auto right = [&](std::size_t i) { return preference(i) * r[i] / norm_[i]; };
+  basis_.solve(0, right, [&](std::size_t i, double z) {
+    const auto q = basis_.vector(i);
+    for (std::size_t j = 0; j < w_.size(); ++j) delta[j] += w_[j] * (q[index(j)] * z);
+  });
 }
 
 std::size_t Projector::solve_in_levels(double t) {
@@ -445,8 +472,10 @@ std::size_t Projector::solve_in_levels(double t) {
     w = free_w_.data();
   }
   take_units(point_.data());
+  movable_w_ = w;
+  apart_ = without_part();
   const std::size_t rank =
-      levels_->solve(J_.data(), r_.data(), unit_.data(), w, pivot_threshold(), without_part(), delta_.data());
+      levels_->solve(J_.data(), r_.data(), unit_.data(), w, pivot_threshold(), apart_, delta_.data());
   for (std::size_t i = 0; i < r_.size(); ++i)
     if (levels_->left_out()[i] != 0 || (stuck(i) && !idle(i))) leave_out(i, t);
   return rank;

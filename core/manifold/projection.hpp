@@ -73,6 +73,12 @@ class Projector {
   /// The same, with the iterate of least residual wherever it is.
   Imposed approach(double t, double* y);
 
+  /// Factors at (t, y), with the weights W = max(|y|, thr), without moving y.
+  Outcome factorize_at(double t, const double* y);
+  /// δ = W (J W)⁺ r for another residual r (m), with the linearization, the factors and the rank of the latest
+  /// correction: what it left out, and components that it left alone, take no part.
+  void correction_for(const double* r, double* delta);
+
   /// From now on corrections are combinations of these vectors (n), which stay until the next projection.
   void seek_along(std::span<const double* const> vectors);
 
@@ -133,6 +139,8 @@ class Projector {
   [[nodiscard]] bool out_of_reach(std::size_t i, double share) const;
   void count_correction(double t, std::size_t rank);
   std::size_t solve_one(double t);
+  void correct_one(double r, double* delta);
+  void apply_factors(const double* r, double* delta);
   std::size_t solve_several(double t);
   std::size_t solve_in_levels(double t);
   const char* without_part();
@@ -170,6 +178,10 @@ class Projector {
   std::optional<Directions> directions_;  // of corrections, where these are told
   std::size_t idle_count_ = 0, one_sided_ = 0;
   std::optional<Levels> levels_;  // where the invariants have any
+  // Of the latest correction.
+  std::size_t rank_ = 0;
+  const double* movable_w_ = nullptr;  // in levels: W, 0 where fixed
+  const char* apart_ = nullptr;        // and what takes no part
 };
 
 }  // namespace invariode

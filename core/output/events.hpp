@@ -19,6 +19,7 @@ struct EventFunction {
   std::int64_t terminal = 0;  ///< ends the run at this occurrence; 0: never
   int direction = 0;          ///< > 0: rising in the direction of integration, < 0: falling, 0: both
   Callback action;            ///< (t, y) -> y from there on, or empty
+  Callback jump;              ///< (t, Y before, y after) -> S from there on, (k, n), where there are sensitivities
   bool rehold = true;         ///< after the action invariants are held at their new values
   /// Points inside a step at which it is evaluated, if these are more than the usual ones; or as many as it takes to
   /// separate its roots.

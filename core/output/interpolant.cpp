@@ -21,7 +21,7 @@ void Interpolant::corrected(const Segment& segment, double t, double* y) const {
   const std::size_t raw_size = segment.size - overhead();
   raw_(segment.data, raw_size, n_, theta, y);
   if (mode_ != Interpolation::raw) correct_ends(segment.data + raw_size, theta, y);
-  if (bounds_ != nullptr) bounds_->clip(y);
+  if (bounds_ != nullptr) clip(*bounds_, extent_, y);
 }
 
 void Interpolant::correct_ends(const double* e0, double theta, double* y) const {
@@ -52,17 +52,19 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   corrected(segment, t, y);
   const double theta = (t - segment.t0) / (segment.t1 - segment.t0);
   if (projector_ == nullptr || m_ == 0 || theta <= 0 || theta >= 1) return Status::ok;
-  const double* w = segment.data + segment.size - n_ - 2 * m_;
-  const double* g0 = w + n_;
+  const std::size_t invariants = 2 * m_ * (1 + extent_.k);  // their values at both ends, and those of the tangent
+  const double* w = segment.data + segment.size - extent_.n - invariants;
+  const double* g0 = w + extent_.n;
   const double* g1 = g0 + m_;
   const std::vector<double>& held = projector_->invariants().value();
   for (std::size_t i = 0; i < m_; ++i) target_[i] = (1 - theta) * g0[i] + theta * g1[i] - held[i];
   if (projector_->invariants().along_steps()) choose_directions(segment);
   const int most = interpolation_iterations;
-  const Outcome outcome = projector_->invariants().any_one_sided()
-                              ? onto_between(*projector_, bounds_, t, w, g0, g1, target_, y, most)
-                          : bounds_ != nullptr ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, most)
-                                               : projector_->onto(t, w, target_.data(), y, most);
+  Outcome outcome = projector_->invariants().any_one_sided()
+                        ? onto_between(*projector_, bounds_, t, w, g0, g1, target_, y, most)
+                    : bounds_ != nullptr ? onto_within(*projector_, *bounds_, t, w, target_.data(), y, most)
+                                         : projector_->onto(t, w, target_.data(), y, most);
+  if (outcome == Outcome::ok && tangent_ != nullptr) outcome = follow_tangent(t, theta, g1 + m_, y);
   switch (outcome) {
     case Outcome::stop: return Status::stop;
     case Outcome::not_finite: corrected(segment, t, y); break;  // g is not defined here
@@ -71,13 +73,21 @@ Status Interpolant::value(const Segment& segment, double t, double* y) {
   return Status::ok;
 }
 
-StepInterpolant::StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps,
-                                 const Bounds* bounds)
+/// The tangent at t, where the state has just been projected.
+Outcome Interpolant::follow_tangent(double t, double theta, const double* T0, double* y) {
+  const double* T1 = T0 + tangent_target_.size();
+  for (std::size_t i = 0; i < tangent_target_.size(); ++i) tangent_target_[i] = (1 - theta) * T0[i] + theta * T1[i];
+  return tangent_->onto(*projector_, t, tangent_target_.data(), y);
+}
+
+StepInterpolant::StepInterpolant(Step& step, Extent extent, Interpolation mode, Projector* between,
+                                 TangentProjector* tangent, const Projector* steps, const Bounds* bounds)
     : step_(step),
       invariants_(between ? &between->invariants() : nullptr),
       projector_(steps),
-      interpolant_(step.n(), invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between, bounds),
-      g_end_(interpolant_.m_) {}
+      interpolant_(extent, invariants_ ? invariants_->m() : 0, mode, step.interpolate(), between, tangent, bounds),
+      g_end_(interpolant_.m_),
+      tangent_end_(interpolant_.tangent_target_.size()) {}
 
 Status StepInterpolant::make() {
   if (made_) return Status::ok;
@@ -98,6 +108,9 @@ Status StepInterpolant::make() {
     if (interpolant_.projects()) {
       const std::span<const double> w = projector_->linearization().weights;
       double* g0 = std::copy(w.begin(), w.end(), e1 + n);
+      double* T0 = g0 + 2 * interpolant_.m_;
+      if (interpolant_.tangent_ != nullptr && tangents(T0, T0 + tangent_end_.size()) == Status::stop)
+        return Status::stop;
       if (residuals(g0, g0 + interpolant_.m_) == Status::stop) return Status::stop;
     }
   }
@@ -115,6 +128,18 @@ Status StepInterpolant::residuals(double* g0, double* g1) {
   std::copy(g1, g1 + g_end_.size(), g_end_.begin());
   g_t_ = end_t_;
   g_known_ = true;
+  return Status::ok;
+}
+
+/// G S + g_p at both ends, which are known where g is.
+Status StepInterpolant::tangents(double* T0, double* T1) {
+  TangentProjector& tangent = *interpolant_.tangent_;
+  if (g_known_ && g_t_ == start_t_)
+    std::copy(tangent_end_.begin(), tangent_end_.end(), T0);
+  else if (tangent.evaluate(start_t_, start_y_, T0) == Status::stop)
+    return Status::stop;
+  if (tangent.evaluate(end_t_, step_.y(), T1) == Status::stop) return Status::stop;
+  std::copy_n(T1, tangent_end_.size(), tangent_end_.begin());
   return Status::ok;
 }
 

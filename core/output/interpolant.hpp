@@ -9,6 +9,7 @@
 #include "manifold/bounds.hpp"
 #include "manifold/invariants.hpp"
 #include "manifold/projection.hpp"
+#include "sensitivity/tangent.hpp"
 #include "step.hpp"
 
 namespace invariode {
@@ -19,7 +20,8 @@ namespace invariode {
 /// `corrected`.
 enum class Interpolation { projected, corrected, raw };
 
-/// One accepted step as data: [raw extension | e₀ e₁ | W g₀ g₁], the later parts only where the mode reads them.
+/// One accepted step as data: [raw extension | e₀ e₁ | W g₀ g₁ | T₀ T₁], the later parts only where the mode reads
+/// them; T₀ and T₁ are G S + g_p at the ends, where there are sensitivities.
 struct Segment {
   double t0;
   double t1;
@@ -28,23 +30,27 @@ struct Segment {
 };
 
 /// Evaluates segments. Without invariants `projector` is null; without their functions too, and values are corrected
-/// only. Without bounds `bounds` is null; values are within them in every mode.
+/// only. With sensitivities `tangent` goes with it, which moves them onto T = (1−θ) T₀ + θ T₁. Without bounds `bounds`
+/// is null; values are within them in every mode.
 class Interpolant {
  public:
-  Interpolant(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector,
-              const Bounds* bounds)
-      : n_(n),
+  Interpolant(Extent extent, std::size_t m, Interpolation mode, Interpolate raw, Projector* projector,
+              TangentProjector* tangent, const Bounds* bounds)
+      : extent_(extent),
+        n_(extent.size()),
         m_(mode == Interpolation::projected ? m : 0),
         mode_(mode),
         raw_(raw),
         projector_(projector),
+        tangent_(tangent),
         bounds_(bounds),
-        target_(m_) {}
+        target_(m_),
+        tangent_target_(extent.k * m_) {}
 
   [[nodiscard]] bool projects() const { return m_ > 0; }
   /// Doubles in a segment beyond its raw extension.
   [[nodiscard]] std::size_t overhead() const {
-    return mode_ == Interpolation::raw ? 0 : 2 * n_ + (m_ > 0 ? n_ + 2 * m_ : 0);
+    return mode_ == Interpolation::raw ? 0 : 2 * n_ + (m_ > 0 ? extent_.n + 2 * m_ * (1 + extent_.k) : 0);
   }
 
   /// The value at t in the mode. Outside the segment the corrections stay those of its end and nothing is projected.
@@ -55,13 +61,17 @@ class Interpolant {
  private:
   void correct_ends(const double* e0, double theta, double* y) const;
   void choose_directions(const Segment& segment);
+  Outcome follow_tangent(double t, double theta, const double* T0, double* y);
 
-  std::size_t n_, m_;
+  Extent extent_;
+  std::size_t n_;  // doubles of Y
+  std::size_t m_;
   Interpolation mode_;
   Interpolate raw_;
   Projector* projector_;
+  TangentProjector* tangent_;
   const Bounds* bounds_;
-  std::vector<double> target_;
+  std::vector<double> target_, tangent_target_;
   std::vector<double> path_;               // points of the segment less its start,
   std::vector<const double*> directions_;  // as vectors
 
@@ -72,10 +82,10 @@ class Interpolant {
 /// that nobody looks into costs nothing.
 class StepInterpolant {
  public:
-  /// `between`: projects the points between steps; `steps`: has projected the step, and knows its weights. Null without
-  /// invariants.
-  StepInterpolant(Step& step, Interpolation mode, Projector* between, const Projector* steps,
-                  const Bounds* bounds = nullptr);
+  /// Of a step of Y. `between`: projects the points between steps, with the tangent; `steps`: has projected the step,
+  /// and knows its weights. Null without invariants.
+  StepInterpolant(Step& step, Extent extent, Interpolation mode, Projector* between, TangentProjector* tangent,
+                  const Projector* steps, const Bounds* bounds = nullptr);
 
   /// The step from (t0, y0), which stays where it is until the next one, to the method's present (t, y) was accepted.
   void accept(double t0, const double* y0) {
@@ -89,7 +99,7 @@ class StepInterpolant {
   void restart() { g_known_ = false; }
 
   /// What is known of the start of the next step.
-  void state(Archive& archive) { archive(g_known_, g_t_, g_end_); }
+  void state(Archive& archive) { archive(g_known_, g_t_, g_end_, tangent_end_); }
 
   Status value(double t, double* y);
   Status corrected(double t, double* y);
@@ -104,6 +114,7 @@ class StepInterpolant {
  private:
   Status make();
   Status residuals(double* g0, double* g1);
+  Status tangents(double* T0, double* T1);
 
   Step& step_;
   Invariants* invariants_;
@@ -116,7 +127,7 @@ class StepInterpolant {
   bool made_ = false;
   double g_t_ = 0;  // g_end_ is g at this t, if known
   bool g_known_ = false;
-  std::vector<double> g_end_;
+  std::vector<double> g_end_, tangent_end_;
 };
 
 }  // namespace invariode

@@ -22,7 +22,7 @@ void DenseOutput::add(const Segment& segment, double t, const double* y) {
 }
 
 DenseOutput DenseOutput::from(std::size_t first) const {
-  DenseOutput rest(n_, m_, mode_, raw_, bounds_);
+  DenseOutput rest(extent_, m_, mode_, raw_, bounds_);
   rest.append(*this, first);
   return rest;
 }
@@ -56,9 +56,10 @@ std::size_t DenseOutput::step_near(std::size_t k) const {
   return end_.size();
 }
 
-Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector) const {
+Status DenseOutput::evaluate(const double* t, std::size_t count, double* out, Projector* projector,
+                             TangentProjector* tangent) const {
   if (n_ == 0) return Status::ok;
-  Interpolant interpolant(n_, m_, mode_, raw_, projector, bounds_ ? &*bounds_ : nullptr);
+  Interpolant interpolant(extent_, m_, mode_, raw_, projector, tangent, bounds_ ? &*bounds_ : nullptr);
   const Buffer<double>& knots = knots_.t;
   const double forward = knots.back() >= knots.front() ? 1 : -1;
   for (std::size_t p = 0; p < count; ++p, out += n_) {

@@ -52,8 +52,8 @@ struct Jump {
 /// The solution as a continuous function: the segments of all accepted steps, and the stored values at their ends.
 class DenseOutput {
  public:
-  DenseOutput(std::size_t n, std::size_t m, Interpolation mode, Interpolate raw, std::optional<Bounds> bounds)
-      : n_(n), m_(m), mode_(mode), raw_(raw), bounds_(std::move(bounds)) {}
+  DenseOutput(Extent extent, std::size_t m, Interpolation mode, Interpolate raw, std::optional<Bounds> bounds)
+      : extent_(extent), n_(extent.size()), m_(m), mode_(mode), raw_(raw), bounds_(std::move(bounds)) {}
 
   /// Starts at (t, y), or goes on there after a jump.
   void start(double t, const double* y);
@@ -64,7 +64,9 @@ class DenseOutput {
   /// The part from knot number `first` on, as a separate function.
   [[nodiscard]] DenseOutput from(std::size_t first) const;
 
-  [[nodiscard]] std::size_t n() const { return n_; }
+  /// What a value consists of, and how many doubles that are.
+  [[nodiscard]] Extent extent() const { return extent_; }
+  [[nodiscard]] std::size_t size() const { return n_; }
   [[nodiscard]] bool projects() const { return mode_ == Interpolation::projected && m_ > 0; }
   [[nodiscard]] const Buffer<double>& knots() const { return knots_.t; }
 
@@ -91,16 +93,19 @@ class DenseOutput {
   };
   [[nodiscard]] Parts parts() const { return {m_, mode_, raw_, bounds_, knots_, end_, offset_, data_}; }
 
-  /// y at `count` times into out (count, n): the stored value at a knot, else the segment's; before the first and after
-  /// the last knot their segments are extrapolated. Where the mode projects, `projector` does it; without one the
-  /// values are corrected only.
-  Status evaluate(const double* t, std::size_t count, double* out, Projector* projector) const;
+  /// Y at `count` times into out (count, size): the stored value at a knot, else the segment's; before the first and
+  /// after the last knot their segments are extrapolated. Where the mode projects, `projector` and `tangent` do it;
+  /// without them the values are corrected only.
+  Status evaluate(const double* t, std::size_t count, double* out, Projector* projector,
+                  TangentProjector* tangent) const;
 
  private:
   [[nodiscard]] std::size_t step_near(std::size_t k) const;
   void append(const DenseOutput& next, std::size_t first);
 
-  std::size_t n_, m_;
+  Extent extent_;
+  std::size_t n_;  // doubles of Y
+  std::size_t m_;
   Interpolation mode_;
   Interpolate raw_;
   std::optional<Bounds> bounds_;

@@ -42,6 +42,7 @@ void require_alike(std::span<Solver* const> solvers, const Ensemble& ensemble) {
   for (const Solver* solver : solvers) {
     const Problem& problem = solver->problem();
     require(problem.n == ensemble.n, "rows of y0 are not of the size of the problem");
+    require(!problem.variations, "ensembles on threads have no sensitivities");
     require(problem.parameters.size() == ensemble.parameters, "rows of parameters are not as long as the problem's");
     require(problem.value.size() == first.value.size() && problem.events.size() == first.events.size() &&
                 solver->settings().times.size() == solvers.front()->settings().times.size(),

@@ -17,6 +17,25 @@ void require_settings(const Settings& settings) {
   require(settings.output_at_times || settings.times.empty(), "times are given and not asked for");
 }
 
+/// What sensitivities are there for, and what they need.
+void require_variations(const Problem& problem) {
+  const Variations& variations = *problem.variations;
+  require(static_cast<bool>(variations.slope), "the sensitivities have no slope");
+  require(variations.tolerance.size() == variations.k * problem.n,
+          "tolerances of sensitivities do not fit " + std::to_string(variations.k) + " parameters of a problem of " +
+              std::to_string(problem.n));
+  for (const InvariantBlock& block : problem.invariants) {
+    require(static_cast<bool>(block.tangent), "an invariant has no tangent for the sensitivities");
+    require(block.sense == 0, "sensitivities are not known beside invariants that may only rise or fall");
+  }
+  for (const EventFunction& event : problem.events)
+    require(!event.action || event.jump, "an event has an action and no jump of the sensitivities");
+  for (const Breakpoint& point : problem.breakpoints)
+    require(!point.action || point.jump, "a breakpoint has an action and no jump of the sensitivities");
+  require(!problem.linear || !problem.linear->krylov,
+          "sensitivities need exact solutions of linear systems: use linear_solver='direct'");
+}
+
 bool takes_mass(const Method& method, const Problem& problem) {
   if (method.mass != MassMatrices::constant_regular || !problem.linear || !problem.linear->mass) return true;
   return problem.linear->mass->constant() && !problem.linear->mass->singular();
@@ -58,6 +77,12 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require_sizes(problem_, weights_);
   require_settings(settings_);
   require(static_cast<bool>(problem_.f), "the problem has no f");
+  if (problem_.variations) {
+    require_variations(problem_);
+    require(!method_.implicit(),
+            std::string(method_.name) + " does not integrate sensitivities: use an explicit method");
+  }
+  if (problem_.variations) augmented_weights_ = augmented(weights_, *problem_.variations);
   require(!method_.implicit() || method_.switches() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
   require(takes_mass(method_, problem_),

@@ -17,6 +17,7 @@
 #include "manifold/invariants.hpp"
 #include "methods/registry.hpp"
 #include "output/events.hpp"
+#include "sensitivity/variations.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -43,8 +44,12 @@ struct Problem {
   std::vector<double> value;  ///< of the invariants, one block after the other
   std::optional<LinearTerms> linear;
   std::optional<Bounds> bounds;
+  std::optional<Variations> variations;  ///< runs integrate sensitivities too
   /// Where the functions read their parameters, if they have any that can be changed from run to run.
   std::span<double> parameters;
+
+  /// What runs integrate: their initial values and results have its size.
+  [[nodiscard]] Extent extent() const { return Extent(n, variations ? variations->k : 0); }
 };
 
 /// Throws std::invalid_argument where sizes do not match: a mistake of whoever called, which would read past an array.
@@ -66,7 +71,10 @@ class Solver {
 
   [[nodiscard]] const Method& method() const { return method_; }
   [[nodiscard]] const Problem& problem() const { return problem_; }
+  /// Of the state.
   [[nodiscard]] const Weights& weights() const { return weights_; }
+  /// Of the state and its sensitivities; the same without them.
+  [[nodiscard]] const Weights& augmented_weights() const { return augmented_weights_ ? *augmented_weights_ : weights_; }
   [[nodiscard]] const Settings& settings() const { return settings_; }
   [[nodiscard]] const MethodOptions& options() const { return options_; }
   /// To be copied, since each run has increments of its own. Null: the problem has no linear terms.
@@ -76,6 +84,7 @@ class Solver {
   const Method& method_;
   Problem problem_;
   Weights weights_;
+  std::optional<Weights> augmented_weights_;
   Settings settings_;
   MethodOptions options_;
   std::optional<Jacobian> jacobian_;

@@ -36,6 +36,7 @@ Run::Run(const Solver& solver) : solver_(solver) {
   keep_within_bounds();
   derive_slope();
   bind_invariants();
+  add_sensitivities();
   start_loop();
 }
 
@@ -53,7 +54,9 @@ void Run::wrap_in_pieces(Problem& problem) {
     block.g = piece_.within(block.g);
     block.jacobian = piece_.within(block.jacobian);
     block.complex_g = piece_.within(block.complex_g);
+    block.tangent = piece_.within(block.tangent);
   }
+  if (problem.variations) problem.variations->slope = piece_.within(problem.variations->slope);
   if (!problem.linear) return;
   Jacobian::Source& source = problem.linear->source;
   source.function = piece_.within(source.function);
@@ -70,6 +73,8 @@ void Run::wrap_in_bounds(Problem& problem) {
   confined_.emplace(*solver_.problem().bounds, solver_.weights());
   users_f_ = problem.f;
   problem.f = confined_->within(problem.f);
+  if (problem.variations)
+    problem.variations->slope = confined_->augmented_within(problem.variations->slope, problem.extent());
   if (!problem.linear) return;
   problem.linear->source = confined_->within(problem.linear->source);
   if (problem.linear->krylov)
@@ -162,9 +167,20 @@ Invariants Run::bound(std::vector<InvariantBlock> blocks, std::vector<double> va
   return {problem().n, std::move(blocks), std::move(value), solver_.weights()};
 }
 
+/// Within bounds S rests with the components of the state that do.
+void Run::add_sensitivities() {
+  const Problem& problem = this->problem();
+  if (!problem.variations) return;
+  if (bounded_slope_) bounded_slope_->note_held();
+  augmented_slope_.emplace(*method_f_, problem.variations->slope, problem.extent(),
+                           bounded_slope_ ? &*bounded_slope_ : nullptr);
+  augmented_f_ = augmented_slope_->callback();
+}
+
 void Run::start_loop() {
+  Callback& integrated = augmented_slope_ ? augmented_f_ : *method_f_;
   std::unique_ptr<Step> step =
-      solver_.method().step(*method_f_, solver_.weights(), solver_.options(), linear_algebra());
+      solver_.method().step(integrated, solver_.augmented_weights(), solver_.options(), linear_algebra());
   const Problem& all = solver_.problem();
   LoopFunctions functions{.f = f_,
                           .bounded_slope = bounded_slope_ ? &*bounded_slope_ : nullptr,
@@ -172,6 +188,7 @@ void Run::start_loop() {
                           .breakpoints = all.breakpoints,
                           .piece = &piece_,
                           .consistent = {},
+                          .consistent_tangent = {},
                           .callback = all.callback};
   if (mass_ && mass_->singular())
     functions.consistent = [this](double t, double* y) {
@@ -197,7 +214,7 @@ std::int64_t Run::evaluations_of_prepare() const {
 }
 
 void Run::count_evaluations(RunResult& result) const {
-  result.nfev = method_f_->calls() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
+  result.nfev = evaluations() + (bounded_slope_ ? bounded_slope_->evaluations() : 0) + result.linear.complex_calls;
   result.nfev_check = integration_->discontinuities().evaluations() + result.linear.checks;
   if (!steps_) return;
   result.ng = -before_;
@@ -299,6 +316,7 @@ void Run::state(Archive& archive) {
   archive_prepared(archive);
   f_.state(archive);
   bounded_f_.state(archive);
+  augmented_f_.state(archive);
   if (bounded_slope_) bounded_slope_->state(archive);
   if (slope_) slope_->state(archive);
   if (algebraic_) algebraic_->state(archive);

@@ -19,12 +19,13 @@
 #include "manifold/invariants.hpp"
 #include "manifold/slope.hpp"
 #include "run/problem.hpp"
+#include "sensitivity/variations.hpp"
 
 namespace invariode {
 
 /// What a run was, with arrays that have one row per point, counts, and why it ended.
 struct RunResult {
-  std::size_t n = 0;
+  std::size_t n = 0;  ///< doubles of a point: of the state, and of its sensitivities behind it
   Trajectory points;
   std::vector<Trajectory> occurrences;  ///< of each event
   Buffer<AcceptedStep> record;
@@ -85,7 +86,7 @@ class Run {
   /// The user's invariants; null without any.
   [[nodiscard]] Invariants* invariants() { return users_invariants_; }
   /// Evaluations of f by the method.
-  [[nodiscard]] std::int64_t evaluations() const { return method_f_->calls(); }
+  [[nodiscard]] std::int64_t evaluations() const { return method_f_->calls() + augmented_f_.calls(); }
 
   /// What the run did, when it has ended. Arrays are moved out: once only.
   RunResult take_result();
@@ -116,6 +117,7 @@ class Run {
   [[nodiscard]] Invariants bound(std::vector<InvariantBlock> blocks, std::vector<double> value) const;
   [[nodiscard]] bool moves_off_algebraic_equations() const;
   Invariants with_algebraic_equations();
+  void add_sensitivities();
   void start_loop();
   void state(Archive& archive);
   void archive_prepared(Archive& archive);
@@ -140,7 +142,9 @@ class Run {
 
   std::optional<BoundedSlope> bounded_slope_;
   Callback bounded_f_;
-  Callback* method_f_ = &f_;  // what the method integrates: f, or what keeps it within bounds
+  Callback* method_f_ = &f_;  // the slope of the state: f, or what keeps it within bounds
+  std::optional<AugmentedSlope> augmented_slope_;
+  Callback augmented_f_;  // with sensitivities what the method integrates; it counts its own evaluations of f
   std::unique_ptr<Slope> slope_;
   std::optional<AlgebraicConstraints> algebraic_;
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too

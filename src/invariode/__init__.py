@@ -21,6 +21,7 @@ from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
+from ._problem.sensitivities import Sensitivities
 from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
@@ -38,6 +39,7 @@ from ._studies.fit.parameters import Parameter
 from ._studies.fit.profile import Profile
 from ._studies.fit.result import Fit, Prediction
 from ._studies.search import PolynomialInvariant, find_invariants
+from ._studies.sensitivities import SensitivityReport, check_sensitivities
 from ._studies.work_precision import plot_work_precision
 
 __all__ = [
@@ -75,6 +77,8 @@ __all__ = [
     "Problem",
     "Profile",
     "RotationMatrix",
+    "Sensitivities",
+    "SensitivityReport",
     "Solution",
     "SolveError",
     "Stats",
@@ -83,6 +87,7 @@ __all__ = [
     "UnitQuaternion",
     "UnitVector",
     "check_invariants",
+    "check_sensitivities",
     "compile",
     "find_invariants",
     "fit",

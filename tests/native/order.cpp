@@ -46,8 +46,8 @@ Errors march(const Method& method, const Mode& mode, Problem problem, int count)
   Invariants invariants = make_invariants(problem, weights, true, {});
   Projector projector(invariants, weights, method.iterations), other(invariants, weights, 1);
   const std::unique_ptr<Step> step = make_step(method, f, weights, mode.fsal);
-  StepInterpolant interpolant(*step, mode.project ? Interpolation::projected : Interpolation::raw,
-                              mode.project ? &other : nullptr, mode.project ? &projector : nullptr);
+  StepInterpolant interpolant(*step, Extent(n), mode.project ? Interpolation::projected : Interpolation::raw,
+                              mode.project ? &other : nullptr, nullptr, mode.project ? &projector : nullptr);
   const double h = problem.tf / count;
   Errors errors;
   std::vector<double> y0 = problem.y0, y1(n), inside(n), exact(n);

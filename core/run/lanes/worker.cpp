@@ -114,6 +114,7 @@ const char* obstacle_to_lanes(const Solver& solver) {
   if (of_every_processor().kernel(solver.method().name) == nullptr) return "the method is no explicit Runge-Kutta pair";
   if (const char* obstacle = obstacle_of_invariants(solver)) return obstacle;
   if (problem.bounds) return "there are bounds";
+  if (problem.variations) return "there are sensitivities";
   for (const EventFunction& event : problem.events) {
     if (event.action) return "events have actions";
     if (event.samples != 0) return "events have samples of their own";

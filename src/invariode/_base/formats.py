@@ -19,7 +19,7 @@ from .arguments import shown
 from .files import ABOUT, PathLike, arrays_in, damage_of, read_arrays, unreadable, write_arrays
 
 #: The version of the format: raised whenever the fields of any kind change.
-VERSION = 5
+VERSION = 6
 
 _FORMAT = "invariode "
 

@@ -28,7 +28,10 @@ from .compiled import (
 )
 from .derivatives import INCREMENT, TINY, sizes, somewhere, takes_complex
 from .graph.derived import Derived, derived, native
-from .graph.function import OnGraph, TracedFunction
+from .graph.function import GraphFunction, OnGraph, TracedFunction
+from .graph.nodes import Node
+from .graph.python import Formula
+from .graph.switches import Switch, evaluated, switches
 from .layout import Arguments, Parameters, count_of, numbers_in, place_of, with_numbers
 
 #: What functions raise for complex numbers that they are not made for.
@@ -102,6 +105,8 @@ class Directional:
         How derivatives are formed; "given and graph" and so on if only some were given.
     m, k : int
         The number of values and of parameters.
+    args, names
+        As given.
     """
 
     def __init__(
@@ -118,7 +123,7 @@ class Directional:
         moves_t: bool = False,
         event: bool = False,
     ) -> None:
-        self.n, self.k = n, len(names)
+        self.n, self.k, self.args, self.names = n, len(names), args, names
         self._called = call_name(fun, "fun") if called is None else called
         self._evaluate = _Evaluation(fun, args, names, m, self._called, event)
         self.m = len(self._evaluate(at.t, at.y)) if m is None else m
@@ -218,14 +223,28 @@ class Directional:
             assert self._steps is not None
             found = np.array([self._steps(t, y, *one) for one in zip(dt, dy, rest, strict=True)], dtype=float)
         else:
-            found = np.asarray((self._jac(t, y) @ dy.T).T)
+            found = np.array((self._jac(t, y) @ dy.T).T)
             if dt.any() or rest.any():
                 assert self._steps is not None
                 found += [self._steps(t, y, one, np.zeros(self.n), other) for one, other in zip(dt, rest, strict=True)]
-        found = found.reshape(len(dt), self.m)
-        if self._dfdp is None:
-            return found
-        return found + np.asarray((self._dfdp(t, y) @ dp[:, self._evaluate.own].T).T)
+        found = np.reshape(found, (len(dt), self.m))
+        if self._dfdp is not None:
+            found = found + (self._dfdp(t, y) @ dp[:, self._evaluate.own].T).T
+        return found
+
+    def switches(self, at: Point) -> list[Switch]:
+        """Where the values of its graph jump; of a function without a graph that is not known."""
+        return [] if self._graph is None else self._graph.switches(at)
+
+    def on_graph(self, outputs: Sequence[Node], name: str) -> Any:
+        """Other values of its graph as a function of the same arguments."""
+        assert self._graph is not None
+        return self._graph.with_values(outputs, name)
+
+    def branch(self, outputs: Sequence[Node]) -> Callable[[float, Array], Array]:
+        """The same for Python, of (t, y)."""
+        assert self._graph is not None
+        return self._graph.branch(outputs)
 
     def value(self, t: float, y: Array) -> Array:
         """F itself, of shape (m,)."""
@@ -289,6 +308,20 @@ class _OfGraph:
             return as_python(self.native, len(self._places) * self._m)
         formula = self._exact.tangents(self._places).fun
         return lambda t, y, p: np.array(formula(t, y, p))
+
+    def switches(self, at: Point) -> list[Switch]:
+        """See `Directional.switches`."""
+        return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t))
+
+    def with_values(self, outputs: Sequence[Node], name: str) -> Any:
+        """See `Directional.on_graph`."""
+        made = GraphFunction(Formula(name, lambda: outputs, (len(outputs),)), self._exact.elementary)
+        return self._fun._replace(fun=made) if isinstance(self._fun, NativeWithInputs) else made
+
+    def branch(self, outputs: Sequence[Node]) -> Callable[[float, Array], Array]:
+        """See `Directional.branch`."""
+        values = evaluated(outputs)
+        return lambda t, y: values(t, y, self._numbers(t))
 
     def tangent(self, t: float, rows: Array) -> Array:
         """∂F/∂y S_j + ∂F/∂p_j, of shape (k, m)."""

@@ -81,6 +81,7 @@ class BoundInvariants:
     negligible: float = 0.0
     evaluations: int = 0  # of the functions, so far
 
+    tangents: Sequence[Any] = ()  # with sensitivities (t, Y) -> G S_j + g_pj of each spec
     jumps: tuple[Jump, ...] = ()
     forward: float = 1.0
 
@@ -196,13 +197,19 @@ class BoundInvariants:
 
     def evaluate(self, dense: _core.Dense, t: Array) -> Array:
         """The rows of a continuous solution of the core at t, projected between the steps if the run does so."""
-        return dense.evaluate(t, self._problem(dense.n, dense.complex, self.value))
+        problem = self._problem(dense.n, dense.complex, self.value, dense.parameters)
+        return dense.evaluate(t, problem)
 
     def _problem_of(self, y: Array, value: Array) -> _core.Problem:
         return self._problem(reals(y), y.dtype.kind == "c", value)
 
-    def _problem(self, n: int, is_complex: bool, value: Array) -> _core.Problem:
-        """The invariants alone, for the core; n: reals in a state."""
+    def _problem(self, n: int, is_complex: bool, value: Array, parameters: int = 0) -> _core.Problem:
+        """The invariants alone, for the core; n: reals in a state. With `parameters` for states with as many
+        sensitivities."""
+        variations = None
+        if parameters and self.specs:
+            none = np.zeros((parameters, n))
+            variations = _core.Variations(parameters, None, none, list(self.tangents))
         return _core.Problem(
             n=n,
             complex=is_complex,
@@ -211,6 +218,7 @@ class BoundInvariants:
             parameters=self.parameters,
             invariants=[_core.Invariant(*spec) for spec in self.specs],
             value=value,
+            variations=variations,
         )
 
 

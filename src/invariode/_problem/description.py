@@ -29,6 +29,8 @@ from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
 from .matrices import Matrices, to_matrices
 from .options import ProblemArguments, unknown_option
+from .parameters import ParameterName
+from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
 
 _ARGUMENTS = ProblemArguments.__annotations__.keys()
@@ -47,6 +49,7 @@ class Description:
     inputs: list[Input]
     name: str
     bounds: Bounds | None
+    sensitivities: Sensitivities | None
     records_events: bool
     _title: str | None
     _labels: list[str] | None
@@ -68,6 +71,7 @@ class Description:
         mass: Any = None,
         nonnegative: Any = None,
         bounds: Any = None,
+        sensitivities: SensitivitiesLike | None = None,
         inputs: InputsLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
@@ -96,6 +100,7 @@ class Description:
             inputs=to_inputs(inputs, span),
             name=call_name(called, "problem") if name is None else name,
             bounds=to_bounds(nonnegative, bounds, start, named),
+            sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
             _title=name,
             _labels=named,
@@ -109,6 +114,19 @@ class Description:
                 "bounds": bounds,
             },
         )
+        if self.sensitivities is not None and self.args:
+            self.parameters()
+
+    def parameters(self) -> tuple[ParameterName, ...]:
+        """Those of the sensitivities, in their order; without these none."""
+        if self.sensitivities is None:
+            return ()
+        if self.y0.dtype.kind == "c":
+            raise ValueError(
+                "sensitivities are for real problems, and y0 is complex: write the problem in real and imaginary parts"
+            )
+        named = self.sensitivities.names
+        return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.inputs))
 
     if not TYPE_CHECKING:  # for whom `__init__` says it
 
@@ -166,6 +184,7 @@ class Description:
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,
             **self._as_given,
+            "sensitivities": self.sensitivities,
             "inputs": self.inputs,
             "name": self._title,
             "labels": self._labels,

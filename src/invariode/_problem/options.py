@@ -44,6 +44,7 @@ from .grouped import CheckpointLike, Limits, LinearSolver, to_checkpoint, to_lim
 from .inputs import InputsLike
 from .invariants import InvariantsLike
 from .methods import Method, find_method
+from .sensitivities import SensitivitiesLike
 
 __all__ = [
     "TABLE",
@@ -448,6 +449,18 @@ class DescribingOptions(TypedDict, total=False):
         ),
     ]
 
+    sensitivities: Annotated[
+        SensitivitiesLike | None,
+        Option(
+            None,
+            "bool, str, int, list of these, or Sensitivities",
+            "Derivatives of the solution with respect to parameters, computed with it: True for all numbers in `args`, "
+            "or names of f's arguments (``'k1'``, ``'p[2]'`` in an array p), indices of arguments, and initial values "
+            "(``'y0[prey]'``; ``'y0'`` for all). They are ``Solution.sensitivities``, as accurate as y. See "
+            "`Sensitivities`.",
+        ),
+    ]
+
 
 class CallingOptions(TypedDict, total=False):
     """The rest of what describes a problem; positional in SciPy's call."""
@@ -603,6 +616,7 @@ def table_of(kind: type) -> dict[str, Option]:
 TOPICS: Mapping[str, tuple[str, ...]] = {
     "the problem": ("args", "vectorized", "events", "invariants", "bounds", "nonnegative", "mass", "breakpoints"),
     "its Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
+    "its parameters": ("sensitivities",),
     "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
     "the method": ("max_order", "bdf", "prefer", "fsal"),
     "output": ("t_eval", "dense_output", "interpolation", "refine", "keep"),

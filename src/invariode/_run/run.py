@@ -44,6 +44,7 @@ from .._results.result import (
     StiffnessWarning,
     at_events,
 )
+from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .agreement import compare
 from .call_errors import explain, wrong_length
@@ -52,6 +53,7 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
+from .variations import Variations
 
 
 class Resumed(NamedTuple):
@@ -315,7 +317,7 @@ def _integrated(
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
             return core.resume(*resumed, told, request, keep, every)
-        return core.integrate(plan.y0.view(float), told, request, keep, every)
+        return core.integrate(plan.start, told, request, keep, every)
 
 
 def _solution(
@@ -328,7 +330,10 @@ def _solution(
         bound = bound.jumped(jumps)
     dense = run.take_dense()
     t, y, t_end, y_end = run.take_points()
-    happened = run.take_events() if plan.records_events else None
+    happened = run.take_events() if plan.records_events or plan.varied else None
+    sensitivities = None
+    if plan.varied is not None:
+        y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -351,8 +356,23 @@ def _solution(
         _rtol=plan.rtol,
         _atol=plan.atol,
         _names=plan.called,
+        _sensitivities=sensitivities,
         _origin=RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
     )
+
+
+def _parted(
+    plan: Plan, varied: Variations, Y: Array, end: Array, happened: list[tuple[Array, Array]]
+) -> tuple[Array, Array, list[tuple[Array, Array]] | None, SensitivityData]:
+    """y at the outputs, at the end and at events, and the sensitivities."""
+    n, k = len(plan.y0), len(varied.names)
+    y, S = states_and_sensitivities(Y, n, k)
+    y_end, S_end = states_and_sensitivities(end[:, None], n, k)
+    recorded = plan.records_events
+    at_events = varied.at_events(happened, n)
+    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened] if recorded else None
+    found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
+    return y, y_end[:, 0], states, found
 
 
 #: Of a run without invariants.
@@ -378,6 +398,7 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         stats.ng += plan.bound.evaluations
         stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
     stats.jacobian = formed(plan.functions.linear, run)
+    stats.sensitivities = None if plan.varied is None else plan.varied.derivatives
     if run.remarkable:
         stats.stiff_since = run.stiff_since if run.stiff else None
         stats.discontinuities = tuple(run.discontinuities)
@@ -479,6 +500,9 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     steps = None
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)
+    sensitivities = None
+    if old._sensitivities is not None and new._sensitivities is not None:
+        sensitivities = old._sensitivities.joined(new._sensitivities, points)
     return new.changed(
         t=np.concatenate([old.t[:points], new.t]),
         y=np.concatenate([old.y[:, :points], new.y], axis=1),
@@ -488,6 +512,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         stats=dataclasses.replace(new.stats, mechanics=_summed(old.stats.mechanics, new.stats.mechanics)),
         steps=steps,
         _invariants=bound,
+        _sensitivities=sensitivities,
     )
 
 

@@ -156,8 +156,8 @@ def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
     mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
     alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
-    if alone or isinstance(problem.fun, CoreFunction):
-        return False
+    if alone or isinstance(problem.fun, CoreFunction) or problem.sensitivities is not None:
+        return False  # tolerances of sensitivities depend on the values of the parameters
     if any(event.at_start for event in problem.events):
         return False
     linear = plan.functions.linear

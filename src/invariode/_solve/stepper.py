@@ -106,6 +106,8 @@ class Stepper(OdeSolver):
         if wrong := next((name for name in options if name not in _OPTIONS), None):
             raise self._refused(wrong)
         describing, stepping = parted(stepper_options(**options), DescribingOptions)
+        if describing.get("sensitivities"):
+            raise ValueError(f"{type(self).__name__} steps y alone: sensitivities are those of solve_ivp and Problem")
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
         alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun

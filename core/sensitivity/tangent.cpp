@@ -1,0 +1,113 @@
+#include "sensitivity/tangent.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "manifold/gradient.hpp"
+
+namespace invariode {
+namespace {
+
+// Each repetition leaves of the residual what the gradients have changed by in the state's last correction, which is
+// at most some 1e-3 of a component at the crudest tolerances.
+constexpr int most_corrections = 5;
+
+}  // namespace
+
+TangentProjector::TangentProjector(Invariants& invariants, const Weights& weights, Extent extent, const Bounds* bounds)
+    : invariants_(invariants),
+      bounds_(bounds),
+      extent_(extent),
+      m_(invariants.m()),
+      weights_(weights),
+      rate_(extent.k * m_),
+      value_(extent.k * m_),
+      delta_(extent.n) {
+  std::size_t largest = 0;
+  for (const InvariantBlock& block : invariants.blocks()) {
+    blocks_.push_back({block.tangent, block.m, block.held});
+    largest = std::max(largest, block.m);
+  }
+  block_value_.resize(extent.k * largest);
+}
+
+Status TangentProjector::evaluate(double t, const double* Y, double* out) {
+  std::size_t first = 0;
+  for (Block& block : blocks_) {
+    if (block.tangent(t, Y, block_value_.data()) == Status::stop) return Status::stop;
+    for (std::size_t j = 0; j < extent_.k; ++j)
+      std::copy_n(block_value_.data() + j * block.m, block.m, out + j * m_ + first);
+    first += block.m;
+  }
+  return Status::ok;
+}
+
+Status TangentProjector::hold(double t, const double* Y) {
+  if (evaluate(t, Y, rate_.data()) == Status::stop) return Status::stop;
+  std::size_t first = 0;
+  for (const Block& block : blocks_) {
+    for (std::size_t j = 0; j < extent_.k && !block.held; ++j) std::fill_n(rate_.data() + j * m_ + first, block.m, 0);
+    first += block.m;
+  }
+  return Status::ok;
+}
+
+Outcome TangentProjector::onto(Projector& state, double t, const double* target, double* Y) {
+  for (int correction = 0; correction < most_corrections; ++correction) {
+    if (evaluate(t, Y, value_.data()) == Status::stop) return Outcome::stop;
+    if (!all_finite(value_.data(), value_.size())) return Outcome::not_finite;
+    bool moved = false;
+    for (std::size_t j = 0; j < extent_.k; ++j) {
+      double* S = Y + (1 + j) * extent_.n;
+      double* residual = value_.data() + j * m_;
+      if (!off_tangent(state, S, target + j * m_, residual)) continue;
+      state.correction_for(residual, delta_.data());
+      for (std::size_t i = 0; i < extent_.n; ++i) S[i] -= delta_[i];
+      moved = true;
+    }
+    if (!moved) break;
+  }
+  return Outcome::ok;
+}
+
+/// The value becomes the residual. Whether it is more than roundoff in an invariant that takes part.
+bool TangentProjector::off_tangent(const Projector& state, const double* S, const double* target,
+                                   double* residual) const {
+  const double* J = state.linearization().jacobian.data();
+  bool off = false;
+  for (std::size_t i = 0; i < m_; ++i) {
+    const double value = residual[i];
+    residual[i] -= target[i];
+    if (state.left_out(i)) continue;
+    const double terms = size_of_terms(std::abs(value) + std::abs(target[i]), invariants_.row(i, J), S);
+    off = off || std::abs(residual[i]) > eps * terms;
+  }
+  return off;
+}
+
+Outcome TangentProjector::settle(double t, double* Y) {
+  if (!own_) own_.emplace(invariants_, weights_, 1);
+  if (bounds_ != nullptr)
+    for (const auto& [i, lower, upper] : bounds_->intervals())
+      if (Y[i] <= lower || Y[i] >= upper) own_->fix(i);
+  Outcome outcome = own_->factorize_at(t, Y);
+  if (outcome == Outcome::ok) outcome = follow(*own_, t, Y);
+  own_->release_all();
+  return outcome;
+}
+
+void clip(const Bounds& bounds, Extent extent, double* Y) {
+  for (const auto& [i, lower, upper] : bounds.intervals()) {
+    if (!(Y[i] < lower || Y[i] > upper)) continue;
+    for (std::size_t j = 1; j <= extent.k; ++j) Y[j * extent.n + i] = 0;
+  }
+  bounds.clip(Y);
+}
+
+void rest_at_bounds(const Bounds& bounds, Extent extent, const double* candidate, double* Y) {
+  for (const auto& [i, lower, upper] : bounds.intervals())
+    if (Y[i] != candidate[i] && (Y[i] == lower || Y[i] == upper))
+      for (std::size_t j = 1; j <= extent.k; ++j) Y[j * extent.n + i] = 0;
+}
+
+}  // namespace invariode
