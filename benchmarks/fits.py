@@ -1,9 +1,9 @@
 """How good and how fast are fits: ``python benchmarks/fits.py [--write] [--repetitions N]``, or ``make bench``.
 
-Eight standard problems with data made from known parameters, fixed seeds and designs. How often do 95 % intervals contain
-the truth (a fit that fails is a miss), and how long does a fit take, with Python and with compiled functions, against
-`scipy.optimize.least_squares` with difference Jacobians of runs of SciPy's solver: same kind of method, same tolerances,
-same start? ``--write`` puts the tables into docs/benchmarks.
+Eight standard problems with data made from known parameters, fixed seeds and designs. How often do 95 % intervals
+contain the truth (a fit that fails is a miss), and how long does a fit take, with Python and with compiled functions,
+against `scipy.optimize.least_squares` with difference Jacobians of runs of SciPy's solver: same kind of method, same
+tolerances, same start? ``--write`` puts the tables into docs/benchmarks.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from statistics import median
 from typing import Any
 
@@ -111,7 +112,7 @@ class Case:
             y = [values.get(f"y0[{i}]", one) for i, one in enumerate(self.y0)]
             args = tuple(values[name] for name in names if "[" not in name)
             edges, pieces = [*self.doses, self.t[-1]] if self.doses else [0.0, self.t[-1]], []
-            for left, right in zip(edges, edges[1:], strict=False):
+            for left, right in pairwise(edges):
                 y = self.doses[left](left, np.array(y)) if left in self.doses else y
                 inside = self.t[(self.t >= left) & ((self.t < right) | (right == self.t[-1]))]
                 times = np.unique([*inside, right])
@@ -310,7 +311,16 @@ def report(repetitions: int) -> str:
         rows += found
         failures.append(f"{case.name} {failed}")
     good = sum(92 <= float(cell[:-2]) <= 98 for row in rows for cell in row[1:])
-    header = ["Fit", "runs", "ms: compiled", "Python", "SciPy", "SciPy / compiled", "SciPy / Python", "apart, in errors"]
+    header = [
+        "Fit",
+        "runs",
+        "ms: compiled",
+        "Python",
+        "SciPy",
+        "SciPy / compiled",
+        "SciPy / Python",
+        "apart, in errors",
+    ]
     parts = [
         f"{machine('invariode', 'numpy', 'scipy')}. rtol {RTOL:g}.",
         table(header, times),

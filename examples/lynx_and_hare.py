@@ -2,11 +2,11 @@
 ======================
 
 Pelts that the Hudson's Bay Company bought in twenty-one years, hare and lynx in thousands. Lotka and Volterra's
-equations are fitted to them with their initial values and the relative error of the data, which is log-normal; the bands
-contain 95 % of such data.
+equations are fitted to them with their initial values and the relative error of the data, which is log-normal; the
+bands contain 95 % of such data.
 
-Source: C. Gordon Hewitt, The Conservation of the Wild Life of Canada (1921); the table is that of J. M. Mahaffy, and the
-model that of B. Carpenter, Predator-prey population dynamics: the Lotka-Volterra model in Stan (2018).
+Source: C. Gordon Hewitt, The Conservation of the Wild Life of Canada (1921); the table is that of J. M. Mahaffy, and
+the model that of B. Carpenter, Predator-prey population dynamics: the Lotka-Volterra model in Stan (2018).
 """
 
 import matplotlib.pyplot as plt
@@ -26,9 +26,7 @@ def predator_prey(t, y, birth, hunting, death, growth):
 
 
 def main():
-    problem = iv.Problem(
-        predator_prey, (1900, 1920), [30.0, 4.0], args=(0.5, 0.03, 0.8, 0.03), labels=["hare", "lynx"]
-    )
+    problem = iv.Problem(predator_prey, (1900, 1920), [30.0, 4.0], args=(0.5, 0.03, 0.8, 0.03), labels=["hare", "lynx"])
     positive = iv.Parameter(scale="log")
     names = ["birth", "hunting", "death", "growth", "y0[hare]", "y0[lynx]", "error"]
     data = {"hare": hare, "lynx": lynx}
@@ -36,10 +34,10 @@ def main():
     print(fit)
     figure, axes = plt.subplots(2, sharex=True, layout="constrained")
     band = fit.predict(np.linspace(1900, 1920, 300), noise=True)
-    for ax, name, y, low, high, colour in zip(axes, band.names, band.y, band.lower, band.upper, "C0 C1".split()):
-        ax.fill_between(band.t, low, high, color=colour, alpha=0.2, lw=0)
-        ax.plot(band.t, y, color=colour)
-        ax.plot(years, data[name], "o", color=colour, mfc="none")
+    for i, (ax, name) in enumerate(zip(axes, band.names, strict=True)):
+        ax.fill_between(band.t, band.lower[i], band.upper[i], color=f"C{i}", alpha=0.2, lw=0)
+        ax.plot(band.t, band.y[i], color=f"C{i}")
+        ax.plot(years, data[name], "o", color=f"C{i}", mfc="none")
         ax.set_ylabel(f"{name} (thousands)")
     axes[0].set_title("Lynx and hare, with 95 % bands")
     axes[1].set_xlabel("year")

@@ -57,7 +57,7 @@ class TestKnownParameters:
         start = truth.replace(args=(1.3, 1.2, 2.7, 1.2), y0=[1.1, 0.9])
         names = ["a", "b", "c", "d", "y0[prey]", "y0[predators]"]
         fit = iv.fit(
-            start, t, noisy(truth, t, 0), {name: (0.1, 10) for name in names}, method=method, rtol=1e-7, atol=1e-10
+            start, t, noisy(truth, t, 0), dict.fromkeys(names, (0.1, 10)), method=method, rtol=1e-7, atol=1e-10
         )
         assert fit.success
         np.testing.assert_allclose([*fit.parameters.values()], [*truth.args, *truth.y0], rtol=1e-4)
@@ -163,12 +163,12 @@ class TestLaws:
 
     def test_fixed_values_and_equal_ones(self):
         """A fixed parameter stays; one that equals another has its value and error."""
-        problem = iv.Problem(lambda t, y, k, l: [-k * y[0], k * y[0] - l * y[1]], (0, 5), [1.0, 0.0], args=(0.5, 0.9))
+        problem = iv.Problem(lambda t, y, k, m: [-k * y[0], k * y[0] - m * y[1]], (0, 5), [1.0, 0.0], args=(0.5, 0.9))
         data = noisy(problem.replace(args=(0.6, 0.6)), T, 0)
-        wanted = {"k": (0, 5), "l": iv.Parameter(equals="k"), "y0[0]": iv.Parameter(equals=1.0)}
+        wanted = {"k": (0, 5), "m": iv.Parameter(equals="k"), "y0[0]": iv.Parameter(equals=1.0)}
         fit = iv.fit(problem, T, data, wanted, **TIGHT)
-        assert fit.parameters == pytest.approx({"k": 0.6, "l": 0.6, "y0[0]": 1.0}, rel=1e-6)
-        assert fit.standard_errors["l"] == fit.standard_errors["k"]
+        assert fit.parameters == pytest.approx({"k": 0.6, "m": 0.6, "y0[0]": 1.0}, rel=1e-6)
+        assert fit.standard_errors["m"] == fit.standard_errors["k"]
         assert fit.standard_errors["y0[0]"] == 0
 
     def test_missing_data_are_data_left_out(self):
@@ -274,7 +274,9 @@ class TestLinearTheory:
         data = LINE_DATA.copy()
         data[0, 5] += 3
         fit = iv.fit(straight(), T, data, LINE, sigma=0.1, loss="soft_l1")
-        best, _ = curve_fit(lambda t, a, b: a + b * t, T, data[0], sigma=np.full(len(T), 0.1), loss="soft_l1", method="trf")
+        best, _ = curve_fit(
+            lambda t, a, b: a + b * t, T, data[0], sigma=np.full(len(T), 0.1), loss="soft_l1", method="trf"
+        )
         np.testing.assert_allclose([*fit.parameters.values()], best, rtol=1e-4)
         assert fit.log_likelihood is None
 
@@ -465,7 +467,8 @@ class TestForms:
     def test_it_prints_and_draws(self):
         pytest.importorskip("matplotlib")
         fit = iv.fit(straight(), T, LINE_DATA, LINE, sigma=0.1)
-        assert "slope" in repr(fit) and "95 % interval" in repr(fit)
+        assert "slope" in repr(fit)
+        assert "95 % interval" in repr(fit)
         assert "slope" in fit._repr_html_()
         ax = fit.plot()
         low, high = fit.predict([T[3]]).lower[0, 0], fit.predict([T[3]]).upper[0, 0]

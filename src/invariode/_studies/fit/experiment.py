@@ -98,6 +98,7 @@ class Experiment:
         self.data = empty if data is None else self._matched(read(t, data, self.observation.size))
         self.events = _event_series(problem, event_times)
         self.sigma, self.event_sigma = sigma, event_sigma
+        self._dynamic: dict[str, ParameterName | None] = {}
         self._within_span()
         if self.noise == "lognormal" and not (self.data.values[~np.isnan(self.data.values)] > 0).all():
             raise ValueError('noise="lognormal" needs positive data')
@@ -145,15 +146,19 @@ class Experiment:
 
     def dynamic(self, name: str) -> ParameterName | None:
         """The parameter of f, or the initial value, of this name."""
-        try:
-            found = self._found(name)
-        except (TypeError, ValueError):
-            return None
-        if len(found) > 1:
-            raise ValueError(f"{name!r} stands for {len(found)} parameters: name them, {', '.join(p.name for p in found)}")
-        return found[0]
+        if name not in self._dynamic:
+            try:
+                found = self.found(name)
+            except (TypeError, ValueError):
+                found = ()
+            if len(found) > 1:
+                those = ", ".join(one.name for one in found)
+                raise ValueError(f"{name!r} stands for {len(found)} parameters: name them, {those}")
+            self._dynamic[name] = found[0] if found else None
+        return self._dynamic[name]
 
-    def _found(self, wanted: Any) -> tuple[ParameterName, ...]:
+    def found(self, wanted: Any) -> tuple[ParameterName, ...]:
+        """The parameters of f and initial values that a name stands for, or several names."""
         problem = self.problem
         first = 2 + len(problem.inputs)
         return parameter_names(
@@ -177,11 +182,11 @@ class Experiment:
     def known(self) -> list[str]:
         """Names that it takes, for messages."""
         try:
-            of_args = [one.name for one in self._found(True)]
+            of_args = [one.name for one in self.found(True)]
         except ValueError:
             of_args = []
         levels = [one.level for one in self.series if one.level is not None]
-        return [*of_args, *(one.name for one in self._found("y0")), *self.observation.extras, *dict.fromkeys(levels)]
+        return [*of_args, *(one.name for one in self.found("y0")), *self.observation.extras, *dict.fromkeys(levels)]
 
     def __repr__(self) -> str:
         counts = f"{sum(len(one.values) for one in self.series)} data of {', '.join(one.name for one in self.series)}"
@@ -238,7 +243,9 @@ class Observation:
             return labels.index(one)
         if isinstance(one, (int, np.integer)) and not isinstance(one, bool) and 0 <= one < len(labels):
             return int(one)
-        raise ValueError(f"there is no component {shown(one)} to observe: there are {', '.join(labels)}{meant(one, labels)}")
+        raise ValueError(
+            f"there is no component {shown(one)} to observe: there are {', '.join(labels)}{meant(one, labels)}"
+        )
 
     def _count(self) -> int:
         """Of the values of the function, at the start."""
@@ -324,8 +331,8 @@ def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
     if m == 1 and each.shape == (count,):
         return [each]
     raise ValueError(
-        f"sigma must be a number or have shape ({m},), one for each quantity, or ({m}, {count}), one for each datum, got "
-        f"shape {each.shape}"
+        f"sigma must be a number or have shape ({m},), one for each quantity, or ({m}, {count}), one for each datum, "
+        f"got shape {each.shape}"
     )
 
 

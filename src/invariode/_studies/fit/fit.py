@@ -80,7 +80,7 @@ def fit(
 
     Notes
     -----
-    A run that fails at a trial point makes a step that is not taken: `Fit.failures` counts the reasons. Noise levels are
+    If the run fails at a trial point, the step to it is not taken: `Fit.failures` counts the reasons. Noise levels are
     estimated by maximum likelihood together with the other parameters; standard errors take the degrees of freedom into
     account that the parameters use up.
 
@@ -139,4 +139,3 @@ def _tell(found: Fit) -> None:
     remarks = found.remarks()[: len(found.remarks()) - bool(found.failures)]
     if remarks:
         warn("fit: " + "; ".join(remarks))
-

@@ -20,7 +20,7 @@ from .simulation import Simulation
 #: Options of runs that a fit sets itself.
 _OWN = ("t_eval", "keep", "sensitivities", "dense_output", "refine", "on_failure", "callback", "checkpoint", "events")
 
-#: Tolerances of the runs. Residuals must be smoother than the data are noisy, and the defaults of runs are for pictures.
+#: Tolerances of the runs: residuals must be smoother than the data are noisy, for which the defaults of runs are large.
 RTOL, ATOL = 1e-6, 1e-9
 
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
@@ -112,9 +112,10 @@ class Model:
         if unnamed:
             name = min(unnamed)
             raise ValueError(f'sigma names {name!r}, which is not among the parameters: add "{name}": (lower, upper)')
+        start = np.array([1.0 if one.start is None else one.start for one in self.space.free])
         self.simulations = [
-            Simulation(one, names, method, {**tolerant, **one.options})
-            for one, names in zip(experiments, self.space.names, strict=True)
+            Simulation(one, names, self.space.local(e, start).values, method, {**tolerant, **one.options})
+            for e, (one, names) in enumerate(zip(experiments, self.space.names, strict=True))
         ]
         series = [one for each in experiments for one in each.series]
         self.measured = np.concatenate([one.values for one in series])
@@ -203,7 +204,9 @@ def to_experiments(problem: Any, given: Mapping[str, Any]) -> list[Experiment]:
     if isinstance(problem, (list, tuple)):
         if not problem or not all(isinstance(one, Experiment) for one in problem):
             raise TypeError(f"several experiments are a list of invariode.Experiment, got {shown(problem)}")
-        if said := [name for name, value in given.items() if value is not None and (name, value) != ("noise", "normal")]:
+        if said := [
+            name for name, value in given.items() if value is not None and (name, value) != ("noise", "normal")
+        ]:
             raise TypeError(f"{said[0]} belongs to each Experiment when these are given")
         return list(problem)
     return [Experiment(problem, **given)]

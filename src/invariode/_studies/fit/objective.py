@@ -18,7 +18,7 @@ class Objective:
     """The log-likelihood of data as a function of the parameters: what `objective` returns.
 
     ``objective(x)`` is its value at x of shape (k,), -inf outside the bounds and where the run fails;
-    ``objective.gradient(x)`` its gradient; ``objective.both(x)`` both of them. The last point is kept, so that value and
+    ``objective.gradient(x)`` its gradient; ``objective.both(x)`` both of them. The last point is kept: value and
     gradient at one point take one run.
 
     Attributes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
@@ -82,11 +82,13 @@ class Parameter:
         if not (math.isfinite(mean) and 0 < width < math.inf):
             raise ValueError(f"prior of a Parameter needs a positive standard deviation, got {shown(given)}")
         if self.scale == "log" and mean <= 0:
-            raise ValueError(f'prior of a Parameter with scale="log" must be about a positive value, got {shown(given)}')
+            raise ValueError(
+                f'prior of a Parameter with scale="log" must be about a positive value, got {shown(given)}'
+            )
         return mean, width
 
     def _tie(self, equals: Any) -> None:
-        others = {"start": self.start, "scale": self.scale, "prior": self.prior}
+        others: dict[str, Any] = {"start": self.start, "scale": self.scale, "prior": self.prior}
         others["bounds"] = None if self.bounds == (None, None) else self.bounds
         if given := [name for name, value in others.items() if value is not None]:
             raise ValueError(f"a Parameter with equals has no {' and no '.join(given)}: it is not searched for")
@@ -147,7 +149,7 @@ def to_parameters(given: Any) -> dict[str, Parameter]:
             )
         if not isinstance(one, Parameter):
             try:
-                one = Parameter(bounds=one)  # noqa: PLW2901 - the long form of the same
+                one = Parameter(bounds=one)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"parameter {name!r}: {error}") from None
         made[name] = one
@@ -249,12 +251,12 @@ class Space:
 
     def __init__(self, parameters: Mapping[str, Parameter], experiments: Sequence[Taker]) -> None:
         self._parameters = parameters
-        for name, one in parameters.items():
+        for name in parameters:
             if not any(taker.takes(name) for taker in experiments):
                 known = [*dict.fromkeys(other for taker in experiments for other in taker.known())]
-                of = [*known, *(other for other in parameters if other != name)]
+                others = [*known, *(other for other in parameters if other != name)]
                 raise ValueError(
-                    f"no experiment takes a parameter {name!r}: there are {', '.join(known)}{meant(name, of)}"
+                    f"no experiment takes a parameter {name!r}: there are {', '.join(known)}{meant(name, others)}"
                 )
         self.names = [[name for name in parameters if taker.takes(name)] for taker in experiments]
         self.free: list[Free] = []
@@ -262,11 +264,12 @@ class Space:
         for name, one in parameters.items():
             if one.equals is not None:
                 continue
-            takers = [(e, taker) for e, taker in enumerate(experiments) if taker.takes(name)]
-            groups = [(None, takers)] if one.shared else [(e, [(e, taker)]) for e, taker in takers]
+            own = [e for e, names in enumerate(self.names) if name in names]
+            groups: list[tuple[int | None, list[int]]] = [(None, own)] if one.shared else [(e, [e]) for e in own]
             for e, of in groups:
                 places[name, e] = len(self.free)
-                self.free.append(_free(name if e is None else f"{name}[{e}]", name, one, [taker for _, taker in of]))
+                called = name if e is None else f"{name}[{e}]"
+                self.free.append(_free(called, name, one, [experiments[i] for i in of]))
         self._rows: list[list[int | _Fixed | _Tied]] = [
             [self._row(name, e, places) for name in names] for e, names in enumerate(self.names)
         ]
@@ -385,9 +388,8 @@ def _arguments(name: str, function: Callable[..., float]) -> list[str]:
     return [one.name for one in listed]
 
 
-def _free(name: str, short: str, one: Parameter, takers: Iterable[Taker]) -> Free:
+def _free(name: str, short: str, one: Parameter, takers: Sequence[Taker]) -> Free:
     """A parameter with its start."""
-    takers = list(takers)
     level = any(taker.is_level(short) for taker in takers)
     if level and (one.limits[1] <= 0 or (one.start is not None and one.start <= 0) or one.scale == "linear"):
         raise ValueError(f'{name} is a noise level, which is positive, and searched for with scale="log": {one!r}')

@@ -163,9 +163,9 @@ class Fit:
         Returns
         -------
         dict
-            (lower, upper) by name, with quantiles of Student's t, or of the normal distribution if sigma is known; those
-            of a parameter with ``scale="log"`` are symmetric in its logarithm. They may reach beyond the bounds, and are
-            approximate if the model is not linear: see `profile`.
+            (lower, upper) by name, with quantiles of Student's t, or of the normal distribution if sigma is known. For
+            a parameter with ``scale="log"`` they are symmetric in its logarithm. They may reach beyond the bounds, and
+            are approximate if the model is not linear: see `profile`.
         """
         q = self._quantile(level)
         log = {one.name for one in self._model.space.free if one.log}
@@ -209,7 +209,9 @@ class Fit:
             With `lower`, `upper`, and the values at which it was fitted.
         """
         if name not in self.names:
-            raise ValueError(f"there is no free parameter {shown(name)}: {', '.join(self.names)}{meant(name, self.names)}")
+            raise ValueError(
+                f"there is no free parameter {shown(name)}: {', '.join(self.names)}{meant(name, self.names)}"
+            )
         if self._loss != "linear":
             raise ValueError(f'profiles need a likelihood, and loss="{self._loss}" is of none')
         place = self.names.index(name)
@@ -258,9 +260,7 @@ class Fit:
                 events[one.name][one.places] = values
         return found, events
 
-    def predict(
-        self, t: ArrayLike, *, experiment: int = 0, level: float = 0.95, noise: bool = False
-    ) -> Prediction:
+    def predict(self, t: ArrayLike, *, experiment: int = 0, level: float = 0.95, noise: bool = False) -> Prediction:
         """What the model says at other times, with bands.
 
         Parameters
@@ -332,7 +332,7 @@ class Fit:
         experiments = self._model.experiments
         if not isinstance(e, (int, np.integer)) or not 0 <= e < len(experiments):
             raise ValueError(f"experiment must be an index below {len(experiments)}, got {shown(e)}")
-        return experiments[e]
+        return experiments[int(e)]
 
     def plot(self, *, experiment: int = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
         """Draws the data, the model and its band over time.
@@ -358,7 +358,7 @@ class Fit:
         intervals = self.confidence()
         bounds = {name: f"at its {side} bound" for name, side, _ in self.at_bound}
         open_ = {name for group in self.undetermined for name in group}
-        found = []
+        found: list[Sequence[str]] = []
         for name, value in self.parameters.items():
             error = self.standard_errors[name]
             remark = bounds.get(name, "not determined" if name in open_ or math.isinf(error) else "")

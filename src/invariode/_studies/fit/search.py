@@ -139,7 +139,13 @@ def _reached(model: Model, found: Found, held: Sequence[int]) -> dict[int, float
     reached = {}
     for i, one in enumerate(space.free):
         for bound, outwards in zip(one.parameter.limits, (-1.0, 1.0), strict=True):
-            if i in held or one.level or not math.isfinite(bound) or gradient[i] * outwards >= 0 or (one.log and not bound):
+            if (
+                i in held
+                or one.level
+                or not math.isfinite(bound)
+                or gradient[i] * outwards >= 0
+                or (one.log and not bound)
+            ):
                 continue
             away = abs(u[i] - (math.log(bound) if one.log else bound / one.size))
             if away * float(np.linalg.norm(rows[:, i])) <= _NEAR * error:
@@ -274,7 +280,11 @@ class _Round:
         assert isinstance(at, Evaluation)
         self._last = at
         ended = self._ended(bool(result.status > 0), str(result.message))
-        return ended if self._loss == "linear" else ended._replace(cost=float(result.cost), jacobian=result.jac)
+        return (
+            ended
+            if self._loss == "linear"
+            else ended._replace(cost=float(result.cost), jacobian=np.asarray(result.jac))
+        )
 
     def _ended(self, success: bool, message: str) -> Found:
         at = self._last

@@ -15,6 +15,7 @@ from ..._functions.directional import Directional, Point
 from ..._functions.layout import with_numbers
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
+from ..._problem.sensitivities import Sensitivities
 from ..._results.solution import Solution
 from .experiment import Experiment, Series
 from .outcomes import Failed
@@ -52,17 +53,22 @@ class Simulation:
         The experiment.
     names : sequence of str
         Its parameters, in the order of their values.
+    values : ndarray, (k,)
+        Where a search starts, for the sizes of the parameters.
     method, options
         Of the runs.
     """
 
-    def __init__(self, experiment: Experiment, names: Sequence[str], method: MethodName, options: Options) -> None:
+    def __init__(
+        self, experiment: Experiment, names: Sequence[str], values: Array, method: MethodName, options: Options
+    ) -> None:
         self.experiment, self._names = experiment, names
         self._method, self._options = method, options
         problem = experiment.problem
         found = [(i, one) for i, name in enumerate(names) if (one := experiment.dynamic(name)) is not None]
         self._dynamic = [one for _, one in found]
         self._places = [i for i, _ in found]
+        self._sensitivities = self._wanted(values)
         self._steady = SteadyStates(problem, self._dynamic) if experiment.steady else None
         self._watch = _Watch(experiment, names, self._places, self._dynamic)
         t0, tf = problem.t_span
@@ -73,15 +79,28 @@ class Simulation:
 
     def _prepared(self, problem: Any, times: Array) -> Any:
         own: Any = {"keep": "outputs", "on_failure": "return", "t_eval": times}
-        if wanted := self._varied():
-            problem = problem.replace(sensitivities=wanted)
+        if self._sensitivities is not None:
+            problem = problem.replace(sensitivities=self._sensitivities)
         return problem.prepare(self._method, **{**self._options, **own})
 
-    def _varied(self) -> list[str]:
-        """The parameters of the runs. A steady state depends on all of the others by way of y0."""
-        if self._steady is None:
-            return [one.name for one in self._dynamic]
-        return [*(one.name for one in self._dynamic if one.kind == "args"), "y0"]
+    def _wanted(self, values: Array) -> Sensitivities | None:
+        """Those of the runs: of the parameters; if they start at a steady state, it depends on the parameters by way of
+        y0. Their sizes are those at the start of the search, so that runs differ in nothing else."""
+        problem, y0 = self.experiment.problem, self.experiment.problem.y0
+        floor = np.broadcast_to(np.divide(self._options["atol"], self._options["rtol"]), y0.shape)
+        names: list[str] = []
+        sizes: list[float] = []
+        for place, one in zip(self._places, self._dynamic, strict=True):
+            if self.experiment.steady and one.kind == "y0":
+                continue
+            size = abs(values[place])
+            names.append(one.name)
+            sizes.append(max(size, floor[one.index]) if one.kind == "y0" else size)
+        if self.experiment.steady:
+            every = self.experiment.found("y0")
+            names += [one.name for one in every]
+            sizes += np.maximum(np.abs(problem.y0), floor).tolist()
+        return Sensitivities(names, scale=[one or 1.0 for one in sizes]) if names else None
 
     def _start(self, values: Array) -> _Start | Failed:
         """The arguments and the initial value, and how it follows from the parameters if it is a steady state."""
@@ -95,8 +114,10 @@ class Simulation:
     def run(self, values: Array) -> Simulated | Failed:
         """The model's values for the data."""
         start = self._start(values)
-        sol = start if isinstance(start, Failed) else self._solution(self._solver, start)
-        if isinstance(start, Failed) or isinstance(sol, Failed):
+        if isinstance(start, Failed):
+            return start
+        sol = self._solution(self._solver, start)
+        if isinstance(sol, Failed):
             return sol
         if len(sol.t) < len(self._times):
             return Failed(f"the run ended at t = {sol.t_end:.6g}, before the last datum")
@@ -138,8 +159,8 @@ class Simulation:
         return found
 
     def _curves(self, sol: Any, start: _Start, values: Array) -> Curves:
-        varied = self._varied()
-        S = np.moveaxis(sol.sensitivities, 1, 2) if varied else np.zeros((*sol.y.shape, 0))
+        none = np.zeros((*sol.y.shape, 0))
+        S = none if self._sensitivities is None else np.moveaxis(sol.sensitivities, 1, 2)
         return self._watch(sol.t, sol.y, self._parameters(S, start, len(values)), values)
 
     def _occurrences(self, sol: Any, start: _Start, one: Series, k: int) -> Array | Failed:
@@ -148,7 +169,8 @@ class Simulation:
         times, needed = sol.t_events[event], int(one.places[-1]) + 1
         if len(times) < needed:
             return Failed(f"event {one.name} occurred {len(times)} times, and {needed} times were measured")
-        slopes = sol.sensitivities_t_events[event] if self._varied() else np.zeros((len(times), 0))
+        none = np.zeros((len(times), 0))
+        slopes = none if self._sensitivities is None else sol.sensitivities_t_events[event]
         return np.column_stack([times, self._parameters(slopes, start, k)])
 
     def curves(self, times: Array, values: Array) -> Curves | Failed:
@@ -173,7 +195,8 @@ class Simulation:
         start = self._start(values)
         assert isinstance(start, _Start)  # it was, in the fit
         problem = self.experiment.problem.replace(args=start.args, y0=start.y0)
-        return problem.solve(self._method, **{"dense_output": True, **self._options})
+        options: Options = {"dense_output": True, **self._options}
+        return problem.solve(self._method, **options)
 
 
 class _Watch:

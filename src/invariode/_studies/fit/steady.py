@@ -60,7 +60,9 @@ class SteadyStates:
 
     def __init__(self, problem: Problem, names: Sequence[ParameterName]) -> None:
         if problem.matrices.mass is not None:
-            raise ValueError('y0="steady" is for problems without a mass matrix: solve for the steady state, and give it')
+            raise ValueError(
+                'y0="steady" is for problems without a mass matrix: solve for the steady state, and give it'
+            )
         fun = problem.fun.fun if isinstance(problem.fun, CompiledFunction) else problem.fun
         if is_native(fun) or (isinstance(problem.fun, CompiledFunction) and problem.fun.inplace):
             raise TypeError('y0="steady" needs f as a Python function, or one of invariode.compile that is not inplace')
@@ -138,7 +140,9 @@ class SteadyStates:
                 h *= min(grown, _FASTER) if length < 2 * before else 1 / _FASTER
         return Failed(f"no steady state was found from y0 = {y}")
 
-    def _step(self, y: Array, p: Array, f: Array, J: Array, h: float) -> tuple[Array, tuple[Array, Array, Array]] | None:
+    def _step(
+        self, y: Array, p: Array, f: Array, J: Array, h: float
+    ) -> tuple[Array, tuple[Array, Array, Array]] | None:
         """An implicit step and f with its derivatives behind it; None: there is no such step, or it is too long."""
         try:
             step = np.linalg.solve(np.eye(self._n) / h - J, f)

@@ -96,10 +96,7 @@ def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
     limits = [one.parameter.limits for one in model.space.free]
     sides = ("lower", "upper")
     return [
-        (i, side)
-        for i, ends in enumerate(limits)
-        for side, end in zip(sides, ends, strict=True)
-        if at.free[i] == end
+        (i, side) for i, ends in enumerate(limits) for side, end in zip(sides, ends, strict=True) if at.free[i] == end
     ]
 
 
