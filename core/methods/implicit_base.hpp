@@ -42,7 +42,7 @@ class ImplicitBase : public Step, public ImplicitInterface {
   /// The mass matrix, if there is one, belongs to the caller and outlives this. `more`: of the solver.
   template <class... More>
   ImplicitBase(Callback& f, const Weights& weights, const LinearAlgebra& linear, const More&... more)
-      : Step(f, weights), solver_(f, weights, linear, more...), initial_(f, linear) {
+      : Step(f, weights), solver_(f, weights, linear, more...), initial_(linear) {
     provide({&candidate_, &weight_});
   }
   void provide(std::initializer_list<std::vector<double>*> vectors) {

@@ -65,15 +65,18 @@ void Convergence::settle(double size) {
 
 AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex)
     : f_(f),
-      weights_(weights),
+      state_f_(linear.state ? *linear.state->f : f),
+      weights_(linear.state ? *linear.state->weights : weights),
+      extent_(linear.state ? linear.state->extent : Extent(weights.size())),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
-      scratch_(linear.krylov ? 0 : weights.size()),
+      scratch_(linear.krylov ? 0 : extent_.n),
       reach_(scratch_.size()) {
+  if (linear.state) sensitivities_ = *linear.state->sensitivities;
   if (linear.krylov)
     free_.emplace(f, weights, linear, complex);
   else
-    check_.emplace(weights.size());
+    check_.emplace(extent_.n);
 }
 
 void AgingJacobian::forget() {
@@ -85,18 +88,49 @@ void AgingJacobian::forget() {
 }
 
 Outcome AgingJacobian::evaluate(double t, const double* y, double* out) {
-  const std::size_t n = weights_.size();
   undefined_ = -1;
-  if (!all_finite(y, n)) return Outcome::not_finite;
+  if (!all_finite(y, extent_.size())) return Outcome::not_finite;
   if (f_(t, y, out) == Status::stop) return Outcome::stop;
   jacobian_.extend(y, out);
-  if (all_finite(out, n)) return Outcome::ok;
-  undefined_ = static_cast<int>(std::find_if_not(out, out + n, [](double x) { return std::isfinite(x); }) - out);
+  return finite_or_noted(out, extent_.size());
+}
+
+Outcome AgingJacobian::evaluate_state(double t, const double* y, double* out) {
+  undefined_ = -1;
+  if (!all_finite(y, extent_.n)) return Outcome::not_finite;
+  if (state_f_(t, y, out) == Status::stop) return Outcome::stop;
+  jacobian_.extend(y, out);
+  return finite_or_noted(out, extent_.n);
+}
+
+Outcome AgingJacobian::evaluate_sensitivities(double t, const double* Y, double* out) {
+  undefined_ = -1;
+  if (!all_finite(Y, extent_.size())) return Outcome::not_finite;
+  if ((*sensitivities_)(t, Y, out + extent_.n) == Status::stop) return Outcome::stop;
+  return all_finite(out + extent_.n, extent_.n * extent_.k) ? Outcome::ok : Outcome::not_finite;
+}
+
+Outcome AgingJacobian::finite_or_noted(const double* out, std::size_t count) {
+  if (all_finite(out, count)) return Outcome::ok;
+  undefined_ = static_cast<int>(std::find_if_not(out, out + count, [](double x) { return std::isfinite(x); }) - out);
   return Outcome::not_finite;
 }
 
+Status AgingJacobian::sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h,
+                                       double* rate) {
+  const std::size_t n = extent_.n;
+  const double least = std::sqrt(eps) * std::max(std::abs(t), std::abs(t + h));
+  const double dt = t + std::copysign(std::min(least, std::abs(h)), h) - t;
+  std::vector<double> beyond(Y, Y + extent_.size());
+  for (std::size_t i = 0; i < n; ++i) beyond[i] += dt * slope[i];
+  if ((*sensitivities_)(t + dt, beyond.data(), rate + n) == Status::stop) return Status::stop;
+  for (std::size_t i = n; i < extent_.size(); ++i) rate[i] = dt == 0 ? 0 : (rate[i] - f[i]) / dt;
+  if (!all_finite(rate + n, n * extent_.k)) std::fill_n(rate + n, n * extent_.k, 0);
+  return Status::ok;
+}
+
 Outcome AgingJacobian::evaluate_apart(double t, const double* y, double* out) {
-  Callback f = f_;
+  Callback f = state_f_;
   ++work_.checks;
   if (f(t, y, out) == Status::stop) return Outcome::stop;
   jacobian_.extend(y, out);
@@ -109,7 +143,7 @@ Status AgingJacobian::take_jacobian(double t, const double* y, const double* slo
   renew_ = false;
   current_ = true;
   age_ = 0;
-  if (jacobian_.evaluate(f_, t, y, slope) == Status::stop) return Status::stop;
+  if (jacobian_.evaluate(state_f_, t, y, slope) == Status::stop) return Status::stop;
   return slope != nullptr && fit_due(y) ? make_fit(t, y, slope) : Status::ok;
 }
 
@@ -128,7 +162,7 @@ bool AgingJacobian::fit_due(const double* y) {
 /// J is to describe f as far as steps are accurate: otherwise Newton's iteration may seem to converge at once, to what
 /// does not solve the equations. This takes evaluations of f that are counted apart.
 Status AgingJacobian::make_fit(double t, const double* y, const double* slope) {
-  Callback f = f_;
+  Callback f = state_f_;
   // Columns that are differenced together and share a row after all fit in the direction of the increments: random
   // signs tell them apart, in parts of y that leave its signs as they are.
   const auto seek_missing = [&] {
@@ -149,7 +183,7 @@ Status AgingJacobian::make_fit(double t, const double* y, const double* slope) {
     case JacobianCheck::Fit::wrong: status = mend(f, t, y, slope); break;
     case JacobianCheck::Fit::bent: status = take_beside(f, t, y); break;
   }
-  work_.checks += f.calls() - f_.calls();
+  work_.checks += f.calls() - state_f_.calls();
   weights_.fill(y, reach_.data());
   fitting_ = std::max(fitting_.value_or(0), check_->size(jacobian(), reach_.data()));
   return status;
@@ -201,7 +235,7 @@ Status AgingJacobian::multiply(double t, const double* y, const double* slope, c
     free_->product().at(t, y, slope);
     return free_->product().multiply(v, out);
   }
-  jacobian().multiply(v, out);
+  multiply_blocks(jacobian(), v, out);
   return Status::ok;
 }
 
@@ -215,7 +249,7 @@ Status AgingJacobian::repair(double t, const double* y, const double* slope) {
   if (slope == nullptr) {
     slope = scratch_.data();
     if (!jacobian_.needs_slope()) return take_jacobian(t, y, nullptr);
-    if (evaluate(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
+    if (evaluate_state(t, y, scratch_.data()) == Outcome::stop) return Status::stop;
   }
   return take_jacobian(t, y, slope);
 }
@@ -330,7 +364,8 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
                              double* slope) {
   if (const Outcome outcome = jacobian.evaluate(t, y, f); outcome != Outcome::ok) return outcome;
   if (jacobian.take_jacobian(t, y, f) == Status::stop) return Outcome::stop;
-  std::copy(f, f + jacobian.jacobian().n(), slope);
+  const Extent extent = jacobian.extent();
+  std::copy(f, f + extent.size(), slope);
   Mass* mass = jacobian.mass();
   if (!mass) return Outcome::ok;
   if (mass->evaluate(t) == Status::stop) return Outcome::stop;
@@ -338,24 +373,29 @@ Outcome InitialSlopes::first(AgingJacobian& jacobian, double t, const double* y,
     jacobian.note_singular();
     return Outcome::not_finite;
   }
-  solver_.slope(*mass, nullptr, slope);
+  for (std::size_t first = 0; first < extent.size(); first += extent.n) solver_.slope(*mass, nullptr, slope + first);
   return Outcome::ok;
 }
 
-/// M y'' = f_t + J y'. A product that is not finite is left out: the attempts will tell whether it matters.
+/// M y'' = f_t + J y'; of sensitivities f_t is what changes in their slopes but for S. A product that is not finite is
+/// left out: the attempts will tell whether it matters.
 Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y, double h, const double* f,
                              double* slope, double* ft, double* second) {
-  const std::size_t n = jacobian.jacobian().n();
+  const auto& [n, k] = jacobian.extent();
+  const std::size_t all = jacobian.extent().size();
   const Mass* mass = jacobian.mass();
-  if (jacobian.time_derivative(f_, t, y, f, h, ft) == Status::stop) return Status::stop;
-  if (mass && mass->singular()) {
-    std::copy(f, f + n, slope);
+  const bool singular = mass && mass->singular();
+  if (jacobian.time_derivative(t, y, f, h, ft) == Status::stop) return Status::stop;
+  if (singular) {
+    std::copy(f, f + all, slope);
     solver_.slope(*mass, ft, slope);
   }
+  if (k > 0 && jacobian.sensitivity_rate(t, y, slope, f, h, ft) == Status::stop) return Status::stop;
+  for (std::size_t first = n; first < all && singular; first += n) solver_.slope(*mass, ft + first, slope + first);
   if (jacobian.multiply(t, y, f, slope, second) == Status::stop) return Status::stop;
   if (jacobian.matrix_free() && !all_finite(second, n)) std::fill(second, second + n, 0);
-  for (std::size_t i = 0; i < n; ++i) second[i] += ft[i];
-  if (mass) solver_.slope(*mass, nullptr, second);
+  for (std::size_t i = 0; i < all; ++i) second[i] += ft[i];
+  for (std::size_t first = 0; first < all && mass; first += n) solver_.slope(*mass, nullptr, second + first);
   return Status::ok;
 }
 
@@ -364,15 +404,19 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
 Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules)
     : AgingJacobian(f, weights, linear),
       weights_(weights),
+      sensitivity_weights_(linear.state ? linear.state->iteration : nullptr),
       lu_(linear.krylov ? nullptr : make_factorization(jacobian().structure, linear.lapack)),
       convergence_(rules),
+      sensitivity_convergence_(rules),
       f_value_(weights.size()),
       residual_(weights.size()),
-      sum_(weights.size()) {}
+      sum_(weights.size()),
+      sensitivity_weight_(linear.state ? weights.size() : 0) {}
 
 void Newton::restart() {
   forget();
   convergence_.forget();
+  sensitivity_convergence_.forget();
   last_c_.reset();
 }
 
@@ -385,6 +429,7 @@ Outcome Newton::prepare(double c, double t1) {
   return AgingJacobian::prepare(c, t1, [&] {
     count_factorization();
     convergence_.forget();
+    sensitivity_convergence_.forget();
     return lu_->factor(mass_matrix(), c, jacobian());
   });
 }
@@ -392,8 +437,16 @@ Outcome Newton::prepare(double c, double t1) {
 Newton::Result Newton::solve(double c, double t1, const double* p, const double* psi, const double* w, double* d,
                              double* y) {
   assert(c != 0 && std::isfinite(c));
-  const std::size_t n = weights_.size();
-  const auto norm = [&](const double* v) { return max_norm(n, [v, w](std::size_t i) { return v[i] / w[i]; }); };
+  place_ = {c, t1, y, w};
+  const Result result = solve_state(p, psi, d, y);
+  if (result != Result::converged || sensitivity_weights_ == nullptr) return result;
+  return solve_sensitivities(p, psi, d, y);
+}
+
+Newton::Result Newton::solve_state(const double* p, const double* psi, double* d, double* y) {
+  const auto [c, t1, place_y, w] = place_;
+  const std::size_t n = extent().n;
+  const auto norm = [&](const double* v) { return max_norm(n, [v, w = w](std::size_t i) { return v[i] / w[i]; }); };
   std::fill(d, d + n, 0);
   std::copy(p, p + n, y);
   const double roundoff = roundoff_units * eps * norm(p);
@@ -401,11 +454,10 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   if (jacobian_age() == 0) looked_at_ = 0;
   double before = 0;
   const double tolerance = std::max(linear_part * convergence_.goal(), roundoff);
-  place_ = {c, t1, y, w};
   for (;;) {
-    if (const Result evaluated = newton_result(evaluate(t1, y, f_value_.data())); evaluated != Result::converged)
+    if (const Result evaluated = newton_result(evaluate_state(t1, y, f_value_.data())); evaluated != Result::converged)
       return evaluated;
-    residual(c, psi, d);
+    residual(c, psi, d, 0, n);
     const double last = std::exchange(before, matrix_free() ? 0 : norm(residual_.data()));
     if (const Result ready = newton_result(precondition(residual_.data())); ready != Result::converged) return ready;
     if (matrix_free() && convergence_.iterations() > 0 && matrix_free()->negligible(w, tolerance, residual_.data())) {
@@ -429,6 +481,38 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   }
 }
 
+/// The slopes are linear in S: J is what alone may be too old, and the state's iteration has shown that it is not.
+Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, double* d, double* y) {
+  const std::size_t n = extent().n, all = extent().size();
+  sensitivity_weights_->fill(y, p, sensitivity_weight_.data());
+  const double* w = sensitivity_weight_.data();
+  const auto norm = [&](const double* v) {
+    return max_norm(all - n, [&](std::size_t i) { return v[n + i] / w[n + i]; });
+  };
+  std::fill(d + n, d + all, 0);
+  std::copy(p + n, p + all, y + n);
+  sensitivity_convergence_.begin(weights_.rtol(), roundoff_units * eps * norm(p));
+  for (;;) {
+    const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));
+    if (evaluated != Result::converged) return evaluated;
+    residual(place_.c, psi, d, n, all);
+    for (std::size_t first = n; first < all; first += n) {
+      count_solve();
+      lu_->solve(residual_.data() + first);
+    }
+    const double size = norm(residual_.data());
+    for (std::size_t i = n; i < all; ++i) {
+      d[i] += residual_[i];
+      y[i] = p[i] + d[i];
+    }
+    switch (sensitivity_convergence_.judge(size)) {
+      case Convergence::Verdict::converged: return Result::converged;
+      case Convergence::Verdict::diverged: return Result::failed;
+      case Convergence::Verdict::go_on: break;
+    }
+  }
+}
+
 /// Whether J is tested after a first iteration, whose convergence was judged by an earlier rate. One that is not stiff
 /// cannot be much too large, and the solution is not farther off than its residual.
 bool Newton::look_due(double before) {
@@ -445,9 +529,9 @@ Newton::Result Newton::look(const double* psi, const double* d, double size, dou
     case Outcome::not_finite: return Result::converged;
     case Outcome::ok: break;
   }
-  residual(place_.c, psi, d);
+  residual(place_.c, psi, d, 0, extent().n);
   const double* w = place_.w;
-  return judge_by_residuals(size, before, max_norm(sum_.size(), [&](std::size_t i) { return residual_[i] / w[i]; }));
+  return judge_by_residuals(size, before, max_norm(extent().n, [&](std::size_t i) { return residual_[i] / w[i]; }));
 }
 
 /// `failed`: J is much too large, and updates too small to show it. Residuals, from one to the next, tell what is left
@@ -472,6 +556,7 @@ Newton::Result Newton::solve_linear(double tolerance, double* b) {
 
 void Newton::state(Archive& archive) {
   convergence_.state(archive);
+  sensitivity_convergence_.state(archive);
   archive(looked_at_);
   if (matrix_free()) archive(last_c_);
   AgingJacobian::state(archive, [&](double c) {
@@ -482,22 +567,27 @@ void Newton::state(Archive& archive) {
 Newton::Result Newton::damp(double* v) {
   if (const Matrix* M = mass_matrix()) {
     std::copy(v, v + sum_.size(), sum_.begin());
-    M->multiply(sum_.data(), v);
+    multiply_blocks(*M, sum_.data(), v);
   }
-  Result result = Result::converged;
-  if (matrix_free()) result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));
+  if (!matrix_free()) {
+    assert(has_factors());
+    solve_blocks(*lu_, v);
+    return Result::converged;
+  }
+  Result result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));
   if (result == Result::converged) result = newton_result(precondition(v));
   return result == Result::converged ? solve_linear(linear_part * weights_.rtol(), v) : result;
 }
 
-/// c f − M (ψ + d), with f at hand.
-void Newton::residual(double c, const double* psi, const double* d) {
-  for (std::size_t i = 0; i < sum_.size(); ++i) sum_[i] = psi[i] + d[i];
-  if (mass_matrix())
-    mass_matrix()->multiply(sum_.data(), residual_.data());
+/// c f − M (ψ + d) of the blocks from `first` to `end`, with f at hand.
+void Newton::residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end) {
+  for (std::size_t i = first; i < end; ++i) sum_[i] = psi[i] + d[i];
+  if (const Matrix* M = mass_matrix())
+    for (std::size_t block = first; block < end; block += extent().n)
+      M->multiply(sum_.data() + block, residual_.data() + block);
   else
     std::swap(sum_, residual_);
-  for (std::size_t i = 0; i < sum_.size(); ++i) residual_[i] = c * f_value_[i] - residual_[i];
+  for (std::size_t i = first; i < end; ++i) residual_[i] = c * f_value_[i] - residual_[i];
 }
 
 }  // namespace invariode

@@ -56,9 +56,12 @@ class Convergence {
 /// f and its Jacobian J as implicit formulas use them: J serves several steps, and is taken anew where it is too old or
 /// was not good enough. Knows M, and for which c the factors of M − c J were made. Where J is known by its products
 /// alone, it is always that of the iterate at hand, and a preconditioner takes the part of J and of the factors.
+///
+/// Where the method integrates a state with its sensitivities, J and M are the state's, and every vector consists of
+/// blocks of its size, which are multiplied by them and solved for one by one.
 class AgingJacobian {
  public:
-  /// `complex`: see MatrixFree.
+  /// `f` and the weights are of all that the method integrates. `complex`: see MatrixFree.
   AgingJacobian(Callback& f, const Weights& weights, const LinearAlgebra& linear, bool complex = false);
 
   /// Memory as it is before any step.
@@ -104,13 +107,29 @@ class AgingJacobian {
   [[nodiscard]] bool stiff(double c, const double* w);
 
   [[nodiscard]] const Matrix& jacobian() const { return jacobian_.matrix(); }
-  /// ∂f/∂t, as `Jacobian::time_derivative`.
-  Status time_derivative(Callback& f, double t, const double* y, const double* slope, double h, double* ft) {
-    return jacobian_.time_derivative(f, t, y, slope, h, ft);
+  /// ∂f/∂t of the state, as `Jacobian::time_derivative`.
+  Status time_derivative(double t, const double* y, const double* slope, double h, double* ft) {
+    return jacobian_.time_derivative(state_f_, t, y, slope, h, ft);
   }
+  /// d/dt (J S_j + f_pj) along the solution with S_j constant, (k, n) behind the state in `rate`, by a difference over
+  /// part of the signed step h. Y' is `slope`, and what the method integrates has the value `f` at (t, Y).
+  Status sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h, double* rate);
   /// M, as it was last evaluated; null: the identity.
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
+  [[nodiscard]] const Extent& extent() const { return extent_; }
+  /// A v, block by block.
+  void multiply_blocks(const Matrix& A, const double* v, double* out) const {
+    for (std::size_t first = 0; first < extent_.size(); first += extent_.n) A.multiply(v + first, out + first);
+  }
+  /// b, of all blocks, becomes the solution with the factors.
+  template <class Scalar>
+  void solve_blocks(Factors<Scalar>& factors, Scalar* b) {
+    for (std::size_t first = 0; first < extent_.size(); first += extent_.n) {
+      count_solve();
+      factors.solve(b + first);
+    }
+  }
   [[nodiscard]] LinearWork work() const;
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
@@ -118,7 +137,10 @@ class AgingJacobian {
   /// f(t, y), outside of bounds by its linearization within; it must be finite; a component that is not is remembered
   /// until the next evaluation.
   Outcome evaluate(double t, const double* y, double* out);
-  /// The same for a look at J, counted apart.
+  /// The same of the state alone, and of its sensitivities behind it, which are Y's.
+  Outcome evaluate_state(double t, const double* y, double* out);
+  Outcome evaluate_sensitivities(double t, const double* Y, double* out);
+  /// The first of them for a look at J, counted apart.
   Outcome evaluate_apart(double t, const double* y, double* out);
   [[nodiscard]] int undefined_component() const { return undefined_; }
   void forget_undefined() { undefined_ = -1; }
@@ -142,9 +164,13 @@ class AgingJacobian {
   bool needs_factors(double c, double tolerated);
   Outcome factored(double c, double t1, bool regular);
   void fields(Archive& archive);
+  Outcome finite_or_noted(const double* out, std::size_t count);
 
-  Callback& f_;
+  Callback& f_;        // of all that the method integrates,
+  Callback& state_f_;  // and of the state: the same without sensitivities
   const Weights& weights_;
+  Extent extent_;
+  std::optional<Callback> sensitivities_;
   Jacobian jacobian_;
   Mass* mass_;
   std::optional<MatrixFree> free_;
@@ -188,7 +214,7 @@ void AgingJacobian::state(Archive& archive, Factor&& factor) {
 /// y' and y'' at the start, of M y' = f(t, y).
 class InitialSlopes {
  public:
-  InitialSlopes(Callback& f, const LinearAlgebra& linear) : f_(f), lapack_(linear.lapack) {}
+  explicit InitialSlopes(const LinearAlgebra& linear) : lapack_(linear.lapack) {}
 
   /// J, and f and y' at (t, y), all (n,), in the weights w.
   Outcome first(AgingJacobian& jacobian, double t, const double* y, const double* w, double* f, double* slope);
@@ -198,7 +224,6 @@ class InitialSlopes {
                 double* ft, double* second);
 
  private:
-  Callback& f_;
   const Lapack* lapack_;
   MassSolver solver_;
 };
@@ -217,7 +242,8 @@ inline constexpr double most_left = 20;
 inline constexpr double linear_part = 0.05;
 
 /// The equations of an implicit formula, c f(t₁, p + d) = M (ψ + d) for d, with the iteration matrix M − c J, which is
-/// factorised when c or J has changed, or by GMRES (docs/algorithms.md, 'Matrix-free').
+/// factorised when c or J has changed, or by GMRES (docs/algorithms.md, 'Matrix-free'). Those of sensitivities, which
+/// are linear, are solved when the state is known, with the same matrix and an iteration of their own.
 class Newton : public AgingJacobian {
  public:
   enum class [[nodiscard]] Result { converged, failed, stop };
@@ -244,7 +270,9 @@ class Newton : public AgingJacobian {
     const double *y, *w;
   };
 
-  void residual(double c, const double* psi, const double* d);
+  Result solve_state(const double* p, const double* psi, double* d, double* y);
+  Result solve_sensitivities(const double* p, const double* psi, double* d, double* y);
+  void residual(double c, const double* psi, const double* d, std::size_t first, std::size_t end);
   bool look_due(double before);
   Result look(const double* psi, const double* d, double size, double before);
   [[nodiscard]] Result judge_by_residuals(double size, double last, double residual) const;
@@ -252,12 +280,14 @@ class Newton : public AgingJacobian {
   Outcome precondition(double* b);
 
   const Weights& weights_;
-  std::unique_ptr<Factorization> lu_;  // null: matrix-free
-  Convergence convergence_;
+  const Weights* sensitivity_weights_;  // of Y; null without sensitivities
+  std::unique_ptr<Factorization> lu_;   // null: matrix-free
+  Convergence convergence_, sensitivity_convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known
   double looked_at_ = 0;          // the residual at the last look at this J, in the norm
   std::vector<double> f_value_, residual_, sum_;
+  std::vector<double> sensitivity_weight_;  // of the attempt
 };
 
 /// What an evaluation, or a solve by GMRES, means to the iteration.

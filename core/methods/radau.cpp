@@ -184,7 +184,7 @@ Outcome Radau::stage_residuals() {
       return outcome;
     const double* rate = residual;
     if (const Matrix* M = stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stage]) {
-      M->multiply(rate, gap_.data());
+      solver_.multiply_blocks(*M, rate, gap_.data());
       rate = gap_.data();
     }
     for (std::size_t i = 0; i < n(); ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
@@ -238,7 +238,7 @@ Newton::Result Radau::estimate() {
   gap_ = scratch_;
   if (Mass* mass = solver_.mass()) {
     if (!mass->constant() && mass->evaluate(t_) == Status::stop) return Newton::Result::stop;
-    mass->matrix().multiply(scratch_.data(), gap_.data());
+    solver_.multiply_blocks(mass->matrix(), scratch_.data(), gap_.data());
   }
   const Newton::Result first = solve_for_error(f_.data());
   if (first != Newton::Result::converged || error_ <= weights_.rtol() || (memory_h_ != 0 && !failed_)) return first;

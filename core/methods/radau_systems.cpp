@@ -91,9 +91,11 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
   tolerance /= magnification_;
   const bool may_skip = negligible;
   const auto one = [&](auto mu, auto* b, auto* lu) {
-    count_solve();
-    if (lu == nullptr) return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
-    lu->solve(b);
+    if (lu == nullptr) {
+      count_solve();
+      return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
+    }
+    solve_blocks(*lu, b);
     negligible = false;
     return Newton::Result::converged;
   };
@@ -111,12 +113,12 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
 }
 
 Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
-  count_solve();
   if (has_matrices()) {
     assert(has_factors());
-    real_lu_->solve(b);
+    solve_blocks(*real_lu_, b);
     return Newton::Result::converged;
   }
+  count_solve();
   bool negligible = false;
   return solve_by_gmres(h_ / formula_->mu, M, w, tolerance, b, false, negligible);
 }

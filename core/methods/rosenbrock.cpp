@@ -45,8 +45,12 @@ Step::Attempt Rosenbrock::attempt(double h, double t1) {
 /// J and ∂f/∂t, if this is the first attempt of the step, and the factors of W = M − h d J.
 Outcome Rosenbrock::linearize() {
   if (solver_.repair(t_, y(), f0_.data()) == Status::stop) return Outcome::stop;
-  if (!ft_known_ && solver_.time_derivative(f_, t_, y(), f0_.data(), signed_h_, ft_.data()) == Status::stop)
-    return Outcome::stop;
+  if (!ft_known_) {
+    if (solver_.time_derivative(t_, y(), f0_.data(), signed_h_, ft_.data()) == Status::stop) return Outcome::stop;
+    if (solver_.extent().k > 0 &&
+        solver_.sensitivity_rate(t_, y(), slope_.data(), f0_.data(), signed_h_, ft_.data()) == Status::stop)
+      return Outcome::stop;
+  }
   ft_known_ = true;
   return solver_.prepare(signed_h_ * d, t1_, [this] {
     solver_.count_factorization();
@@ -84,15 +88,14 @@ Outcome Rosenbrock::stages() {
 
 void Rosenbrock::solve(std::vector<double>& b) {
   assert(solver_.has_factors());
-  solver_.count_solve();
-  lu_->solve(b.data());
+  solver_.solve_blocks(*lu_, b.data());
 }
 
 /// M k, in place of what the last call returned.
 const double* Rosenbrock::times_mass(const std::vector<double>& k) {
   const Matrix* M = solver_.mass_matrix();
   if (!M) return k.data();
-  M->multiply(k.data(), scratch_.data());
+  solver_.multiply_blocks(*M, k.data(), scratch_.data());
   return scratch_.data();
 }
 

@@ -44,6 +44,7 @@ Switching::Switching(Callback& f, const Weights& weights, Members members)
       active_(explicit_ ? explicit_.get() : implicit_.get()),
       matrix_free_(members.matrix_free),
       differences_(members.differences),
+      state_f_(members.state_f),
       least_trial_threshold_(trial_cost + members.jacobian_cost),
       trial_threshold_(least_trial_threshold_) {
   assert(active_ != nullptr && !implicit_ == (algebra_ == nullptr));
@@ -82,7 +83,8 @@ Outcome Switching::start(double t, const double* y, const Span& span) {
 
 /// Evaluations of f so far, and products with J that take none.
 std::int64_t Switching::cost() const {
-  return f_.calls() + (matrix_free_ && !differences_ ? algebra_->linear_work().products : 0);
+  return f_.calls() + (state_f_ != nullptr ? state_f_->calls() : 0) +
+         (matrix_free_ && !differences_ ? algebra_->linear_work().products : 0);
 }
 
 void Switching::begin_turn() {
@@ -240,10 +242,11 @@ double Switching::stable_h() const { return stable_part * reach_ / radius_; }
 /// ρ(J), by powers of J, from a vector with a part in every direction.
 Status Switching::find_radius() {
   if (!f_value_.empty() && f_(t_, y(), f_value_.data()) == Status::stop) return Status::stop;
-  const auto size = [this](const std::vector<double>& v) {
-    return max_norm(n(), [&](std::size_t i) { return v[i] / weights_.at(i, y_[i]); });
+  const std::size_t states = algebra_->jacobian()->n();  // sensitivities have the same J
+  const auto size = [&](const std::vector<double>& v) {
+    return max_norm(states, [&](std::size_t i) { return v[i] / weights_.at(i, y_[i]); });
   };
-  for (std::size_t i = 0; i < n(); ++i) {
+  for (std::size_t i = 0; i < states; ++i) {
     const double part = 1 + spread(i);
     vector_[i] = weights_.at(i, y_[i]) * (i % 2 == 0 ? part : -part);
   }
@@ -252,7 +255,7 @@ Status Switching::find_radius() {
     if (multiply_vector() == Status::stop) return Status::stop;
     radius_ = size(product_) / size(vector_);
     if (!(radius_ > 0)) break;  // J is 0, or not finite
-    for (std::size_t i = 0; i < n(); ++i) vector_[i] = product_[i] / radius_;
+    for (std::size_t i = 0; i < states; ++i) vector_[i] = product_[i] / radius_;
     if (k >= first_power) sum += std::log(radius_);
     if (k + 1 == powers) radius_ = std::exp(sum / (powers - first_power));
   }

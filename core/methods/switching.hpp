@@ -29,6 +29,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
     std::unique_ptr<Step> explicit_one, implicit_one;
     double jacobian_cost = 0;
     bool matrix_free = false, differences = false;
+    const Callback* state_f = nullptr;  ///< f of the state alone, if they integrate its sensitivities too
   };
 
   Switching(Callback& f, const Weights& weights, Members members);
@@ -98,6 +99,7 @@ class Switching final : public Step, public ImplicitInterface, public CompositeI
   ImplicitInterface* algebra_;  // of the implicit member; null without one
   Step* active_;
   const bool matrix_free_, differences_;
+  const Callback* state_f_;
   Turn turn_;
   bool wanted_ = false;  // the other member
   std::int64_t switches_ = 0;

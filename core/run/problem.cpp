@@ -77,12 +77,11 @@ Solver::Solver(const Method& method, Problem problem, Weights weights, Settings 
   require_sizes(problem_, weights_);
   require_settings(settings_);
   require(static_cast<bool>(problem_.f), "the problem has no f");
+  if (problem_.variations) require_variations(problem_);
   if (problem_.variations) {
-    require_variations(problem_);
-    require(!method_.implicit(),
-            std::string(method_.name) + " does not integrate sensitivities: use an explicit method");
+    augmented_weights_ = augmented(weights_, *problem_.variations, problem_.variations->error_test);
+    iteration_weights_ = augmented(weights_, *problem_.variations, true);
   }
-  if (problem_.variations) augmented_weights_ = augmented(weights_, *problem_.variations);
   require(!method_.implicit() || method_.switches() || problem_.linear,
           std::string(method_.name) + " is implicit: the problem must say what its Jacobian is");
   require(takes_mass(method_, problem_),

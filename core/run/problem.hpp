@@ -75,6 +75,8 @@ class Solver {
   [[nodiscard]] const Weights& weights() const { return weights_; }
   /// Of the state and its sensitivities; the same without them.
   [[nodiscard]] const Weights& augmented_weights() const { return augmented_weights_ ? *augmented_weights_ : weights_; }
+  /// The same, with sensitivities that are not in the error test: Newton's iteration for them converges in these.
+  [[nodiscard]] const Weights& iteration_weights() const { return iteration_weights_ ? *iteration_weights_ : weights_; }
   [[nodiscard]] const Settings& settings() const { return settings_; }
   [[nodiscard]] const MethodOptions& options() const { return options_; }
   /// To be copied, since each run has increments of its own. Null: the problem has no linear terms.
@@ -84,7 +86,7 @@ class Solver {
   const Method& method_;
   Problem problem_;
   Weights weights_;
-  std::optional<Weights> augmented_weights_;
+  std::optional<Weights> augmented_weights_, iteration_weights_;
   Settings settings_;
   MethodOptions options_;
   std::optional<Jacobian> jacobian_;

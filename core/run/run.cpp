@@ -97,7 +97,8 @@ LinearAlgebra Run::linear_algebra() {
   return {.jacobian = &*jacobian_,
           .mass = mass_ ? &*mass_ : nullptr,
           .lapack = lapack ? &*lapack : nullptr,
-          .krylov = krylov ? &*krylov : nullptr};
+          .krylov = krylov ? &*krylov : nullptr,
+          .state = state_equations_ ? &*state_equations_ : nullptr};
 }
 
 /// With a mass matrix that is not diagonal f_i is not a multiple of y_i', and f stays as it is.
@@ -147,10 +148,12 @@ bool Run::moves_off_algebraic_equations() const { return solver_.problem().bound
 /// With a singular mass matrix the invariants are imposed together with the algebraic equations.
 Invariants Run::with_algebraic_equations() {
   const Problem& problem = this->problem();
-  algebraic_.emplace(f_, *jacobian_, *mass_);
+  const Callback slopes = problem.variations ? problem.variations->slope : Callback();
+  algebraic_.emplace(f_, *jacobian_, *mass_, slopes, problem.extent());
   InvariantBlock block;
   block.g = algebraic_->residual();
   block.jacobian = algebraic_->jacobian();
+  if (problem.variations) block.tangent = algebraic_->tangent();
   block.m = algebraic_->count();
   block.untested = true;
   std::vector<InvariantBlock> blocks = problem.invariants;
@@ -175,6 +178,12 @@ void Run::add_sensitivities() {
   augmented_slope_.emplace(*method_f_, problem.variations->slope, problem.extent(),
                            bounded_slope_ ? &*bounded_slope_ : nullptr);
   augmented_f_ = augmented_slope_->callback();
+  sensitivities_f_ = augmented_slope_->of_sensitivities();
+  state_equations_ = {.extent = problem.extent(),
+                      .f = method_f_,
+                      .sensitivities = &sensitivities_f_,
+                      .weights = &solver_.weights(),
+                      .iteration = &solver_.iteration_weights()};
 }
 
 void Run::start_loop() {
@@ -194,6 +203,10 @@ void Run::start_loop() {
     functions.consistent = [this](double t, double* y) {
       Callback uncounted = f_;  // nfev is what the method evaluates
       return make_consistent(uncounted, linear_algebra(), solver_.weights(), t, y);
+    };
+  if (functions.consistent && state_equations_)
+    functions.consistent_tangent = [this](double t, double* Y) {
+      return make_tangent_consistent(linear_algebra(), t, Y);
     };
   integration_.emplace(std::move(step), solver_.weights(), manifold_, std::move(functions), solver_.settings());
 }

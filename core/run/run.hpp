@@ -144,7 +144,8 @@ class Run {
   Callback bounded_f_;
   Callback* method_f_ = &f_;  // the slope of the state: f, or what keeps it within bounds
   std::optional<AugmentedSlope> augmented_slope_;
-  Callback augmented_f_;  // with sensitivities what the method integrates; it counts its own evaluations of f
+  Callback augmented_f_, sensitivities_f_;  // with sensitivities what the method integrates, and their part of it
+  std::optional<StateEquations> state_equations_;
   std::unique_ptr<Slope> slope_;
   std::optional<AlgebraicConstraints> algebraic_;
   std::optional<Invariants> steps_;    // imposed on steps: with a singular mass matrix, the algebraic equations too

@@ -5,10 +5,10 @@
 
 namespace invariode {
 
-Weights augmented(const Weights& state, const Variations& variations) {
+Weights augmented(const Weights& state, const Variations& variations, bool counts) {
   std::vector<double> threshold = state.threshold(), scale;
   for (const double tolerance : variations.tolerance)
-    threshold.push_back(variations.error_test ? tolerance / state.rtol() : std::numeric_limits<double>::infinity());
+    threshold.push_back(counts ? tolerance / state.rtol() : std::numeric_limits<double>::infinity());
   if (!state.scale().empty())
     for (std::size_t block = 0; block <= variations.k; ++block)
       scale.insert(scale.end(), state.scale().begin(), state.scale().end());

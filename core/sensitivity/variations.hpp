@@ -21,8 +21,9 @@ struct Variations {
   bool error_test = true;         ///< false: S has no part in the norm of the error test
 };
 
-/// The weights of Y: those of the state, then max(s_i |S_ij|, tolerance_ij / rtol), with the state's scales.
-[[nodiscard]] Weights augmented(const Weights& state, const Variations& variations);
+/// The weights of Y: those of the state, then max(s_i |S_ij|, tolerance_ij / rtol), with the state's scales; infinite
+/// where S does not count.
+[[nodiscard]] Weights augmented(const Weights& state, const Variations& variations, bool counts);
 
 /// Y' as methods integrate it: f, then the slopes of S. Of components that f would lead out of their bounds, and that
 /// rest there, S rests too.

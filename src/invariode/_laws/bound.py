@@ -24,7 +24,7 @@ from .._base.arguments import (
 from .._functions.compiled import CoreFunction, as_python, complex_form, is_native, native_parameters, to_native
 from .._functions.derivatives import compared, somewhere
 from .._functions.graph.derived import derived
-from .._functions.layout import count_of
+from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
@@ -102,6 +102,11 @@ class BoundInvariants:
     def senses(self) -> list[int]:
         """The sense of the invariant that each value belongs to."""
         return [spec.sense for spec in self.specs for _ in range(spec.m)]
+
+    def varied(self, tangents: Sequence[Any]) -> BoundInvariants:
+        """The same with their tangents, which may be machine code."""
+        parameters = self.parameters if len(self.parameters) else Parameters.of(self.args)
+        return replace(self, tangents=tangents, parameters=parameters)
 
     def equalities(self) -> BoundInvariants:
         """Only those that keep their values."""
@@ -209,7 +214,7 @@ class BoundInvariants:
         variations = None
         if parameters and self.specs:
             none = np.zeros((parameters, n))
-            variations = _core.Variations(parameters, None, none, list(self.tangents))
+            variations = _core.Variations(parameters, self.tangents[0], none, list(self.tangents))  # no slope is needed
         return _core.Problem(
             n=n,
             complex=is_complex,

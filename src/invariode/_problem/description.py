@@ -79,9 +79,7 @@ class Description:
         called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
         span, start = interval(t_span), state(y0)
         start.flags.writeable = False
-        listed = to_events(events)
-        for event in listed:
-            terminal_count(event), direction_sign(event)
+        listed = _checked_events(events)
         is_complex = start.dtype.kind == "c"
         if is_complex and isinstance(called, TracedFunction):
             called = called.of_complex()
@@ -196,6 +194,13 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _checked_events(events: EventsLike) -> list[Any]:
+    listed = to_events(events)
+    for event in listed:
+        terminal_count(event), direction_sign(event)
+    return listed
 
 
 #: That of `__init__`, since `__new__` only refuses a fourth argument by position.

@@ -96,6 +96,10 @@ def _of_sensitivities(name: str) -> Any:
     return lambda sol: None if sol._sensitivities is None else getattr(sol._sensitivities, name)
 
 
+def _of_group(sol: Result) -> None:
+    """What a group has or has not."""
+
+
 def _values_after(sol: Result) -> Array:
     """The values of the invariants after each jump."""
     g = sol._invariants
@@ -150,9 +154,9 @@ OUTPUT = {
     "steps": Field(float, "step 6", lambda sol: sol.steps and sol.steps._rows, optional=True),
     "events": Field(Annotated[int, "event"] | None, GROUP, _events),
     **OCCURRENCES,
-    "events.before": Field(float, "occurrence component parameter", optional=True),
-    "events.after": Field(float, "occurrence component parameter", optional=True),
-    "events.times": Field(float, "occurrence parameter", optional=True),
+    "events.before": Field(float, "occurrence component parameter", _of_group, optional=True),
+    "events.after": Field(float, "occurrence component parameter", _of_group, optional=True),
+    "events.times": Field(float, "occurrence parameter", _of_group, optional=True),
     "jumps.row": Field(np.int64, "jump", lambda sol: [jump.row for jump in sol._invariants.jumps], within=(0, "t")),
     "jumps.t": Field(float, "jump", lambda sol: [jump.t for jump in sol._invariants.jumps]),
     "jumps.value": Field(float, "jump invariant", _values_after),

@@ -258,7 +258,7 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     varied = None
     if problem.sensitivities is not None:
         varied = _variations(problem, options, y0, weights, bound, breakpoints)
-        bound.tangents = varied.tangents
+        bound = bound.varied(varied.tangents)
         functions = functions._replace(events=[*functions.events, *varied.switches])
         event_names = [*event_names, *(one.name for one in varied.switches)]
     return Plan(

@@ -340,7 +340,7 @@ class _Switching:
         found = self._crossing(t, y)
         if found is None or found.leads_back:
             return y
-        side, step = np.sign(found.rate), EPS * max(abs(t), 1.0)
+        side, step = np.sign(self._forward * found.rate), EPS * max(abs(t), 1.0)
         for _ in range(_MOST_DOUBLINGS):
             if side * self._value(t, y)[0] > 0:
                 break
@@ -391,7 +391,7 @@ def _switches(
         function = slope.on_graph([switch.difference], "condition")
         difference = about.of(function, name, m=1, moves_t=True)
         values = [slope.branch(one) for one in ([switch.difference], switch.below, switch.above)]
-        switching = _Switching(values[0], difference, *values[1:], forward)
+        switching = _Switching(values[0], difference, values[1], values[2], forward)
         event = EventSpec(
             fun=to_native(name, function, n, 1, p, event=True) if has_llvm() else _sign_of(slope, switch.difference),
             terminal=0,

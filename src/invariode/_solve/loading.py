@@ -140,7 +140,7 @@ def load(
         start = _start(path, solution, dense) if problem is None else (problem.t_span[0], problem.y0)
         bound = _bind_again(path, solution, listed, start, extra)
         if solution._sensitivities is not None and bound.specs:
-            bound.tangents = _tangents(path, solution, problem, bound)
+            bound = bound.varied(_tangents(path, solution, problem, bound))
         solution = solution.changed(_invariants=bound)
     if dense is None:
         return solution
