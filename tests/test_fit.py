@@ -115,6 +115,65 @@ class TestKnownParameters:
         assert len(fit.starts) == 8
 
 
+class TestSteadyStates:
+    """Runs that start at a steady state, and leave it when a rate changes at t = 0."""
+
+    START = (0.7, 0.4, 0.3)
+    OPTIONS = {**TIGHT, "breakpoints": [0.0]}
+
+    @staticmethod
+    def network(t, y, k1, k2, k3):
+        """A → B → C → A, of second order in B; k1 is three times as large from t = 0 on."""
+        a, b, c = y
+        forwards = k1 * (3.0 if t >= 0 else 1.0)
+        return [-forwards * a + k2 * c, forwards * a - k3 * b * b, k3 * b * b - k2 * c]
+
+    def problem(self, args=START, y0=(2.0, 0.0, 0.0)):
+        return iv.Problem(self.network, (-1, 8), y0, args=args, labels=["a", "b", "c"])
+
+    def long_run(self):
+        """What the system comes to before."""
+        before = iv.Problem(lambda t, y, *args: self.network(-1, y, *args), (0, 400), (2.0, 0, 0), args=self.START)
+        return before.solve("ode15s", rtol=1e-10, atol=1e-13).y[:, -1]
+
+    def test_known_parameters_and_the_total_come_back(self):
+        t = np.linspace(0.4, 8, 12)
+        data = self.problem(y0=self.long_run()).solve("ode45", t_eval=t, **self.OPTIONS).y
+        wanted = {name: (0.05, 5) for name in ("k1", "k2", "k3", "y0[a]")}
+        fit = iv.fit(self.problem((0.5, 0.5, 0.5), (1.5, 0, 0)), t, data, wanted, y0="steady", **self.OPTIONS)
+        np.testing.assert_allclose([*fit.parameters.values()], [*self.START, 2.0], rtol=1e-6)
+        np.testing.assert_allclose(fit.solution.y[:, 0], self.long_run(), rtol=1e-6)
+
+    def test_gradient(self):
+        """The start depends on the parameters: against central differences."""
+        t = np.linspace(0.4, 8, 5)
+        wanted = {name: (0.05, 5) for name in ("k1", "k3", "y0[a]")}
+        log_likelihood = iv.objective(
+            self.problem(), t, np.ones((3, 5)), wanted, sigma=0.3, y0="steady", **self.OPTIONS
+        )
+        x, h = log_likelihood.start, 1e-5
+        differences = [(log_likelihood(x + h * e) - log_likelihood(x - h * e)) / (2 * h) for e in np.eye(3)]
+        np.testing.assert_allclose(log_likelihood.gradient(x), differences, rtol=1e-6)
+
+    @pytest.mark.parametrize(
+        ("fun", "reason"),
+        [
+            (lambda t, y, k: [k * y[0], -y[1]], "not stable"),
+            (lambda t, y, k: [k + 0 * y[0], -y[1]], "no steady state was found"),
+            (lambda t, y, k: -k * (y[0] ** 2 + y[1] ** 2 - 1) * y, "not isolated"),
+        ],
+    )
+    def test_what_is_no_steady_state_is_named(self, fun, reason):
+        """An unstable one, none, and a circle of them."""
+        problem = iv.Problem(fun, (0, 1), [0.0, 0.3], args=(1.0,))
+        with pytest.raises(ValueError, match=reason):
+            iv.fit(problem, [0.5, 1.0], {"y0": [0.1, 0.2]}, {"k": (0.5, 2)}, y0="steady")
+
+    def test_it_is_the_only_word(self):
+        with pytest.raises(ValueError, match="y0 must be one of 'steady'"):
+            iv.fit(self.problem(), [1.0], {"a": [1.0]}, {"k1": (0, 5)}, y0="stationary")
+
+
 class TestLaws:
     def fitted(self, time=1.0, amount=1.0, order=(0, 1), sigma=0.02):
         """A fit with units of time and amount changed, and parameters in another order."""
@@ -289,6 +348,17 @@ class TestLinearTheory:
             low, high = fit.confidence()["k"]
             inside += low <= 0.7 <= high
         assert abs(inside - 57) <= 3 * np.sqrt(60 * 0.95 * 0.05)
+
+
+class TestDerivatives:
+    def test_of_observe_by_differences_only_with_a_warning(self):
+        def observe(t, y, slope):
+            return abs(complex(y[0]))
+
+        with pytest.warns(iv.AccuracyWarning, match="derivatives of observe are differences"):
+            fit = iv.fit(straight(), T, LINE_DATA, LINE, observe=observe)
+        plain = iv.fit(straight(), T, LINE_DATA, LINE)
+        assert fit.parameters == pytest.approx(plain.parameters, rel=1e-5)
 
 
 class TestObjective:

@@ -6,6 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -331,11 +332,11 @@ class Space:
 
     # The search's own coordinates: multiples of sizes, or logarithms.
 
-    @property
+    @cached_property
     def log(self) -> Array:
         return np.array([one.log for one in self.free])
 
-    @property
+    @cached_property
     def sizes(self) -> Array:
         return np.array([one.size for one in self.free])
 

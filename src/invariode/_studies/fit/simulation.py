@@ -8,15 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._base.arguments import Array, quietly
+from ..._base.arguments import Array, quietly, warn
 from ..._base.failures import InvariantError
-from ..._base.types import MethodName
-from ..._functions.directional import Directional, Point
+from ..._base.types import MethodName, Span
+from ..._functions.compile import compile
+from ..._functions.compiled import is_native
+from ..._functions.directional import Directional, Point, has_llvm
 from ..._functions.layout import with_numbers
+from ..._problem.invariants import AccuracyWarning
 from ..._problem.options import Options
 from ..._problem.parameters import ParameterName, with_values
 from ..._problem.sensitivities import Sensitivities
 from ..._results.solution import Solution
+from ..._solve.prepared import PreparedSolver
 from .experiment import Experiment, Series
 from .outcomes import Failed
 from .steady import SteadyStates
@@ -74,14 +78,23 @@ class Simulation:
         t0, tf = problem.t_span
         self._times, self._which = _once(experiment.data.t, backwards=tf < t0)
         if len(self._times) and not experiment.events and self._times[-1] != t0:
-            problem = problem.replace(t_span=(t0, self._times[-1]))  # nothing is known of what comes later
-        self._solver = self._prepared(problem, self._times)
+            tf = float(self._times[-1])  # nothing is known of what comes later
+        args, y0 = with_values(problem.args, problem.y0, self._dynamic, values[self._places])  # floats, not integers
+        self._problem = problem.replace(args=args, y0=y0, sensitivities=self._sensitivities)
+        self._solver = self._prepared((t0, tf), self._times)
 
-    def _prepared(self, problem: Any, times: Array) -> Any:
-        own: Any = {"keep": "outputs", "on_failure": "return", "t_eval": times}
-        if self._sensitivities is not None:
-            problem = problem.replace(sensitivities=self._sensitivities)
-        return problem.prepare(self._method, **{**self._options, **own})
+    def _prepared(self, t_span: Span, times: Array) -> PreparedSolver:
+        """The problem over an interval. f is traced and compiled once, if that is possible: of a Python f that it gets
+        for a single run the package would trace the derivatives in each of them."""
+        problem = self._problem.replace(t_span=t_span)
+        own: Options = {"keep": "outputs", "on_failure": "return", "t_eval": times}
+        options: Options = {**self._options, **own}
+        if self._sensitivities is not None and has_llvm() and not is_native(problem.fun):
+            try:
+                return problem.replace(fun=compile(problem.fun, by="trace")).prepare(self._method, **options)
+            except TypeError:
+                pass  # it cannot be traced
+        return problem.prepare(self._method, **options)
 
     def _wanted(self, values: Array) -> Sensitivities | None:
         """Those of the runs: of the parameters; if they start at a steady state, it depends on the parameters by way of
@@ -137,7 +150,7 @@ class Simulation:
             return Failed("the model or its derivatives are not finite")
         return Simulated(every[:, 0], every[:, 1:])
 
-    def _solution(self, solver: Any, start: _Start) -> Solution | Failed:
+    def _solution(self, solver: PreparedSolver, start: _Start) -> Solution | Failed:
         """A run; its warnings are those of a trial, and it is the fit that they would be about."""
         try:
             with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -182,7 +195,7 @@ class Simulation:
             once, which = once[::-1], len(once) - 1 - which
         if isinstance(start, Failed):
             return start
-        sol = self._solution(self._prepared(self.experiment.problem, once), start)
+        sol = self._solution(self._prepared(self._problem.t_span, once), start)
         if isinstance(sol, Failed):
             return sol
         if len(sol.t) < len(once):
@@ -230,6 +243,12 @@ class _Watch:
         self._derivatives = Directional(
             observed, (), (), len(start), at=Point(problem.t_span[0], start), called="observe"
         )
+        if self._derivatives.how == "differences":
+            warn(
+                "fit: the derivatives of observe are differences, which are accurate to 1e-10 at best: it cannot be "
+                "traced, and does not take complex numbers. Write it with NumPy's functions",
+                AccuracyWarning,
+            )
 
     def __call__(self, t: Array, y: Array, tangent: Array, values: Array) -> Curves:
         if self._observation.function is None:
