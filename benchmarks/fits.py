@@ -60,8 +60,9 @@ class Case:
             start[i] = self.truth.get(f"y0[{i}]", start[i])
         return iv.Problem(fun, (0, self.t[-1]), start, args=self.args)
 
-    def options(self) -> dict[str, Any]:
-        doses = {"breakpoints": self.doses} if self.doses else {}
+    def options(self, fun: Any) -> dict[str, Any]:
+        of = {one: iv.compile(one) for one in self.doses.values()} if isinstance(fun, iv.CompiledFunction) else {}
+        doses = {"breakpoints": {t: of.get(one, one) for t, one in self.doses.items()}} if self.doses else {}
         return {"method": self.method, "rtol": RTOL, "atol": self.atol, **doses}
 
     def exact(self) -> np.ndarray:
@@ -97,7 +98,7 @@ class Case:
                 self.parameters(**fixed),
                 sigma=known,
                 noise=self.noise,
-                **self.options(),
+                **self.options(fun),
             )
 
     def by_scipy(self, data: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import invariode as iv
 
 T = np.linspace(0.2, 4, 12)
 TIGHT = {"rtol": 1e-9, "atol": 1e-12}
+STIMULUS = {**TIGHT, "breakpoints": [0.0]}
 
 
 def line(t, y, slope):
@@ -119,7 +120,6 @@ class TestSteadyStates:
     """Runs that start at a steady state, and leave it when a rate changes at t = 0."""
 
     START = (0.7, 0.4, 0.3)
-    OPTIONS = {**TIGHT, "breakpoints": [0.0]}
 
     @staticmethod
     def network(t, y, k1, k2, k3):
@@ -138,19 +138,17 @@ class TestSteadyStates:
 
     def test_known_parameters_and_the_total_come_back(self):
         t = np.linspace(0.4, 8, 12)
-        data = self.problem(y0=self.long_run()).solve("ode45", t_eval=t, **self.OPTIONS).y
-        wanted = {name: (0.05, 5) for name in ("k1", "k2", "k3", "y0[a]")}
-        fit = iv.fit(self.problem((0.5, 0.5, 0.5), (1.5, 0, 0)), t, data, wanted, y0="steady", **self.OPTIONS)
+        data = self.problem(y0=self.long_run()).solve("ode45", t_eval=t, **STIMULUS).y
+        wanted = dict.fromkeys(("k1", "k2", "k3", "y0[a]"), (0.05, 5))
+        fit = iv.fit(self.problem((0.5, 0.5, 0.5), (1.5, 0, 0)), t, data, wanted, y0="steady", **STIMULUS)
         np.testing.assert_allclose([*fit.parameters.values()], [*self.START, 2.0], rtol=1e-6)
         np.testing.assert_allclose(fit.solution.y[:, 0], self.long_run(), rtol=1e-6)
 
     def test_gradient(self):
         """The start depends on the parameters: against central differences."""
         t = np.linspace(0.4, 8, 5)
-        wanted = {name: (0.05, 5) for name in ("k1", "k3", "y0[a]")}
-        log_likelihood = iv.objective(
-            self.problem(), t, np.ones((3, 5)), wanted, sigma=0.3, y0="steady", **self.OPTIONS
-        )
+        wanted = dict.fromkeys(("k1", "k3", "y0[a]"), (0.05, 5))
+        log_likelihood = iv.objective(self.problem(), t, np.ones((3, 5)), wanted, sigma=0.3, y0="steady", **STIMULUS)
         x, h = log_likelihood.start, 1e-5
         differences = [(log_likelihood(x + h * e) - log_likelihood(x - h * e)) / (2 * h) for e in np.eye(3)]
         np.testing.assert_allclose(log_likelihood.gradient(x), differences, rtol=1e-6)

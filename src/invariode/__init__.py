@@ -36,8 +36,9 @@ from ._studies.fit.experiment import Experiment
 from ._studies.fit.fit import fit
 from ._studies.fit.objective import Objective, objective
 from ._studies.fit.parameters import Parameter
+from ._studies.fit.prediction import Prediction
 from ._studies.fit.profile import Profile
-from ._studies.fit.result import Fit, Prediction
+from ._studies.fit.result import Fit
 from ._studies.search import PolynomialInvariant, find_invariants
 from ._studies.sensitivities import SensitivityReport, check_sensitivities
 from ._studies.work_precision import plot_work_precision

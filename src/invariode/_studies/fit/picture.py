@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,29 +11,31 @@ from ..._base.arguments import Array
 from ..._base.style import COLOURS
 from ..._results.pictures.canvas import drawable, legend, new_panels
 from ..._results.pictures.over_time import groups_of_scale
-from .experiment import Experiment, Series
+from .experiment import Experiment
+from .prediction import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from .result import Fit, Prediction
 
 #: Times at which the band is drawn.
 _POINTS = 300
 
 
-def draw(fit: Fit, experiment: Experiment, index: int, level: float, ax: Axes | None) -> Axes:
-    """See `Fit.plot`."""
+def times(experiment: Experiment) -> Array:
+    """The times at which the model is drawn."""
     t0, tf = experiment.problem.t_span
     end = tf if np.isfinite(tf) else float(np.max(experiment.data.t, initial=t0 + 1))
-    band = fit.predict(np.linspace(t0, end, _POINTS), experiment=index, level=level)
+    return np.linspace(t0, end, _POINTS)
+
+
+def draw(experiment: Experiment, band: Prediction, sigmas: Sequence[Array], ax: Axes | None) -> Axes:
+    """See `Fit.plot`; `sigmas`: the standard deviations of the data of each series."""
     every = list(range(len(band.y)))
     groups = groups_of_scale(band.y, every) if ax is None else [every]
     panels = list(new_panels(experiment.problem._title, [1] * len(groups))) if ax is None else [ax]
-    sigmas = _sigmas(fit, experiment, index)
     for panel, group in zip(panels, groups, strict=True):
         for place, j in enumerate(group):
-            _quantity(panel, band, j, COLOURS[place % len(COLOURS)], sigmas.get(j), _series(experiment, j), experiment)
+            _quantity(panel, band, j, COLOURS[place % len(COLOURS)], experiment, sigmas[j])
         legend(panel)
         if len(group) == 1:
             panel.set_ylabel(drawable(band.names[group[0]]))
@@ -40,30 +43,11 @@ def draw(fit: Fit, experiment: Experiment, index: int, level: float, ax: Axes | 
     return panels[0]
 
 
-def _series(experiment: Experiment, j: int) -> Series:
-    return next(one for one in experiment.series if one.row == j)
-
-
-def _sigmas(fit: Fit, experiment: Experiment, index: int) -> dict[int, Array]:
-    """The standard deviations of the data of each quantity."""
-    model, at = fit._model, fit._found.at
-    place = sum(len(one.values) for each in model.experiments[:index] for one in each.series)
-    found = {}
-    for one in experiment.series:
-        scale = np.sqrt(model.variance(at, fit._inner))
-        found[one.row] = at.sigma[place : place + len(one.values)] * scale
-        place += len(one.values)
-    return found
-
-
-def _quantity(
-    ax: Axes, band: Prediction, j: int, colour: Any, sigma: Array | None, data: Series, experiment: Experiment
-) -> None:
+def _quantity(ax: Axes, band: Prediction, j: int, colour: Any, experiment: Experiment, sigma: Array) -> None:
     """One quantity: band, curve, and data with their standard deviations."""
+    data = experiment.series[j]
     t = experiment.data.t[data.places]
     ax.fill_between(band.t, band.lower[j], band.upper[j], color=colour, alpha=0.25, linewidth=0)
     ax.plot(band.t, band.y[j], color=colour, linewidth=1.4, label=drawable(band.names[j]))
-    if sigma is None:
-        return
     bars = [data.values * (1 - np.exp(-sigma)), data.values * (np.exp(sigma) - 1)] if data.lognormal else sigma
     ax.errorbar(t, data.values, yerr=bars, fmt="o", color=colour, markersize=4, elinewidth=0.8, mfc=ax.get_facecolor())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -14,43 +13,17 @@ from numpy.typing import ArrayLike
 from ..._base.arguments import Array, number, real_numbers, shown
 from ..._base.notebook import html_of_fit
 from ..._base.suggestions import meant
-from ..._results.result import Record
 from ..._results.solution import Solution
 from . import picture
 from .likelihood import Model
 from .outcomes import Failed
+from .prediction import Prediction
 from .profile import Profile, Scale, profile
 from .search import Found
 from .uncertainty import Uncertainty, degrees_of_freedom, unit_of_variance
 
 if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction(Record):
-    """What a fitted model says at given times, with its bands.
-
-    Attributes
-    ----------
-    t : ndarray, (n_t,)
-        The times.
-    y : ndarray, (m, n_t)
-        The observed quantities.
-    standard_error : ndarray, (m, n_t)
-        Their standard errors, from those of the parameters.
-    lower, upper : ndarray, (m, n_t)
-        The band.
-    names : list of str
-        The quantities.
-    """
-
-    t: Array
-    y: Array
-    standard_error: Array
-    lower: Array
-    upper: Array
-    names: list[str]
 
 
 class Fit:
@@ -351,7 +324,17 @@ class Fit:
         matplotlib.axes.Axes
             The first panel.
         """
-        return picture.draw(self, self._experiment(experiment), experiment, level, ax)
+        one = self._experiment(experiment)
+        band = self.predict(picture.times(one), experiment=experiment, level=level)
+        return picture.draw(one, band, self._errors_of_data(experiment), ax)
+
+    def _errors_of_data(self, e: int) -> list[Array]:
+        """The standard deviations of the data, series by series."""
+        model, at = self._model, self._found.at
+        place = sum(len(one.values) for each in model.experiments[:e] for one in each.series)
+        sigma = at.sigma[place:] * math.sqrt(model.variance(at, self._inner))
+        ends = np.cumsum([len(one.values) for one in model.experiments[e].series])
+        return np.split(sigma[: ends[-1]], ends[:-1])
 
     def rows(self) -> list[Sequence[str]]:
         """Name, value, standard error and interval of each parameter, and a remark, as text."""
