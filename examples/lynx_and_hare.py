@@ -31,7 +31,9 @@ def orbit(t, y, birth, hunting, death, growth):
 
 
 def main():
-    problem = iv.Problem(predator_prey, (1900, 1920), [30.0, 4.0], args=(0.5, 0.03, 0.8, 0.03), labels=["hare", "lynx"])
+    problem = iv.Problem(
+        predator_prey, (1900, 1920), [30.0, 4.0], args=(0.5, 0.03, 0.8, 0.03), invariants=orbit, labels=["hare", "lynx"]
+    )
     positive = iv.Parameter(scale="log")
     names = ["birth", "hunting", "death", "growth", "y0[hare]", "y0[lynx]", "error"]
     data = {"hare": hare, "lynx": lynx}
