@@ -411,6 +411,25 @@ class TestWhatGoesWrong:
         with pytest.raises(ValueError, match="cannot be evaluated at the start, k = 5: "):
             iv.fit(problem, T[T < 1], np.ones((T < 1).sum()), {"k": (0, 9)})
 
+    def test_exceptions_of_f_come_out(self):
+        """Also from a trial, where f is called as it was compiled."""
+
+        def fussy(t, y, k):
+            if k > 0.9:
+                raise RuntimeError("not so fast")
+            return -k * y
+
+        problem = iv.Problem(fussy, (0, 4), [1.0], args=(0.5,))
+        with pytest.raises(RuntimeError, match="not so fast"):
+            iv.fit(problem, T, np.exp(-2 * T), {"k": (0, 5)})
+
+    def test_a_run_without_an_end(self):
+        """Data end it, and pictures and solutions end with them."""
+        problem = iv.Problem(lambda t, y, k: -k * y, (0, np.inf), [1.0], args=(0.5,))
+        fit = iv.fit(problem, T, np.exp(-0.7 * T) + 0.01 * np.sin(9 * T), {"k": (0, 5)})
+        assert fit.solution.t_end == T[-1]
+        assert fit.predict([7.0]).y[0, 0] == pytest.approx(np.exp(-7 * fit.parameters["k"]), rel=1e-4)
+
     def test_what_the_data_do_not_determine_is_named(self):
         """Of scale · x only the product with x's size is seen; a parameter that f ignores is alone."""
         problem = iv.Problem(lambda t, y, k, unused: -k * y, (0, 5), [2.0], args=(0.7, 1.0), labels=["x"])

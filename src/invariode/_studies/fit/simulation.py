@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.arguments import Array, quietly, warn
 from ..._base.failures import InvariantError
-from ..._base.types import MethodName, Span
+from ..._base.types import MethodName
 from ..._functions.compile import compile
 from ..._functions.compiled import is_native
 from ..._functions.directional import Directional, Point, has_llvm
@@ -21,6 +22,7 @@ from ..._problem.parameters import ParameterName, with_values
 from ..._problem.sensitivities import Sensitivities
 from ..._results.solution import Solution
 from ..._solve.prepared import PreparedSolver
+from ..._solve.problem import Problem
 from .experiment import Experiment, Series
 from .outcomes import Failed
 from .steady import SteadyStates
@@ -46,6 +48,40 @@ class _Start(NamedTuple):
     args: tuple[Any, ...]
     y0: Array
     slopes: Array | None
+
+
+class _Runs:
+    """Runs of a problem from other starts. f is traced and compiled once, if that is possible: of a Python f the
+    derivatives would be traced in each run."""
+
+    def __init__(self, problem: Problem, method: MethodName, options: Options) -> None:
+        self._problem, self._method, self._options = problem, method, options
+        self._compiled: PreparedSolver | None = None
+        self._as_given: PreparedSolver | None = None
+        if problem.sensitivities is not None and has_llvm() and not is_native(problem.fun):
+            with suppress(TypeError), np.errstate(all="ignore"):  # it cannot be traced
+                self._compiled = problem.replace(fun=compile(problem.fun, by="trace")).prepare(method, **options)
+        if self._compiled is None:
+            self._as_given = problem.prepare(method, **options)
+
+    def __call__(self, start: _Start) -> Solution | Failed:
+        """A run; its warnings are those of a trial, and it is the fit that they would be about. If it fails, f as it
+        was given says why, also by an exception."""
+        if self._compiled is not None and not isinstance(sol := self._run(self._compiled, start), Failed):
+            return sol
+        if self._as_given is None:
+            self._as_given = self._problem.prepare(self._method, **self._options)
+        return self._run(self._as_given, start)
+
+    @staticmethod
+    def _run(solver: PreparedSolver, start: _Start) -> Solution | Failed:
+        try:
+            with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
+                sol = solver(args=start.args, y0=start.y0)
+        except InvariantError as error:
+            return Failed(str(error))
+        return sol if sol.success else Failed(sol.message)
 
 
 class Simulation:
@@ -77,24 +113,19 @@ class Simulation:
         self._watch = _Watch(experiment, names, self._places, self._dynamic)
         t0, tf = problem.t_span
         self._times, self._which = _once(experiment.data.t, backwards=tf < t0)
-        if len(self._times) and not experiment.events and self._times[-1] != t0:
-            tf = float(self._times[-1])  # nothing is known of what comes later
+        if not np.isfinite(tf):  # a run has no other end
+            problem = problem.replace(t_span=(t0, float(self._times.max(initial=t0 + 1.0))))
         args, y0 = with_values(problem.args, problem.y0, self._dynamic, values[self._places])  # floats, not integers
         self._problem = problem.replace(args=args, y0=y0, sensitivities=self._sensitivities)
-        self._solver = self._prepared((t0, tf), self._times)
+        self._runs = self._prepared(self._times)
 
-    def _prepared(self, t_span: Span, times: Array) -> PreparedSolver:
-        """The problem over an interval. f is traced and compiled once, if that is possible: of a Python f that it gets
-        for a single run the package would trace the derivatives in each of them."""
-        problem = self._problem.replace(t_span=t_span)
+    def _prepared(self, times: Array) -> _Runs:
+        """The problem with output at these times, to the last of them if no events are measured."""
+        t0, tf = self._problem.t_span
+        if len(times) and not self.experiment.events and times[-1] != t0:
+            tf = float(times[-1])
         own: Options = {"keep": "outputs", "on_failure": "return", "t_eval": times}
-        options: Options = {**self._options, **own}
-        if self._sensitivities is not None and has_llvm() and not is_native(problem.fun):
-            try:
-                return problem.replace(fun=compile(problem.fun, by="trace")).prepare(self._method, **options)
-            except TypeError:
-                pass  # it cannot be traced
-        return problem.prepare(self._method, **options)
+        return _Runs(self._problem.replace(t_span=(t0, tf)), self._method, {**self._options, **own})
 
     def _wanted(self, values: Array) -> Sensitivities | None:
         """Those of the runs: of the parameters; if they start at a steady state, it depends on the parameters by way of
@@ -129,7 +160,7 @@ class Simulation:
         start = self._start(values)
         if isinstance(start, Failed):
             return start
-        sol = self._solution(self._solver, start)
+        sol = self._runs(start)
         if isinstance(sol, Failed):
             return sol
         if len(sol.t) < len(self._times):
@@ -149,16 +180,6 @@ class Simulation:
         if not np.isfinite(every).all():
             return Failed("the model or its derivatives are not finite")
         return Simulated(every[:, 0], every[:, 1:])
-
-    def _solution(self, solver: PreparedSolver, start: _Start) -> Solution | Failed:
-        """A run; its warnings are those of a trial, and it is the fit that they would be about."""
-        try:
-            with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
-                sol: Solution = solver(args=start.args, y0=start.y0)
-        except InvariantError as error:
-            return Failed(str(error))
-        return sol if sol.success else Failed(sol.message)
 
     def _parameters(self, S: Array, start: _Start, k: int) -> Array:
         """Derivatives for the parameters of the experiment, (…, k), of those that a run has, (…, k of the run)."""
@@ -195,7 +216,7 @@ class Simulation:
             once, which = once[::-1], len(once) - 1 - which
         if isinstance(start, Failed):
             return start
-        sol = self._solution(self._prepared(self._problem.t_span, once), start)
+        sol = self._prepared(once)(start)
         if isinstance(sol, Failed):
             return sol
         if len(sol.t) < len(once):
@@ -207,7 +228,7 @@ class Simulation:
         """A run without sensitivities, as users make it."""
         start = self._start(values)
         assert isinstance(start, _Start)  # it was, in the fit
-        problem = self.experiment.problem.replace(args=start.args, y0=start.y0)
+        problem = self._problem.replace(args=start.args, y0=start.y0, sensitivities=None)
         options: Options = {"dense_output": True, **self._options}
         return problem.solve(self._method, **options)
 

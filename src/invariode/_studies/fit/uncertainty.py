@@ -56,9 +56,9 @@ def uncertainty(model: Model, found: Found) -> Uncertainty:
         undetermined = [[space.free[inner[i]].name for i in group] for group in groups]
     variance = unit_of_variance(model, at, len(inner))
     slope = space.slope(at.free)
-    fisher = information.T @ information / variance
     named = [(space.free[i].name, side, float(at.free[i])) for i, side in at_bound]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fisher = information.T @ information / variance
         scaled = covariance * variance * np.outer(slope, slope)
     return Uncertainty(scaled, fisher / np.outer(slope, slope), named, undetermined, degrees)
 
