@@ -19,6 +19,10 @@ constexpr double look_growth = 2;         // fewer where a residual has grown so
 constexpr double tolerated_noise = 0.01;  // of c J: the rate that it costs Newton's iteration
 constexpr double noise_growth = 100;      // of |c|, after which a J that may be roundoff is taken anew
 
+// Of y in units of the weights, over which what y does to the slopes of S is a difference, ε^{1/4}: it need not be
+// exact, and laws of S are disturbed by roundoff of it.
+const double coupling_increment = std::pow(eps, 0.25);
+
 // How far from y, in units of the weights, J is tested: rtol, or where that is large this, since f may end there.
 constexpr double widest_reach = 1e-3;
 constexpr double on_one_side = 0.25;      // of that, from a point half of it at least away from where f jumps
@@ -68,6 +72,7 @@ AgingJacobian::AgingJacobian(Callback& f, const Weights& weights, const LinearAl
       state_f_(linear.state ? *linear.state->f : f),
       weights_(linear.state ? *linear.state->weights : weights),
       extent_(linear.state ? linear.state->extent : Extent(weights.size())),
+      sensitivity_weights_(linear.state ? linear.state->iteration : nullptr),
       jacobian_(*linear.jacobian),
       mass_(linear.mass),
       scratch_(linear.krylov ? 0 : extent_.n),
@@ -121,11 +126,36 @@ Status AgingJacobian::sensitivity_rate(double t, const double* Y, const double* 
   const std::size_t n = extent_.n;
   const double least = std::sqrt(eps) * std::max(std::abs(t), std::abs(t + h));
   const double dt = t + std::copysign(std::min(least, std::abs(h)), h) - t;
-  std::vector<double> beyond(Y, Y + extent_.size());
-  for (std::size_t i = 0; i < n; ++i) beyond[i] += dt * slope[i];
-  if ((*sensitivities_)(t + dt, beyond.data(), rate + n) == Status::stop) return Status::stop;
+  beyond_.assign(Y, Y + extent_.size());
+  for (std::size_t i = 0; i < n && slope != nullptr; ++i) beyond_[i] += dt * slope[i];
+  if ((*sensitivities_)(t + dt, beyond_.data(), rate + n) == Status::stop) return Status::stop;
   for (std::size_t i = n; i < extent_.size(); ++i) rate[i] = dt == 0 ? 0 : (rate[i] - f[i]) / dt;
   if (!all_finite(rate + n, n * extent_.k)) std::fill_n(rate + n, n * extent_.k, 0);
+  return Status::ok;
+}
+
+Status AgingJacobian::solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f,
+                                  double* b) {
+  solve_blocks(factors, b, 0, extent_.n);
+  if (extent_.k == 0) return Status::ok;
+  if (couple(c, t, Y, f, b) == Status::stop) return Status::stop;
+  solve_blocks(factors, b, extent_.n, extent_.size());
+  return Status::ok;
+}
+
+/// b_j += c ∂(J S_j + f_pj)/∂y b_0, by a difference along b_0. It need not be exact: the formulas have their order with
+/// any matrix, and it is what keeps S stable where y is stiff.
+Status AgingJacobian::couple(double c, double t, const double* Y, const double* f, double* b) {
+  const std::size_t n = extent_.n;
+  const double size = max_norm(n, [&](std::size_t i) { return b[i] / weights_.at(i, Y[i]); });
+  if (!(size > 0) || !std::isfinite(size)) return Status::ok;
+  const double part = coupling_increment / size;
+  beyond_.assign(Y, Y + extent_.size());
+  changed_.resize(n * extent_.k);
+  for (std::size_t i = 0; i < n; ++i) beyond_[i] += part * b[i];
+  if ((*sensitivities_)(t, beyond_.data(), changed_.data()) == Status::stop) return Status::stop;
+  if (!all_finite(changed_.data(), changed_.size())) return Status::ok;
+  for (std::size_t i = 0; i < changed_.size(); ++i) b[n + i] += c * ((changed_[i] - f[n + i]) / part);
   return Status::ok;
 }
 
@@ -404,10 +434,9 @@ Status InitialSlopes::second(AgingJacobian& jacobian, double t, const double* y,
 Newton::Newton(Callback& f, const Weights& weights, const LinearAlgebra& linear, const Convergence::Rules& rules)
     : AgingJacobian(f, weights, linear),
       weights_(weights),
-      sensitivity_weights_(linear.state ? linear.state->iteration : nullptr),
       lu_(linear.krylov ? nullptr : make_factorization(jacobian().structure, linear.lapack)),
       convergence_(rules),
-      sensitivity_convergence_(rules),
+      sensitivity_convergence_(rules.for_sensitivities()),
       f_value_(weights.size()),
       residual_(weights.size()),
       sum_(weights.size()),
@@ -439,7 +468,7 @@ Newton::Result Newton::solve(double c, double t1, const double* p, const double*
   assert(c != 0 && std::isfinite(c));
   place_ = {c, t1, y, w};
   const Result result = solve_state(p, psi, d, y);
-  if (result != Result::converged || sensitivity_weights_ == nullptr) return result;
+  if (result != Result::converged || extent().k == 0) return result;
   return solve_sensitivities(p, psi, d, y);
 }
 
@@ -484,7 +513,7 @@ Newton::Result Newton::solve_state(const double* p, const double* psi, double* d
 /// The slopes are linear in S: J is what alone may be too old, and the state's iteration has shown that it is not.
 Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, double* d, double* y) {
   const std::size_t n = extent().n, all = extent().size();
-  sensitivity_weights_->fill(y, p, sensitivity_weight_.data());
+  sensitivity_weights().fill(y, p, sensitivity_weight_.data());
   const double* w = sensitivity_weight_.data();
   const auto norm = [&](const double* v) {
     return max_norm(all - n, [&](std::size_t i) { return v[n + i] / w[n + i]; });
@@ -496,10 +525,7 @@ Newton::Result Newton::solve_sensitivities(const double* p, const double* psi, d
     const Result evaluated = newton_result(evaluate_sensitivities(place_.t, y, f_value_.data()));
     if (evaluated != Result::converged) return evaluated;
     residual(place_.c, psi, d, n, all);
-    for (std::size_t first = n; first < all; first += n) {
-      count_solve();
-      lu_->solve(residual_.data() + first);
-    }
+    solve_blocks(*lu_, residual_.data(), n, all);
     const double size = norm(residual_.data());
     for (std::size_t i = n; i < all; ++i) {
       d[i] += residual_[i];
@@ -571,7 +597,7 @@ Newton::Result Newton::damp(double* v) {
   }
   if (!matrix_free()) {
     assert(has_factors());
-    solve_blocks(*lu_, v);
+    solve_blocks(*lu_, v, 0, extent().size());
     return Result::converged;
   }
   Result result = newton_result(evaluate(place_.t, place_.y, f_value_.data()));

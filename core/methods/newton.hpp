@@ -24,6 +24,9 @@ class Convergence {
     int most_iterations;
     double goal;
     double first_goal;
+
+    /// For sensitivities, of which an iteration costs less than a step that is given up with the state known.
+    [[nodiscard]] Rules for_sensitivities() const { return {2 * most_iterations, goal, first_goal}; }
   };
   enum class [[nodiscard]] Verdict { go_on, converged, diverged };
 
@@ -42,6 +45,7 @@ class Convergence {
   /// Iterations since `begin`, and the rate of convergence, if two of them have told it.
   [[nodiscard]] int iterations() const { return iteration_; }
   [[nodiscard]] double rate() const { return rate_; }
+  [[nodiscard]] bool rate_known() const { return rate_known_; }
   void state(Archive& archive) { archive(iteration_, rate_, rate_known_); }
 
  private:
@@ -111,25 +115,30 @@ class AgingJacobian {
   Status time_derivative(double t, const double* y, const double* slope, double h, double* ft) {
     return jacobian_.time_derivative(state_f_, t, y, slope, h, ft);
   }
-  /// d/dt (J S_j + f_pj) along the solution with S_j constant, (k, n) behind the state in `rate`, by a difference over
-  /// part of the signed step h. Y' is `slope`, and what the method integrates has the value `f` at (t, Y).
+  /// ∂/∂t (J S_j + f_pj), (k, n) behind the state in `rate`, by a difference over part of the signed step h; with
+  /// `slope` the derivative along y' is added. What the method integrates has the value `f` at (t, Y).
   Status sensitivity_rate(double t, const double* Y, const double* slope, const double* f, double h, double* rate);
   /// M, as it was last evaluated; null: the identity.
   [[nodiscard]] Mass* mass() const { return mass_; }
   [[nodiscard]] const Matrix* mass_matrix() const { return mass_ ? &mass_->matrix() : nullptr; }
   [[nodiscard]] const Extent& extent() const { return extent_; }
+  /// In which iterations for sensitivities converge, where there are any.
+  [[nodiscard]] const Weights& sensitivity_weights() const { return *sensitivity_weights_; }
   /// A v, block by block.
   void multiply_blocks(const Matrix& A, const double* v, double* out) const {
     for (std::size_t first = 0; first < extent_.size(); first += extent_.n) A.multiply(v + first, out + first);
   }
-  /// b, of all blocks, becomes the solution with the factors.
+  /// b, in the blocks from component `first` to `end`, becomes the solution with the factors, of each block for itself.
   template <class Scalar>
-  void solve_blocks(Factors<Scalar>& factors, Scalar* b) {
-    for (std::size_t first = 0; first < extent_.size(); first += extent_.n) {
+  void solve_blocks(Factors<Scalar>& factors, Scalar* b, std::size_t first, std::size_t end) {
+    for (; first < end; first += extent_.n) {
       count_solve();
       factors.solve(b + first);
     }
   }
+  /// The same with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
+  /// what y does to the slopes of the sensitivities.
+  Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
   [[nodiscard]] LinearWork work() const;
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
@@ -165,20 +174,23 @@ class AgingJacobian {
   Outcome factored(double c, double t1, bool regular);
   void fields(Archive& archive);
   Outcome finite_or_noted(const double* out, std::size_t count);
+  Status couple(double c, double t, const double* Y, const double* f, double* b);
 
   Callback& f_;        // of all that the method integrates,
   Callback& state_f_;  // and of the state: the same without sensitivities
   const Weights& weights_;
   Extent extent_;
   std::optional<Callback> sensitivities_;
+  const Weights* sensitivity_weights_;  // null without them
   Jacobian jacobian_;
   Mass* mass_;
   std::optional<MatrixFree> free_;
   std::vector<double> scratch_;  // empty if matrix-free
   std::optional<JacobianCheck> check_;
-  std::vector<double> reach_;      // of the check
-  std::optional<double> fitting_;  // the largest size of a J that the check has passed
-  std::optional<Misfit> misfit_;   // of a J that is given
+  std::vector<double> reach_;             // of the check
+  std::vector<double> beyond_, changed_;  // a point beside Y, and the slopes of the sensitivities there
+  std::optional<double> fitting_;         // the largest size of a J that the check has passed
+  std::optional<Misfit> misfit_;          // of a J that is given
   LinearWork work_;
   std::optional<double> factored_;  // c of the factors at hand
   double factored_at_ = 0;          // t of the M in them
@@ -280,8 +292,7 @@ class Newton : public AgingJacobian {
   Outcome precondition(double* b);
 
   const Weights& weights_;
-  const Weights* sensitivity_weights_;  // of Y; null without sensitivities
-  std::unique_ptr<Factorization> lu_;   // null: matrix-free
+  std::unique_ptr<Factorization> lu_;  // null: matrix-free
   Convergence convergence_, sensitivity_convergence_;
   Place place_{};
   std::optional<double> last_c_;  // matrix-free: for which the rate of convergence is known

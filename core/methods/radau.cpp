@@ -64,11 +64,13 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
       highest_(formula_up_to(max_order)),
       formula_(lowest_),
       accepted_(lowest_),
-      convergence_(newton_rules(*lowest_)) {
+      convergence_(newton_rules(*lowest_)),
+      sensitivity_convergence_(newton_rules(*lowest_).for_sensitivities()) {
   for (std::vector<double>* v : {&increments_, &polynomial_, &residuals_}) v->resize(highest_->stages * weights.size());
   if (solver_.has_matrices())  // others try no part of an update
     for (std::vector<double>* v : {&update_, &untried_}) v->reserve(residuals_.size());
   provide({&f_, &last_y_, &error_vector_, &gap_, &scratch_});
+  if (linear.state) provide({&sensitivity_weight_});
   if (linear.mass) provide({&slope_});
   if (linear.mass && !linear.mass->constant()) stage_masses_.resize(highest_->stages);
   solver_.take_scratch(candidate_.data(), gap_.data());
@@ -78,6 +80,7 @@ Radau::Radau(Callback& f, const Weights& weights, const LinearAlgebra& linear, i
 void Radau::use(const RadauFormula* formula) {
   formula_ = formula;
   convergence_ = Convergence(newton_rules(*formula));
+  sensitivity_convergence_ = Convergence(newton_rules(*formula).for_sensitivities());
   solver_.use(*formula);
 }
 
@@ -98,6 +101,7 @@ Step::Attempt Radau::attempt(double h, double t1) {
   if (result != Newton::Result::converged) return proposal(result);
   if (take_masses() == Status::stop) return proposal(Newton::Result::stop);
   if (!stage_masses_.empty()) convergence_.forget();  // the matrices hold an older M(t) at every step
+  if (!convergence_.rate_known()) sensitivity_convergence_.forget();
   predict();
   result = solve_stages();
   if (result == Newton::Result::converged) {
@@ -140,26 +144,40 @@ void Radau::predict() {
   }
 }
 
+/// The state first; then its sensitivities, whose equations are linear, in an iteration of their own.
 Newton::Result Radau::solve_stages() {
-  const double roundoff = roundoff_units * eps * norm(y());
-  convergence_.begin(weights_.rtol(), roundoff);
-  const double tolerance = std::max(linear_half * convergence_.goal(), roundoff);
+  const auto [states, parameters] = solver_.extent();
+  part_ = {0, states, weight_.data()};
+  const Newton::Result result = iterate(convergence_);
+  if (result != Newton::Result::converged || parameters == 0) return result;
+  solver_.sensitivity_weights().fill(y(), sensitivity_weight_.data());
+  part_ = {states, n(), sensitivity_weight_.data()};
+  const double residual = residual_, update_size = update_size_;  // of the state, for `misled`
+  const Newton::Result after = iterate(sensitivity_convergence_);
+  residual_ = residual;
+  update_size_ = update_size;
+  return after;
+}
+
+Newton::Result Radau::iterate(Convergence& convergence) {
+  const double roundoff = roundoff_units * eps * norm_of_part(y());
+  convergence.begin(weights_.rtol(), roundoff);
+  const double tolerance = std::max(linear_half * convergence.goal(), roundoff);
   for (;;) {
     const Newton::Result evaluated = newton_result(stage_residuals());
     if (evaluated != Newton::Result::converged) return evaluated;
-    residual_ = norm(residuals_.data() + (stages() - 1) * n());
-    bool negligible = convergence_.iterations() > 0;
-    const auto solved =
-        solver_.solve(mass(), weight_.data(), tolerance, residuals_.data(), scratch_.data(), negligible);
+    residual_ = norm_of_part(residuals_.data() + (stages() - 1) * n());
+    bool negligible = convergence.iterations() > 0;
+    const Newton::Result solved = solve_part(tolerance, negligible);
     if (solved != Newton::Result::converged) return solved;
     if (negligible) {
-      convergence_.settle(tolerance);
+      convergence.settle(tolerance);
       return Newton::Result::converged;
     }
-    if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && solver_.has_matrices())
+    if (const double size = size_of_residuals(); size > large_update && std::isfinite(size) && tries_parts())
       if (const auto tried = try_part(size); tried != Newton::Result::converged) return tried;
     update_size_ = update_stages();
-    switch (convergence_.judge(update_size_)) {
+    switch (convergence.judge(update_size_)) {
       case Convergence::Verdict::converged: return Newton::Result::converged;
       case Convergence::Verdict::diverged: return Newton::Result::failed;
       case Convergence::Verdict::go_on: break;
@@ -167,10 +185,20 @@ Newton::Result Radau::solve_stages() {
   }
 }
 
+Newton::Result Radau::solve_part(double tolerance, bool& negligible) {
+  return solver_.solve(mass(), weight_.data(), tolerance, {part_.first, part_.end}, residuals_.data(), scratch_.data(),
+                       negligible);
+}
+
+double Radau::norm_of_part(const double* v) const {
+  const auto [first, end, w] = part_;
+  return max_norm(end - first, [v, w = w, first = first](std::size_t i) { return v[first + i] / w[first + i]; });
+}
+
 /// In a first step, which nothing predicts, the first update tells the size of components that start at 0.
 void Radau::weigh_first_update() {
-  if (memory_h_ != 0 || convergence_.iterations() > 0) return;
-  for (std::size_t i = 0; i < n(); ++i) weight_[i] = weights_.at(i, y_[i], y_[i] + last_increment()[i]);
+  if (memory_h_ != 0 || convergence_.iterations() > 0 || part_.first > 0) return;
+  for (std::size_t i = 0; i < part_.end; ++i) weight_[i] = weights_.at(i, y_[i], y_[i] + last_increment()[i]);
 }
 
 /// h (f(t_i, Y_i) − M Y'_i), where h Y' = A⁻¹ Z.
@@ -180,14 +208,15 @@ Outcome Radau::stage_residuals() {
     double* residual = residuals_.data() + stage * n();
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + Z(stage)[i];
     const double t = stage + 1 == stages() ? t1_ : t_ + formula_->nodes[stage] * signed_h_;
-    if (const Outcome outcome = solver_.evaluate(t, scratch_.data(), error_vector_.data()); outcome != Outcome::ok)
-      return outcome;
+    const Outcome outcome = part_.first == 0 ? solver_.evaluate_state(t, scratch_.data(), error_vector_.data())
+                                             : solver_.evaluate_sensitivities(t, scratch_.data(), error_vector_.data());
+    if (outcome != Outcome::ok) return outcome;
     const double* rate = residual;
     if (const Matrix* M = stage_masses_.empty() ? solver_.mass_matrix() : &stage_masses_[stage]) {
       solver_.multiply_blocks(*M, rate, gap_.data());
       rate = gap_.data();
     }
-    for (std::size_t i = 0; i < n(); ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
+    for (std::size_t i = part_.first; i < part_.end; ++i) residual[i] = signed_h_ * error_vector_[i] - rate[i];
   }
   return Outcome::ok;
 }
@@ -195,7 +224,7 @@ Outcome Radau::stage_residuals() {
 /// The norm of the largest stage.
 double Radau::size_of_residuals() const {
   MaxNorm size;
-  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm(residuals_.data() + stage * n()));
+  for (std::size_t stage = 0; stage < stages(); ++stage) size.add(norm_of_part(residuals_.data() + stage * n()));
   return size.value();
 }
 
@@ -211,7 +240,7 @@ Newton::Result Radau::try_part(double size) {
   std::copy(untried_.begin(), untried_.end(), increments_.begin());
   if (outcome != Outcome::ok) return outcome == Outcome::stop ? Newton::Result::stop : Newton::Result::failed;
   bool negligible = false;
-  const auto solved = solver_.solve(mass(), weight_.data(), 0, residuals_.data(), scratch_.data(), negligible);
+  const Newton::Result solved = solve_part(0, negligible);
   if (solved != Newton::Result::converged) return solved;
   for (std::size_t i = 0; i < all; ++i) residuals_[i] -= (1 - part) * update_[i];
   const bool holds = size_of_residuals() <= slowest_rate * tried_part;
@@ -221,7 +250,8 @@ Newton::Result Radau::try_part(double size) {
 
 /// Adds the updates, which the residuals have become, to Z. Their size.
 double Radau::update_stages() {
-  for (std::size_t i = 0; i < stages() * n(); ++i) increments_[i] += residuals_[i];
+  for (std::size_t stage = 0; stage < stages(); ++stage)
+    for (std::size_t i = stage * n() + part_.first; i < stage * n() + part_.end; ++i) increments_[i] += residuals_[i];
   weigh_first_update();
   return size_of_residuals();
 }
@@ -255,7 +285,8 @@ Newton::Result Radau::solve_for_error(const double* f) {
   const double c = signed_h_ / formula_->mu;
   for (std::size_t i = 0; i < n(); ++i) error_vector_[i] = c * f[i] + gap_[i];
   const double tolerance = linear_part * weights_.rtol();
-  const Newton::Result result = solver_.solve_real(mass(), weight_.data(), tolerance, error_vector_.data());
+  const Newton::Result result =
+      solver_.solve_real(mass(), weight_.data(), tolerance, t_, y(), f_.data(), error_vector_.data());
   error_ = norm(error_vector_.data());
   return result;
 }
@@ -311,7 +342,8 @@ bool Radau::misled(const double* y1) {
   for (std::size_t i = 0; i < n(); ++i) scratch_[i] = signed_h_ * f_[i];
   for (std::size_t j = 0; j < stages(); ++j)
     for (std::size_t i = 0; i < n(); ++i) scratch_[i] -= last_row[j] * Z(j)[i];
-  const double after = norm(scratch_.data());
+  const std::size_t states = solver_.extent().n;
+  const double after = max_norm(states, [this](std::size_t i) { return scratch_[i] / weight_[i]; });
   return left_by(update_size_, after / residual_, after) > most_left * weights_.rtol();
 }
 
@@ -372,6 +404,7 @@ void Radau::state(Archive& archive) {
   if (archive.reading()) use(formula_);
   archive(polynomial_, f_, slope_, signed_h_, memory_h_, last_h_, last_error_, failed_, steps_until_raise_);
   convergence_.state(archive);
+  sensitivity_convergence_.state(archive);
   solver_.state(archive);
 }
 

@@ -63,6 +63,10 @@ class Radau final : public ImplicitBase<RadauSystems> {
   Status take_masses();
   void predict();
   Newton::Result solve_stages();
+  Newton::Result iterate(Convergence& convergence);
+  Newton::Result solve_part(double tolerance, bool& negligible);
+  [[nodiscard]] double norm_of_part(const double* v) const;
+  [[nodiscard]] bool tries_parts() const { return solver_.has_matrices() && part_.first == 0; }
   Outcome stage_residuals();
   double update_stages();
   [[nodiscard]] double size_of_residuals() const;
@@ -80,7 +84,14 @@ class Radau final : public ImplicitBase<RadauSystems> {
   const RadauFormula *lowest_, *highest_;
   const RadauFormula* formula_;   // of the next attempt
   const RadauFormula* accepted_;  // of the last accepted step
-  Convergence convergence_;
+  /// The components that an iteration is for, of the state or of its sensitivities, and weights of all.
+  struct Part {
+    std::size_t first, end;
+    const double* w;
+  };
+  Part part_{};
+  Convergence convergence_, sensitivity_convergence_;
+  std::vector<double> sensitivity_weight_;
   std::vector<double> increments_;        // Z_1 … Z_s
   std::vector<double> polynomial_;        // of the last accepted step, in nested form, 0 at θ = 0
   std::vector<double> residuals_;         // of the stages; before them h Y', afterwards the updates

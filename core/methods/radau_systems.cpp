@@ -85,7 +85,7 @@ bool RadauSystems::factorize() {
 }
 
 /// T ω, where (M − (h/μ) J) ω = (1/μ) T⁻¹ residuals for each eigenvalue μ.
-Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, double* residuals,
+Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tolerance, Blocks blocks, double* residuals,
                                    double* scratch, bool& negligible) {
   assert(formula_ != nullptr && (!has_matrices() || has_factors()));
   tolerance /= magnification_;
@@ -95,7 +95,7 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
       count_solve();
       return solve_by_gmres(h_ / mu, M, w, tolerance, b, may_skip, negligible);
     }
-    solve_blocks(*lu, b);
+    solve_blocks(*lu, b, blocks.first, blocks.end);
     negligible = false;
     return Newton::Result::converged;
   };
@@ -112,11 +112,12 @@ Newton::Result RadauSystems::solve(const Matrix* M, const double* w, double tole
   return result;
 }
 
-Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double* b) {
+Newton::Result RadauSystems::solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
+                                        const double* f, double* b) {
   if (has_matrices()) {
     assert(has_factors());
-    solve_blocks(*real_lu_, b);
-    return Newton::Result::converged;
+    const Status status = solve_whole(*real_lu_, h_ / formula_->mu, t, Y, f, b);
+    return status == Status::stop ? Newton::Result::stop : Newton::Result::converged;
   }
   count_solve();
   bool negligible = false;

@@ -29,13 +29,19 @@ class RadauSystems : public AgingJacobian {
   /// rate of convergence is forgotten. `not_finite`: a matrix is singular.
   Outcome prepare(double t1, Convergence& convergence);
 
-  /// Residuals of the stages, s n numbers, become the updates of the increments. By GMRES about the tolerance is left
-  /// as error, in units of the weights w; M is the mass matrix at t₁. Where `negligible` is true at the start, it stays
-  /// so if all updates are within the tolerance, and they may be 0. `scratch`: (n,).
-  Newton::Result solve(const Matrix* M, const double* w, double tolerance, double* residuals, double* scratch,
-                       bool& negligible);
-  /// b becomes (M − (h/μ) J)⁻¹ b, μ real.
-  Newton::Result solve_real(const Matrix* M, const double* w, double tolerance, double* b);
+  /// The components of a vector from the first block to the last that is solved for.
+  struct Blocks {
+    std::size_t first, end;
+  };
+  /// Residuals of the stages, s n numbers, in these blocks become the updates of the increments. By GMRES about the
+  /// tolerance is left as error, in units of the weights w; M is the mass matrix at t₁. Where `negligible` is true at
+  /// the start, it stays so if all updates are within the tolerance, and they may be 0. `scratch`: (n,).
+  Newton::Result solve(const Matrix* M, const double* w, double tolerance, Blocks blocks, double* residuals,
+                       double* scratch, bool& negligible);
+  /// b becomes (M − (h/μ) J)⁻¹ b, μ real; with sensitivities the matrix is that of the whole system at (t, Y), where it
+  /// has the value `f`.
+  Newton::Result solve_real(const Matrix* M, const double* w, double tolerance, double t, const double* Y,
+                            const double* f, double* b);
 
   /// Matrix-free, J is never an old one.
   [[nodiscard]] bool has_matrices() const { return static_cast<bool>(real_lu_); }

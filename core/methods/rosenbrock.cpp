@@ -48,7 +48,7 @@ Outcome Rosenbrock::linearize() {
   if (!ft_known_) {
     if (solver_.time_derivative(t_, y(), f0_.data(), signed_h_, ft_.data()) == Status::stop) return Outcome::stop;
     if (solver_.extent().k > 0 &&
-        solver_.sensitivity_rate(t_, y(), slope_.data(), f0_.data(), signed_h_, ft_.data()) == Status::stop)
+        solver_.sensitivity_rate(t_, y(), nullptr, f0_.data(), signed_h_, ft_.data()) == Status::stop)
       return Outcome::stop;
   }
   ft_known_ = true;
@@ -64,7 +64,7 @@ Outcome Rosenbrock::linearize() {
 Outcome Rosenbrock::stages() {
   const double h = signed_h_;
   for (std::size_t i = 0; i < n(); ++i) k1_[i] = f0_[i] + h * d * ft_[i];
-  solve(k1_);
+  if (solve(k1_) == Status::stop) return Outcome::stop;
   for (std::size_t i = 0; i < n(); ++i) scratch_[i] = y_[i] + 0.5 * h * k1_[i];
   if (const Outcome outcome = solver_.evaluate(t_ + 0.5 * h, scratch_.data(), f1_.data()); outcome != Outcome::ok)
     return outcome;
@@ -73,7 +73,7 @@ Outcome Rosenbrock::stages() {
     k2_[i] = f1_[i] - Mk[i];
     k3_[i] = h * d * ft_[i] - 2 * (Mk[i] - f0_[i]);
   }
-  solve(k2_);
+  if (solve(k2_) == Status::stop) return Outcome::stop;
   for (std::size_t i = 0; i < n(); ++i) {
     k2_[i] += k1_[i];
     candidate_[i] = y_[i] + h * k2_[i];
@@ -82,13 +82,12 @@ Outcome Rosenbrock::stages() {
     return outcome;
   Mk = times_mass(k2_);
   for (std::size_t i = 0; i < n(); ++i) k3_[i] += f2_[i] - e32 * (Mk[i] - f1_[i]);
-  solve(k3_);
-  return Outcome::ok;
+  return solve(k3_) == Status::stop ? Outcome::stop : Outcome::ok;
 }
 
-void Rosenbrock::solve(std::vector<double>& b) {
+Status Rosenbrock::solve(std::vector<double>& b) {
   assert(solver_.has_factors());
-  solver_.solve_blocks(*lu_, b.data());
+  return solver_.solve_whole(*lu_, signed_h_ * d, t_, y(), f0_.data(), b.data());
 }
 
 /// M k, in place of what the last call returned.

@@ -37,7 +37,7 @@ class Rosenbrock final : public ImplicitBase<AgingJacobian> {
  private:
   Outcome linearize();
   Outcome stages();
-  void solve(std::vector<double>& b);
+  Status solve(std::vector<double>& b);
   [[nodiscard]] const double* times_mass(const std::vector<double>& k);
 
   std::unique_ptr<Factorization> lu_;

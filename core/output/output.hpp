@@ -97,7 +97,7 @@ class DenseOutput {
   /// after the last knot their segments are extrapolated. Where the mode projects, `projector` and `tangent` do it;
   /// without them the values are corrected only.
   Status evaluate(const double* t, std::size_t count, double* out, Projector* projector,
-                  TangentProjector* tangent) const;
+                  TangentProjector* tangent = nullptr) const;
 
  private:
   [[nodiscard]] std::size_t step_near(std::size_t k) const;

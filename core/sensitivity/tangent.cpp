@@ -10,7 +10,7 @@ namespace {
 
 // Each repetition leaves of the residual what the gradients have changed by in the state's last correction, which is
 // at most some 1e-3 of a component at the crudest tolerances.
-constexpr int most_corrections = 5;
+constexpr int most_corrections = 10;
 
 }  // namespace
 

@@ -17,7 +17,7 @@ constexpr Interpolation modes[] = {Interpolation::projected, Interpolation::corr
 struct Dense {
   explicit Dense(Run& r) : run(r), projector(*r.invariants, r.weights, 1), y(r.n()) {}
   const std::vector<double>& operator()(double t) {
-    CHECK(run->output().dense->evaluate(&t, 1, y.data(), &projector, nullptr) == Status::ok);
+    CHECK(run->output().dense->evaluate(&t, 1, y.data(), &projector) == Status::ok);
     return y;
   }
   Run& run;

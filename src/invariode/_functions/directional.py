@@ -281,7 +281,8 @@ def _with_graph(fun: Any) -> Any:
     if isinstance(inside, CoreFunction) or (is_native(inside) and not compiled):
         return None
     python = inside.fun if compiled else getattr(inside, "py_func", inside)  # numba's
-    made = TracedFunction(python, compiled and inside.inplace, "own", "trace")
+    formula = isinstance(python, Formula)
+    made = GraphFunction(python) if formula else TracedFunction(python, compiled and inside.inplace, "own", "trace")
     return fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from .._base.arguments import Array, call_name, items, shown
 from .._base.suggestions import meant
 from .._functions.compiled import CompiledFunction
+from .._functions.graph.python import Formula
 from .._functions.layout import numbers_in, with_numbers
 
 #: All initial values.
@@ -214,8 +215,11 @@ def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
     """As f calls them."""
     plain = [f"args[{i}]" for i in range(size)]
     compiled = isinstance(fun, CompiledFunction)
+    python = fun.fun if compiled else fun
+    if isinstance(python, Formula) and len(python.parameters) == size:
+        return list(python.parameters)
     try:
-        found = inspect.signature(fun.fun if compiled else fun).parameters.values()
+        found = inspect.signature(python).parameters.values()
     except (TypeError, ValueError):  # machine code
         return plain
     names = [one.name for one in found if one.kind in _POSITIONAL][first + bool(compiled and fun.inplace) :]

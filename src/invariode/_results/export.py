@@ -157,6 +157,8 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "attempt", "correction")},
         **{name: ("trajectory", counts) for name, counts in ensemble.stats.items()},
     }
+    if ensemble.sensitivities is not None:
+        variables["sensitivities"] = ((*whole[:2], "parameter", "t"), ensemble.sensitivities)
     if ensemble.value.shape[1]:
         laws = ("value", "residual_before", "residual_after")
         variables |= {name: (("trajectory", "invariant"), ensemble[name]) for name in laws}
@@ -164,6 +166,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         "trajectory": np.arange(len(ensemble)),
         "component": ensemble.labels,
         "t": ensemble.t,
+        **({} if ensemble.sensitivities is None else {"parameter": ensemble.sensitivity_names}),
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version("invariode")})
     return data

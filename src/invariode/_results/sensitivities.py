@@ -55,14 +55,9 @@ class SensitivityData:
 
 
 def states_and_sensitivities(Y: Array, n: int, k: int) -> tuple[Array, Array]:
-    """y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t)."""
+    """y (n, n_t) and S (n, k, n_t) of columns Y ((1 + k) n, n_t); or those of one point."""
     parts = Y.reshape(1 + k, n, *Y.shape[1:])
     return parts[0], np.swapaxes(parts[1:], 0, 1)
-
-
-def state_of(rows: Array, n: int) -> Array:
-    """y of rows Y (k, N)."""
-    return rows[:, :n]
 
 
 def named(names: Sequence[str], labels: Sequence[str]) -> list[str]:

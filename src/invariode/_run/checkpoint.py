@@ -285,4 +285,4 @@ def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any
         whole |= {"t": np.array([state["t_end"]]), "y": state["y_end"][:, None]}
         if "S" in whole:
             whole["S"] = state["S_end"][:, :, None]
-    return {**whole, **{name: state[name] for name in END}, "imposed": False, "added": {}}
+    return {**whole, **{name: state[name] for name in END if name in state}, "imposed": False, "added": {}}

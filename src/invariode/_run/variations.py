@@ -30,7 +30,7 @@ from .._problem.events import Event, EventSpec
 from .._problem.grouped import GMRES
 from .._problem.inputs import fed
 from .._problem.invariants import AccuracyWarning
-from .._problem.matrices import is_sparse
+from .._problem.matrices import as_matrix, is_sparse
 from .._problem.parameters import ParameterName, values_of
 from .._results.sensitivities import AtEvents
 
@@ -73,6 +73,8 @@ class Variations:
         What happens to S at the action of each event, with its log.
     switches : list of EventSpec
         Conditions at which f jumps: further events, which change S alone.
+    follows_jumps : bool
+        Whether the conditions of f are known.
     """
 
     names: list[str]
@@ -83,6 +85,7 @@ class Variations:
     times: list[EventTime]
     actions: list[_Jump | None]
     switches: list[EventSpec]
+    follows_jumps: bool
 
     def augmented(self, y: Array) -> Array:
         """Y for the core."""
@@ -174,6 +177,7 @@ def make_variations(
         times=times,
         actions=jumps,
         switches=[event for event, _ in switches],
+        follows_jumps=slope.how.endswith("graph"),
     )
 
 
@@ -325,6 +329,7 @@ class _Switching:
     _below: Callable[[float, Array], Array]
     _above: Callable[[float, Array], Array]
     _forward: float
+    _warned: bool = False
 
     def _crossing(self, t: float, y: Array) -> _Crossing | None:
         below, above = (np.asarray(branch(t, y)) for branch in (self._below, self._above))
@@ -354,7 +359,8 @@ class _Switching:
         found = self._crossing(t, y)
         if found is None:
             return S
-        if found.leads_back:
+        if found.leads_back and not self._warned:
+            self._warned = True
             warn(
                 f"sensitivities: fun jumps at t = {t:.6g} such that both of its branches lead back to where it jumps. "
                 "Sensitivities are not reliable from there on",
@@ -440,7 +446,7 @@ def _require_possible(problem: Description, names: Sequence[ParameterName]) -> N
     for one, value in zip(own, values.tolist(), strict=True):
         changed = value * (1 + _CHANGE) if value else _CHANGE
         other = mass(t0, *with_numbers(args, {one.index: {one.item or 0: changed}}))
-        if abs(other - mass(t0, *args)).max() != 0:
+        if abs(as_matrix("mass", other, False) - as_matrix("mass", mass(t0, *args), False)).max() != 0:
             raise ValueError(
                 f"sensitivities: mass depends on {one.name}, and the derivative of a mass matrix is not known: solve "
                 "M y' = f for y' in fun, or leave the parameter out"
