@@ -18,8 +18,9 @@ _CLOSE = 1e-3
 #: Attempts for each end. A statistic that is linear needs one, smooth ones three or four.
 _ATTEMPTS = 24
 
-#: A parameter that the data do not determine is followed from this step on, relative to its size, by factors of two.
-_FIRST_STEP, _FASTER = 0.1, 2.0
+#: A parameter that the data do not determine is followed from this step on, relative to its size, by factors of four at
+#: most; an end that is this many first steps away is not there.
+_FIRST_STEP, _FASTER, _FAR = 0.1, 4.0, 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,8 @@ class Walk:
             if point.z < self._scale.quantile:
                 if point.u == self._bound:
                     return self._value(point.u)
+                if abs(point.u - float(self._start[self._place])) > _FAR * abs(self._step):
+                    break
                 inside = point
             else:
                 outside = point
@@ -119,7 +122,7 @@ class Walk:
         if outside is None:
             far = inside.u - start
             part = self._scale.quantile / inside.z if inside.z > 0 else math.inf
-            return start + far * min(part * (1 + _CLOSE / 2), 2 * _FASTER)
+            return start + far * min(part * (1 + _CLOSE / 2), _FASTER)
         part = (self._scale.quantile - inside.z) / (outside.z - inside.z)
         return inside.u + min(max(part, 0.05), 0.95) * (outside.u - inside.u)
 
