@@ -73,8 +73,9 @@ def test_constant_jacobian_is_never_evaluated(code):
     ]
     assert runs[0].njev == runs[1].njev == 0
     assert runs[2].njev > 0
-    for run in runs[1:]:
-        np.testing.assert_allclose(run.y, runs[0].y, rtol=1e-12, atol=1e-15)
+    assert np.array_equal(runs[2].y, runs[0].y)
+    # Sparse factors round otherwise; an error estimate far below y, and with it h, magnifies that.
+    np.testing.assert_allclose(runs[1].y, runs[0].y, rtol=1e-9, atol=1e-12)
 
 
 def test_jacobian_function_is_called_as_often_as_counted(code):

@@ -80,3 +80,12 @@ def test_f_undefined_for_a_while_after_any_step(method, span):
             assert seen["beyond"] <= 0
             within(sol, span, 0.5, [])
             assert sol.success == (sol.t[-1] == span[1])
+
+
+@pytest.mark.parametrize("method", iv.METHODS)
+def test_a_forcing_that_vanishes_at_both_ends_is_not_stepped_over(method):
+    """sin² over its periods, from where it and y' are 0; without a limit on steps."""
+    sol = iv.solve_ivp(
+        lambda t, y: [np.sin(2 * np.pi * t) ** 2], (0, 1), [0.0], method, max_step=np.inf, rtol=1e-5, atol=1e-7
+    )
+    assert sol.y[0, -1] == pytest.approx(0.5, abs=1e-4)

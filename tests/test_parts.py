@@ -17,7 +17,8 @@ import pytest
 import invariode as iv
 from ensembles import same
 from invariode._ensemble.ensemble import _rows
-from invariode._ensemble.sources import GivenRows, StreamedRows, digest, packed
+from invariode._ensemble.executors import packed
+from invariode._ensemble.sources import GivenRows, StreamedRows, digest
 
 #: Trajectories that fail belong to many of these laws; that a warning says so is in tests/test_failures.py.
 pytestmark = pytest.mark.filterwarnings("ignore::invariode.FailureWarning")

@@ -1,6 +1,5 @@
 #include "linear/matrix.hpp"
 
-#include <Eigen/LU>
 #include <Eigen/SparseCore>
 #include <Eigen/SparseLU>
 #include <algorithm>
@@ -10,6 +9,7 @@
 #include <new>
 #include <string>
 
+#include "linear/dense_lu.hpp"
 #include "linear/index.hpp"
 #include "linear/narrow_band.hpp"
 #include "weights.hpp"
@@ -26,45 +26,32 @@ bool finite(const std::vector<std::complex<double>>& v) {
   return all_finite(reinterpret_cast<const double*>(v.data()), 2 * v.size());  // pairs, as the standard says
 }
 
-/// A = M − c J, in a matrix of zeros; at(i, j) is its entry.
-template <class Scalar, class At>
-void assemble(const Matrix* mass, Scalar c, const Matrix& jacobian, At at) {
+/// A = M − c J, in a matrix of zeros; add(i, j, value) adds to its entry.
+template <class Scalar, class Add>
+void assemble(const Matrix* mass, Scalar c, const Matrix& jacobian, Add add) {
   if (mass)
-    mass->for_each([&](std::size_t i, std::size_t j, double m) { at(i, j) = m; });
+    mass->for_each([&](std::size_t i, std::size_t j, double m) { add(i, j, m); });
   else
-    for (std::size_t i = 0; i < jacobian.n(); ++i) at(i, i) = 1;
-  jacobian.for_each([&](std::size_t i, std::size_t j, double value) { at(i, j) -= c * value; });
+    for (std::size_t i = 0; i < jacobian.n(); ++i) add(i, i, 1);
+  jacobian.for_each([&](std::size_t i, std::size_t j, double value) { add(i, j, -(c * value)); });
 }
 
-/// LU by Eigen, whose small matrices cost no call.
+/// LU of small matrices, which cost no call.
 template <class Scalar>
-class DenseByEigen final : public Factors<Scalar> {
+class DenseByColumns final : public Factors<Scalar> {
  public:
-  explicit DenseByEigen(std::size_t n) : A_(index(n), index(n)), lu_(index(n)), x_(index(n)) {}
+  explicit DenseByColumns(std::size_t n) : lu_(n) {}
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
-    assert(index(jacobian.n()) == A_.rows());
-    A_.setZero();
-    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j) -> Scalar& { return A_(index(i), index(j)); });
-    lu_.compute(A_);
-    return lu_.matrixLU().allFinite() && (lu_.matrixLU().diagonal().array() != 0).all();
+    lu_.clear();
+    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j, Scalar value) { lu_.add(i, j, value); });
+    return lu_.factor();
   }
 
-  void solve(Scalar* b) override {
-    Eigen::Map<Vector> x(b, x_.size());
-    x_.noalias() = lu_.permutationP() * x;
-    lu_.matrixLU().template triangularView<Eigen::UnitLower>().solveInPlace(x_);
-    lu_.matrixLU().template triangularView<Eigen::Upper>().solveInPlace(x_);
-    x = x_;
-  }
+  void solve(Scalar* b) override { lu_.solve(b); }
 
  private:
-  using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;
-  using Square = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
-
-  Square A_;
-  Eigen::PartialPivLU<Square> lu_;
-  Vector x_;
+  DenseLu<Scalar> lu_;
 };
 
 template <class Scalar>
@@ -75,9 +62,8 @@ class DenseByLapack final : public Factors<Scalar> {
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     const auto n = static_cast<std::size_t>(n_);
     assert(jacobian.n() == n);
-    const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * n + i]; };
     lu_.assign(n * n, 0);
-    assemble(mass, c, jacobian, at);
+    assemble(mass, c, jacobian, [&](std::size_t i, std::size_t j, Scalar value) { lu_[j * n + i] += value; });
     if (!finite(lu_)) return false;
     int info = 0;
     lapack_.factor(&n_, &n_, lu_.data(), &n_, pivots_.data(), &info);
@@ -104,7 +90,7 @@ class BandedByRows final : public Factors<Scalar> {
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     A_.clear();
-    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j) -> Scalar& { return A_.at(i, j); });
+    assemble(mass, c, jacobian, [this](std::size_t i, std::size_t j, Scalar value) { A_.at(i, j) += value; });
     return finite(A_.entries()) && A_.factor();
   }
 
@@ -129,9 +115,9 @@ class BandedByLapack final : public Factors<Scalar> {
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     assert(jacobian.n() == pivots_.size());
     const auto rows = static_cast<std::size_t>(rows_), top = rows - static_cast<std::size_t>(lower_) - 1;
-    const auto at = [&](std::size_t i, std::size_t j) -> Scalar& { return lu_[j * rows + top + i - j]; };
+    const auto add = [&](std::size_t i, std::size_t j, Scalar value) { lu_[j * rows + top + i - j] += value; };
     std::fill(lu_.begin(), lu_.end(), 0);
-    assemble(mass, c, jacobian, at);
+    assemble(mass, c, jacobian, add);
     if (!finite(lu_)) return false;
     int info = 0;
     lapack_.factor_band(&n_, &n_, &lower_, &upper_, lu_.data(), &rows_, pivots_.data(), &info);
@@ -278,7 +264,7 @@ std::unique_ptr<Factors<Scalar>> make_factors(const Structure& structure, const 
   if (structure.kind == Structure::Kind::dense) {
     if (routines && structure.n >= dense_by_lapack)
       return std::make_unique<DenseByLapack<Scalar>>(structure.n, *routines);
-    return std::make_unique<DenseByEigen<Scalar>>(structure.n);
+    return std::make_unique<DenseByColumns<Scalar>>(structure.n);
   }
   const bool narrow = structure.lower + structure.upper <= narrow_band;
   if (structure.kind == Structure::Kind::banded && narrow) return std::make_unique<BandedByRows<Scalar>>(structure);

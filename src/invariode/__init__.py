@@ -4,16 +4,18 @@ The codes of the MATLAB ODE Suite, DOP853, ode78 and ode89, with projection onto
 Conservation laws and the numerical solution of ODEs, II, Comput. Math. Appl. 38 (1999) 61-72.
 """
 
-from importlib.metadata import version as _version
+from importlib import import_module as _import_module
 from types import FunctionType as _FunctionType
+from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from ._base.failures import FailureWarning, InvariantError, SolveError
+from ._base.public import public as _public
+from ._base.public import version as _version
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
 from ._functions.compiled import CompiledFunction
 from ._laws.imposing import ImposeResult, impose
-from ._mechanics.system import MechanicalSystem
 from ._problem.dissipation import Dissipated
 from ._problem.events import Event
 from ._problem.grouped import GMRES, Banded, Checkpoint, Limits
@@ -31,17 +33,20 @@ from ._solve.ode_functions import *  # noqa: F403 - the registry says what is in
 from ._solve.odepack import odeint
 from ._solve.prepared import PreparedSolver
 from ._solve.problem import Problem
-from ._studies.check import CheckReport, check_invariants
-from ._studies.fit.experiment import Experiment
-from ._studies.fit.fit import fit
-from ._studies.fit.objective import Objective, objective
-from ._studies.fit.parameters import Parameter
-from ._studies.fit.prediction import Prediction
-from ._studies.fit.profile import Profile
-from ._studies.fit.result import Fit
-from ._studies.search import PolynomialInvariant, find_invariants
-from ._studies.sensitivities import SensitivityReport, check_sensitivities
-from ._studies.work_precision import plot_work_precision
+
+if _TYPE_CHECKING:
+    from ._mechanics.system import MechanicalSystem
+    from ._studies.check import CheckReport, check_invariants
+    from ._studies.fit.experiment import Experiment
+    from ._studies.fit.fit import fit
+    from ._studies.fit.objective import Objective, objective
+    from ._studies.fit.parameters import Parameter
+    from ._studies.fit.prediction import Prediction
+    from ._studies.fit.profile import Profile
+    from ._studies.fit.result import Fit
+    from ._studies.search import PolynomialInvariant, find_invariants
+    from ._studies.sensitivities import SensitivityReport, check_sensitivities
+    from ._studies.work_precision import plot_work_precision
 
 __all__ = [
     "GMRES",
@@ -102,13 +107,41 @@ __all__ = [
 ]
 __all__ += METHODS
 
-__version__ = _version("invariode")
+#: Imported when they are first used, since a solve does not need them.
+_LATER = {
+    "MechanicalSystem": "._mechanics.system",
+    "CheckReport": "._studies.check",
+    "check_invariants": "._studies.check",
+    "Experiment": "._studies.fit.experiment",
+    "fit": "._studies.fit.fit",
+    "Objective": "._studies.fit.objective",
+    "objective": "._studies.fit.objective",
+    "Parameter": "._studies.fit.parameters",
+    "Prediction": "._studies.fit.prediction",
+    "Profile": "._studies.fit.profile",
+    "Fit": "._studies.fit.result",
+    "PolynomialInvariant": "._studies.search",
+    "find_invariants": "._studies.search",
+    "SensitivityReport": "._studies.sensitivities",
+    "check_sensitivities": "._studies.sensitivities",
+    "plot_work_precision": "._studies.work_precision",
+}
 
-for _name in __all__:  # the rooms are private: pickles, tracebacks and documentation name what users import
-    if isinstance(_public := globals()[_name], (type, _FunctionType)):
-        _public.__module__ = __name__
+for _name in {*__all__} - {*_LATER}:
+    if isinstance(_found := globals()[_name], (type, _FunctionType)):
+        _public(_found)
+
+
+def __getattr__(name: str) -> object:
+    """The version, and the public names of `_LATER`."""
+    if name == "__version__":
+        return _version()
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
+    return found
 
 
 def __dir__() -> list[str]:
     """The public names, for completion."""
-    return [name for name in globals() if not name.startswith("_") or name.endswith("__")]
+    return [name for name in {*globals(), *_LATER} if not name.startswith("_") or name.endswith("__")]

@@ -1,10 +1,16 @@
 // LU factors in each structure, difference Jacobians, mass matrices and algebraic equations.
 
 #include <Eigen/Core>
+#include <cmath>
+#include <complex>
+#include <limits>
 #include <random>
+#include <type_traits>
 
 #include "check.hpp"
+#include "linear/dense_lu.hpp"
 #include "linear/gmres.hpp"
+#include "linear/index.hpp"
 #include "problems.hpp"
 
 using namespace invariode;
@@ -93,6 +99,48 @@ TEST(factors_solve_what_they_factor_in_every_structure_with_and_without_mass) {
     solve_with_factors<double>(structure, 0.3, random);
     solve_with_factors<std::complex<double>>(structure, {0.3, -0.2}, random);
   }
+}
+
+/// ‖A x − b‖ ≤ 10 n ε ‖A‖ ‖x‖ in the maximum norm, whatever rows the pivots come from and however large the entries
+/// are; a column of zeros, a NaN and an infinite entry are told.
+template <class Scalar>
+void factor_dense(std::size_t n, double unit, std::mt19937& random) {
+  using Dense = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
+  std::normal_distribution<double> normal;
+  const Dense A = unit * Dense::NullaryExpr(index(n), index(n), [&] {
+                    if constexpr (std::is_same_v<Scalar, double>)
+                      return normal(random);
+                    else
+                      return Scalar(normal(random), normal(random));
+                  });
+  const auto factors_of = [n](const Dense& of) {
+    DenseLu<Scalar> lu(n);
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j) lu.add(i, j, of(index(i), index(j)));
+    return lu;
+  };
+  DenseLu<Scalar> lu = factors_of(A);
+  CHECK(lu.factor());
+  const Eigen::Matrix<Scalar, Eigen::Dynamic, 1> b = unit * Eigen::VectorXd::LinSpaced(index(n), 1, 2).cast<Scalar>();
+  Eigen::Matrix<Scalar, Eigen::Dynamic, 1> x = b;
+  lu.solve(x.data());
+  const double bound = 10 * static_cast<double>(n) * eps * A.cwiseAbs().rowwise().sum().maxCoeff();
+  CHECK((A * x - b).cwiseAbs().maxCoeff() <= bound * x.cwiseAbs().maxCoeff());
+  for (const double wrong : {0.0, std::nan(""), std::numeric_limits<double>::infinity()}) {
+    Dense of = A;
+    of.col(index(n / 2)).setConstant(wrong);
+    CHECK(!factors_of(of).factor());
+  }
+}
+
+TEST(small_dense_factors_are_backward_stable_at_every_scale) {
+  std::mt19937 random(5);
+  for (std::size_t n = 1; n < 64; n = n < 8 ? n + 1 : 2 * n - 3)
+    for (const double unit : {1.0, 1e-150, 1e150}) {
+      const check::Case label(n, unit);
+      factor_dense<double>(n, unit, random);
+      factor_dense<std::complex<double>>(n, unit, random);
+    }
 }
 
 /// Triangular, full and wide ones, and those of a single component: pivots come from anywhere in a column.

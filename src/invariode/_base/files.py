@@ -6,7 +6,6 @@ import errno
 import io
 import math
 import os
-import secrets
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -72,7 +71,7 @@ def write_arrays(path: PathLike, arrays: Mapping[str, Any], durable: bool = Fals
 
 def _replace(target: Path, there: os.stat_result | None, arrays: Mapping[str, Any], durable: bool) -> None:
     """Writes the file beside the target, and puts it in its place once it is complete."""
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{TEMPORARY}")
+    temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}{TEMPORARY}")
     try:
         nameless = _nameless(target.parent)
         with nameless or open(temporary, "xb") as file:

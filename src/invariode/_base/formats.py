@@ -9,7 +9,6 @@ import math
 import operator
 from collections.abc import Callable, Mapping
 from functools import cache, reduce
-from importlib.metadata import version
 from types import UnionType
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from .arguments import shown
 from .files import ABOUT, PathLike, arrays_in, damage_of, read_arrays, unreadable, write_arrays
+from .public import version
 
 #: The version of the format: raised whenever the fields of any kind change.
 VERSION = 6
@@ -153,14 +153,9 @@ def _fits(value: Any, hint: Any, sizes: dict[str, Any]) -> bool:
 # Headers
 
 
-@cache
-def _ours() -> str:
-    return version("invariode")
-
-
 def header(kind: str) -> dict[str, Any]:
     """What stands first in every file and store."""
-    return {"format": _FORMAT + kind, "version": VERSION, "invariode": _ours()}
+    return {"format": _FORMAT + kind, "version": VERSION, "invariode": version()}
 
 
 def _word(value: Any) -> str:
@@ -182,7 +177,7 @@ def kind_of(path: Any, about: Any, *expected: str) -> str:
     if number != VERSION:
         newer = isinstance(number, int) and number > VERSION
         remedy = "upgrade it" if newer else "use the invariode that wrote it, or solve the problem again"
-        this = f"this is invariode {_ours()}, which reads version {VERSION}"
+        this = f"this is invariode {version()}, which reads version {VERSION}"
         raise unreadable(path, f"{what}; {this}: {remedy}")
     return kind
 

@@ -17,10 +17,11 @@ from .._problem.options import TABLE, ManyOptions, ProblemEnsembleOptions, table
 from .._run.identity import in_words
 from .._run.plan import Plan, solver
 from .conclusion import Remarks, solution
+from .executors import on_executor, packed, places_of, shares_memory
 from .outcomes import Outcomes, joined
 from .rows import attempted
 from .solution import EnsembleSolution
-from .sources import Part, Rows, on_executor, packed, places_of, rejoined, rows_of, shares_memory
+from .sources import Part, Rows, rejoined, rows_of
 from .store import EnsembleStore, Layout, StoreWriter, parameter_names
 from .task import Ensemble, first_plan
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
 from typing import Any, Self, TypeAlias
@@ -135,7 +136,7 @@ class Arguments(int):
 
     def __new__(cls, entries: Iterable[Entry]) -> Self:
         entries = tuple(entries)
-        made = super().__new__(cls, sum(int(np.prod(one.shape)) for one in _numbers(entries)))
+        made = super().__new__(cls, sum(math.prod(one.shape) for one in _numbers(entries)))
         made.entries = entries
         return made
 
@@ -177,7 +178,7 @@ class Arguments(int):
 
     def known(self) -> Array:
         """Which of the numbers are constants."""
-        return np.concatenate([_NONE, *(np.full(int(np.prod(one.shape)), one.fixed) for one in _numbers(self.entries))])
+        return np.concatenate([_NONE, *(np.full(math.prod(one.shape), one.fixed) for one in _numbers(self.entries))])
 
     def made(self, of_numbers: Callable[[Numbers, int], Any], of_constant: Callable[[Any], Any]) -> list[Any]:
         """The arguments, made of each entry of numbers and the place where they begin, and of each constant."""
@@ -190,7 +191,7 @@ class Arguments(int):
             if isinstance(entry, Constant):
                 return of_constant(entry.value)
             found = of_numbers(entry, place)
-            place += int(np.prod(entry.shape))
+            place += math.prod(entry.shape)
             return found
 
         return [of(entry) for entry in self.entries]
@@ -199,7 +200,7 @@ class Arguments(int):
         """The arguments with these numbers."""
 
         def of_numbers(entry: Numbers, place: int) -> Any:
-            numbers = np.reshape(parameters[place : place + int(np.prod(entry.shape))], entry.shape)
+            numbers = np.reshape(parameters[place : place + math.prod(entry.shape)], entry.shape)
             if entry.fixed or np.array_equal(numbers, entry.value):  # of its own type
                 return entry.value.copy() if entry.shape else entry.value
             return np.array(numbers) if entry.shape else float(numbers)
@@ -214,7 +215,7 @@ class Arguments(int):
         """Why code with numbers up to this rank as constants does not take other rows (N, k) of numbers."""
         place, found = 0, None
         for entry in _numbers(self.entries):
-            size = int(np.prod(entry.shape))
+            size = math.prod(entry.shape)
             if entry.rank <= most and (rows[:, place : place + size] != np.ravel(entry.value)).any():
                 found = found or f"{shown(entry.value)} is a constant of the compiled code, and other rows differ"
             place += size

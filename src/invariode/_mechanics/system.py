@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, extra_arguments, function, interval, state, warn
 from .._base.failures import InvariantError
+from .._base.public import public
 from .._base.types import Points, Span
 from .._functions.compiled import is_native
 from .._problem.invariants import Invariants, InvariantsLike, to_invariants
@@ -27,6 +28,7 @@ _LINEAR = 1e-9
 _SYMMETRIC = 1e-12
 
 
+@public
 class MechanicalSystem(HasPoints):
     """A mechanical system with constraints: M(t, q) v' = Q(t, q, v) + Φᵀ λ, q' = v, φ(t, q) = 0.
 

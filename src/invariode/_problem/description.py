@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
@@ -117,6 +118,10 @@ class Description:
 
     def parameters(self) -> tuple[ParameterName, ...]:
         """Those of the sensitivities, in their order; without these none."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> tuple[ParameterName, ...]:
         if self.sensitivities is None:
             return ()
         if self.y0.dtype.kind == "c":

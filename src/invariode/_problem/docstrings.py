@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from functools import cache
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -54,15 +55,20 @@ def _filled(text: str, place: str, paragraphs: Iterable[tuple[str, str]]) -> str
     margin = before[before.rindex("\n") + 1 :]
     if not marker or margin.strip():
         raise ValueError(f"the docstring has no line {{{place}}}")
-    wrapper = textwrap.TextWrapper(
+    filled = [f"{margin}{head}\n{_wrapped(body, margin + ' ' * 4)}\n" for head, body in paragraphs]
+    return before.removesuffix(margin) + "".join(filled) + after
+
+
+@cache  # the same options stand in many docstrings
+def _wrapped(text: str, margin: str) -> str:
+    return textwrap.fill(
+        text,
         width=_WIDTH,
-        initial_indent=margin + " " * 4,
-        subsequent_indent=margin + " " * 4,
+        initial_indent=margin,
+        subsequent_indent=margin,
         break_long_words=False,
         break_on_hyphens=False,
     )
-    filled = [f"{margin}{head}\n{wrapper.fill(body)}\n" for head, body in paragraphs]
-    return before.removesuffix(margin) + "".join(filled) + after
 
 
 def _topics(names: Container[str]) -> Iterator[tuple[str, str]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array
 from .._base.extras import extra
 from .._base.formats import write
+from .._base.public import version
 from .result import Result
 from .saving import SOLUTION
 from .sensitivities import named
@@ -168,7 +168,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         "t": ensemble.t,
         **({} if ensemble.sensitivities is None else {"parameter": ensemble.sensitivity_names}),
     }
-    data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version("invariode")})
+    data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version()})
     return data
 
 
@@ -208,7 +208,7 @@ def _attributes(solution: Result) -> dict[str, Any]:
         "rtol": _tolerance(solution._rtol),
         "atol": _tolerance(solution._atol),
         **{name: json.dumps(value) if isinstance(value, dict) else value for name, value in known.items()},
-        "invariode_version": version("invariode"),
+        "invariode_version": version(),
     }
 
 

@@ -75,6 +75,7 @@ class Solution(Exports):
         -------
         Solution
             Points that did not converge are unchanged, with a warning. Dissipated functions are not imposed.
+            Sensitivities stay as they are.
         """
         g = self._invariants.equalities()
         if len(g) == 0:

@@ -6,7 +6,6 @@ import math
 import os
 import platform
 import re
-import secrets
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -97,7 +96,7 @@ class Checkpoint:
         """Files for a run that begins, and the lock on them; `begin` adds to the first part of its output. A ValueError
         where there is a run that has not ended, or something else; a FileNotFoundError where there is no such
         folder."""
-        self = cls(path, secrets.token_hex(_TOKEN))
+        self = cls(path, os.urandom(_TOKEN).hex())
         if not self._path.parent.is_dir():
             raise FileNotFoundError(
                 f"checkpoint: there is no folder {self._path.parent}: make it, or give another file"
@@ -192,7 +191,7 @@ def _writer() -> str:
     return f"{os.getpid()} on {platform.node()} {_SESSION}"
 
 
-_SESSION = secrets.token_hex(_TOKEN)
+_SESSION = os.urandom(_TOKEN).hex()
 
 
 def _head_of(token: str) -> bytes:

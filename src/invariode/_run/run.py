@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -53,7 +53,9 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
-from .variations import Variations
+
+if TYPE_CHECKING:
+    from .variations import Variations
 
 
 class Resumed(NamedTuple):

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from .._base.arguments import as_array
 from .._base.types import EventsLike, Function, MethodName, Span
-from .._ensemble.ensemble import Wanted, solve_rows
 from .._ensemble.solution import EnsembleSolution
 from .._ensemble.store import EnsembleStore
 from .._problem.accepted import ensemble_options
@@ -105,6 +104,8 @@ def solve_ensemble(
     describing, others = parted(ensemble_options(**options), DescribingOptions)
     rows, like = _like_one(y0)
     problem = Problem(fun, t_span, like, events=events, **describing)
+    from .._ensemble.ensemble import Wanted, solve_rows
+
     return solve_rows(problem, Wanted(rows, args, t_eval, store), method, others)
 
 

@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Iterable, Sequence
-from importlib.metadata import version
 from typing import Any, Literal, NamedTuple, NoReturn, Unpack
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, choice, extra_arguments, quietly, reals, shown, tolerances, warn
 from .._base.files import PathLike, damage_of, unreadable
 from .._base.formats import read, under
+from .._base.public import version
 from .._core import MEMORY_VERSION, Dense
 from .._laws.bound import BoundInvariants, Jump, bind
 from .._problem.description import Description
@@ -29,7 +29,6 @@ from .._results.solution import Solution
 from .._run.checkpoint import CHECKPOINT, read_checkpoint
 from .._run.identity import Identity, known_identity, options_of, require_same
 from .._run.run import RunOrigin, Solved
-from .._run.variations import Weights, make_variations
 
 
 def load(
@@ -165,7 +164,7 @@ def _source(path: PathLike, origin: _OriginInFile, problem: Description, options
     if origin.memory_version != MEMORY_VERSION:
         raise unreadable(
             path,
-            f"has version {origin.memory_version} of the memory of a run; this is invariode {version('invariode')}, "
+            f"has version {origin.memory_version} of the memory of a run; this is invariode {version()}, "
             f"which goes on from version {MEMORY_VERSION}: use the invariode that wrote it",
         )
     who, method = origin.known, origin.known.about["method"]
@@ -274,6 +273,8 @@ def _tangents(path: PathLike, solution: Solution, problem: Description | None, b
             f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
             "load(path, problem)"
         )
+    from .._run.variations import Weights, make_variations
+
     rtol, threshold, _ = tolerances(solution._rtol, solution._atol, problem.y0)
     weights = Weights(rtol, threshold)
     with quietly():

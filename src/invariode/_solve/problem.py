@@ -9,7 +9,6 @@ from typing import Any, Unpack, overload
 from numpy.typing import ArrayLike
 
 from .._base.types import MethodName
-from .._ensemble.ensemble import Wanted, solve_rows
 from .._ensemble.solution import EnsembleSolution
 from .._ensemble.store import EnsembleStore
 from .._problem.accepted import problem_ensemble_options, run_options
@@ -237,4 +236,6 @@ class Problem(Description):
         >>> many
         EnsembleSolution of 3 trajectories, 2 components, 1 times: 3 reached the end
         """
+        from .._ensemble.ensemble import Wanted, solve_rows
+
         return solve_rows(self, Wanted(y0, args, t_eval, store), method, problem_ensemble_options(**options))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .. import _core
 from .._base.arguments import ATOL, RTOL, Array, flag, number, quietly, reals, state, tolerances
 from .._base.notebook import html_of_check
+from .._base.public import public
 from .._base.types import Function, Numbers
 from .._functions.compiled import native_parameters
 from .._laws.bound import BoundInvariants, bind
@@ -22,6 +23,7 @@ from .._results.messages import wrong_jacobian
 from .._run.run import solve
 
 
+@public
 @dataclass(frozen=True)
 class CheckReport:
     """A report on invariants at a point; prints as a table. Arrays have one value per invariant.
@@ -102,6 +104,7 @@ class CheckReport:
         return html_of_check(self)
 
 
+@public
 def check_invariants(
     fun: Function,
     invariants: InvariantsLike,

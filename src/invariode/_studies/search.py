@@ -25,6 +25,7 @@ from .._base.arguments import (
     state,
 )
 from .._base.notebook import latex_of_polynomial
+from .._base.public import public
 from .._base.types import Span
 from .._linear.null_space import echelon, null_space
 from .._problem.invariants import Invariants
@@ -49,6 +50,7 @@ _DRIFT = 1e-6  # over a fresh trajectory of relative accuracy 1e-9
 _INDEPENDENT = 1e-7  # smallest pivot of gradients, in units of the first
 
 
+@public
 class PolynomialInvariant(Invariants):
     """A polynomial invariant, ready for ``invariants=``.
 
@@ -100,6 +102,7 @@ class PolynomialInvariant(Invariants):
         return gradient
 
 
+@public
 def find_invariants(
     fun: Callable[..., Any],
     t_span: Span,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, number, shown, state
+from .._base.public import public
 from .._functions.derivatives import somewhere
 from .._functions.directional import Directional, Given, Point
 from .._problem.description import Description
@@ -22,6 +23,7 @@ _ROUNDOFF, _OF_DIFFERENCES = 1e-9, 1e-5
 _BESIDE = (0.0, 0.1)
 
 
+@public
 @dataclass(frozen=True)
 class SensitivityReport:
     """A report on given derivatives; prints as text.
@@ -56,6 +58,7 @@ class SensitivityReport:
     __repr__ = __str__
 
 
+@public
 def check_sensitivities(
     problem: Description, t: float | None = None, y: ArrayLike | None = None, *, y0: Callable[..., Any] | None = None
 ) -> SensitivityReport:

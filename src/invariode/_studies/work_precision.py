@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._base.arguments import Array
+from .._base.public import public
 from .._base.style import BLACK, INK, LOOK, SHADE, STYLE
 from .._base.style import COLOURS as PALETTE
 from .._problem.methods import METHODS, find_method
@@ -34,6 +35,7 @@ IN_A_LINE = 7
 _RTOLS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 
 
+@public
 def plot_work_precision(
     problem: Problem,
     methods: Sequence[str] | None = None,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version as installed
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
+from .._base.public import version
 from . import check, compare, methods, solve
 from .session import paragraphs
 
@@ -25,7 +25,7 @@ for module in (solve, compare, check, methods):  # a command is the function wit
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        Console(highlight=False).print(f"invariode {installed('invariode')}")
+        Console(highlight=False).print(f"invariode {version()}")
         raise typer.Exit
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, call_name, choice, items, real_numbers, shown
+from ..._base.public import public
 from ..._base.suggestions import meant
 from ..._functions.compiled import CompiledFunction, is_native
 from ..._problem.options import Options
@@ -25,6 +26,7 @@ Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
 Sigma = float | str | Sequence[float | str] | Mapping[str, Any] | ArrayLike | None
 
 
+@public
 class Experiment:
     """A problem with data, for `fit`.
 

@@ -6,6 +6,7 @@ import math
 from typing import Any, Literal, Unpack
 
 from ..._base.arguments import choice, flag, positive_integer, warn
+from ..._base.public import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .likelihood import Model, to_model
@@ -14,6 +15,7 @@ from .search import LOSSES, Found, NoStartError, search, start_points
 from .uncertainty import uncertainty
 
 
+@public
 def fit(
     problem: Any,
     t: Any = None,

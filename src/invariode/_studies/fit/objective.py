@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, real_numbers
+from ..._base.public import public
 from ..._base.types import MethodName
 from ..._problem.options import Options
 from .likelihood import Evaluation, Model, to_model
 from .search import start_points
 
 
+@public
 class Objective:
     """The log-likelihood of data as a function of the parameters: what `objective` returns.
 
@@ -85,6 +87,7 @@ class Objective:
         return f"Objective({', '.join(self.names)}; {self._model.size} data)"
 
 
+@public
 def objective(
     problem: Any,
     t: Any = None,

@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from ..._base.arguments import Array, choice, flag, items, number, shown
+from ..._base.public import public
 from ..._base.suggestions import meant
 from ..._functions.derivatives import compared
 
@@ -21,6 +22,7 @@ _TINY = 1e-40
 ParameterLike: TypeAlias = "Parameter | tuple[float | None, float | None]"
 
 
+@public
 @dataclass(frozen=True)
 class Parameter:
     """A parameter of a fit, with what is known about it.

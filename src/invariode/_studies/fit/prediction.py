@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..._base.arguments import Array
+from ..._base.public import public
 from ..._results.result import Record
 
 
+@public
 @dataclass(frozen=True, eq=False)
 class Prediction(Record):
     """What a fitted model says at given times, with its bands.

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._base.arguments import Array
+from ..._base.public import public
 from .likelihood import Evaluation, Model
 from .search import Found, NoStartError, search
 
@@ -23,6 +24,7 @@ _ATTEMPTS = 24
 _FIRST_STEP, _FASTER, _FAR = 0.1, 4.0, 1e4
 
 
+@public
 @dataclass(frozen=True, eq=False)
 class Profile:
     """The profile of the likelihood along one parameter: all others are fitted anew at each of its values.

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..._base.arguments import Array, number, real_numbers, shown
 from ..._base.notebook import html_of_fit
+from ..._base.public import public
 from ..._base.suggestions import meant
 from ..._results.solution import Solution
 from . import picture
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # an extra, imported when a picture is drawn
     from matplotlib.axes import Axes
 
 
+@public
 class Fit:
     """The parameters with which a problem agrees best with data, and how well they are known.
 

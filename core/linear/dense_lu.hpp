@@ -1,0 +1,166 @@
+#pragma once
+// LU factors of small dense matrices by elimination with partial pivoting, a column at a time: no blocks and no calls,
+// so that LAPACK is faster only from n ≈ 64 on, and the same operations in the same order on every processor.
+
+#include <cassert>
+#include <cmath>
+#include <complex>
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+#include "weights.hpp"
+
+namespace invariode {
+
+/// Numbers at places 0, 1, … of an array: what elimination does with stretches of them.
+template <class Scalar>
+class Stretches;
+
+template <>
+class Stretches<double> {
+ public:
+  explicit Stretches(std::size_t size) : values_(size) {}
+
+  void clear() { values_.assign(values_.size(), 0); }
+  void add(std::size_t at, double value) { values_[at] += value; }
+  void set(std::size_t at, double value) { values_[at] = value; }
+  [[nodiscard]] double operator[](std::size_t at) const { return values_[at]; }
+  [[nodiscard]] double size_of(std::size_t at) const { return std::abs(values_[at]); }
+  void swap(std::size_t a, std::size_t b) { std::swap(values_[a], values_[b]); }
+  [[nodiscard]] bool finite() const { return all_finite(values_.data(), values_.size()); }
+
+  /// What is stored of a pivot, and a number divided by one that is stored.
+  static double stored(double pivot) { return pivot; }
+  static double divided(double a, double pivot) { return a / pivot; }
+  void divide(std::size_t from, std::size_t count, double pivot) {
+    double* x = values_.data() + from;
+    for (std::size_t i = 0; i < count; ++i) x[i] /= pivot;
+  }
+  /// From the stretch, `factor` times a stretch of `other`, which lies elsewhere.
+  void subtract(std::size_t from, std::size_t count, double factor, const Stretches& other, std::size_t there) {
+    double* __restrict x = values_.data() + from;
+    const double* __restrict y = other.values_.data() + there;
+    for (std::size_t i = 0; i < count; ++i) x[i] -= factor * y[i];
+  }
+
+ private:
+  std::vector<double> values_;
+};
+
+/// Real and imaginary parts in two arrays, whose loops become vector instructions.
+template <>
+class Stretches<std::complex<double>> {
+ public:
+  using Complex = std::complex<double>;
+
+  explicit Stretches(std::size_t size) : re_(size), im_(size) {}
+
+  void clear() {
+    re_.assign(re_.size(), 0);
+    im_.assign(im_.size(), 0);
+  }
+  void add(std::size_t at, Complex value) { set(at, (*this)[at] + value); }
+  void set(std::size_t at, Complex value) {
+    re_[at] = value.real();
+    im_[at] = value.imag();
+  }
+  [[nodiscard]] Complex operator[](std::size_t at) const { return {re_[at], im_[at]}; }
+  /// Within a factor √2, as in LAPACK.
+  [[nodiscard]] double size_of(std::size_t at) const { return std::abs(re_[at]) + std::abs(im_[at]); }
+  void swap(std::size_t a, std::size_t b) {
+    std::swap(re_[a], re_[b]);
+    std::swap(im_[a], im_[b]);
+  }
+  [[nodiscard]] bool finite() const { return all_finite(re_.data(), re_.size()) && all_finite(im_.data(), im_.size()); }
+
+  /// The reciprocal, without overflow on the way (R. L. Smith, Algorithm 116, Comm. ACM 5, 1962).
+  static Complex stored(Complex pivot) {
+    const double a = pivot.real(), b = pivot.imag();
+    if (std::abs(a) >= std::abs(b)) {
+      const double ratio = b / a, length = a + b * ratio;
+      return {1 / length, -ratio / length};
+    }
+    const double ratio = a / b, length = a * ratio + b;
+    return {ratio / length, -1 / length};
+  }
+  static Complex divided(Complex a, Complex pivot) {
+    return {a.real() * pivot.real() - a.imag() * pivot.imag(), a.real() * pivot.imag() + a.imag() * pivot.real()};
+  }
+  void divide(std::size_t from, std::size_t count, Complex pivot) {
+    for (std::size_t i = from; i < from + count; ++i) set(i, divided((*this)[i], pivot));
+  }
+  void subtract(std::size_t from, std::size_t count, Complex factor, const Stretches& other, std::size_t there) {
+    const double a = factor.real(), b = factor.imag();
+    double* __restrict x = re_.data() + from, * __restrict y = im_.data() + from;
+    const double* __restrict u = other.re_.data() + there, * __restrict v = other.im_.data() + there;
+    for (std::size_t i = 0; i < count; ++i) {
+      x[i] -= a * u[i] - b * v[i];
+      y[i] -= a * v[i] + b * u[i];
+    }
+  }
+
+ private:
+  std::vector<double> re_, im_;
+};
+
+/// P A = L U, in the place of A.
+template <class Scalar>
+class DenseLu {
+ public:
+  explicit DenseLu(std::size_t n) : n_(n), a_(n * n), swapped_with_(n), x_(n) {}
+
+  void clear() { a_.clear(); }
+  void add(std::size_t i, std::size_t j, Scalar value) { a_.add(place(i, j), value); }
+
+  /// False: A is singular, or not finite.
+  [[nodiscard]] bool factor() {
+    for (std::size_t k = 0; k < n_; ++k) {
+      if (!bring_up_pivot(k)) return false;
+      const Scalar pivot = Numbers::stored(a_[place(k, k)]);
+      const std::size_t below = n_ - k - 1;
+      a_.set(place(k, k), pivot);
+      a_.divide(place(k, k) + 1, below, pivot);
+      for (std::size_t j = k + 1; j < n_; ++j)
+        a_.subtract(place(k, j) + 1, below, a_[place(k, j)], a_, place(k, k) + 1);
+    }
+    return a_.finite();
+  }
+
+  void solve(Scalar* b) {
+    for (std::size_t k = 0; k < n_; ++k) std::swap(b[k], b[swapped_with_[k]]);
+    for (std::size_t k = 0; k < n_; ++k) x_.set(k, b[k]);
+    for (std::size_t k = 0; k < n_; ++k) x_.subtract(k + 1, n_ - k - 1, x_[k], a_, place(k, k) + 1);
+    for (std::size_t k = n_; k-- > 0;) {
+      x_.set(k, Numbers::divided(x_[k], a_[place(k, k)]));
+      x_.subtract(0, k, x_[k], a_, place(0, k));
+    }
+    for (std::size_t k = 0; k < n_; ++k) b[k] = x_[k];
+  }
+
+ private:
+  using Numbers = Stretches<Scalar>;
+
+  [[nodiscard]] std::size_t place(std::size_t i, std::size_t j) const {
+    assert(i < n_ && j < n_);
+    return j * n_ + i;
+  }
+  /// The largest entry of column k on or below the diagonal, by exchange of rows. False: it is 0, or not finite.
+  bool bring_up_pivot(std::size_t k) {
+    std::size_t largest = k;
+    for (std::size_t i = k + 1; i < n_; ++i)
+      if (a_.size_of(place(i, k)) > a_.size_of(place(largest, k))) largest = i;
+    swapped_with_[k] = largest;
+    if (largest != k)
+      for (std::size_t j = 0; j < n_; ++j) a_.swap(place(k, j), place(largest, j));
+    const double size = a_.size_of(place(k, k));
+    return size > 0 && std::isfinite(size);
+  }
+
+  std::size_t n_;
+  Numbers a_;
+  std::vector<std::size_t> swapped_with_;
+  Numbers x_;
+};
+
+}  // namespace invariode
