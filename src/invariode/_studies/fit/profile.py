@@ -25,7 +25,7 @@ _FIRST_STEP, _FASTER, _FAR = 0.1, 4.0, 1e4
 
 
 @public
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Profile:
     """The profile of the likelihood along one parameter: all others are fitted anew at each of its values.
 
@@ -52,6 +52,10 @@ class Profile:
     upper: float
     level: float
     fits: int
+
+    def __repr__(self) -> str:
+        ends = f"{self.lower:.6g} to {self.upper:.6g}"
+        return f"Profile of {self.name}: {ends} with {100 * self.level:g} %, {self.fits} fits"
 
 
 class Scale(NamedTuple):
