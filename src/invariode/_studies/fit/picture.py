@@ -36,9 +36,9 @@ def draw(experiment: Experiment, band: Prediction, sigmas: Sequence[Array], ax: 
     for panel, group in zip(panels, groups, strict=True):
         for place, j in enumerate(group):
             _quantity(panel, band, j, COLOURS[place % len(COLOURS)], experiment, sigmas[j])
-        legend(panel)
         if len(group) == 1:
             panel.set_ylabel(drawable(band.names[group[0]]))
+        legend(panel)
     panels[-1].set_xlabel("$t$")
     return panels[0]
 
