@@ -442,7 +442,7 @@ def test_extensions_files_and_checkpoints_are_the_run(method, tmp_path):
     assert same(part.extend(8, max_steps=10**6), whole)
     part.save(tmp_path / "part.npz")
     assert same(iv.load(tmp_path / "part.npz", problem).extend(8, max_steps=10**6), whole)
-    problem.solve(method, **options, checkpoint=iv.Checkpoint(tmp_path / "run", every=1e-4))
+    problem.solve(method, **options, checkpoint=iv.Checkpoint(tmp_path / "run", every=0.02))
     assert same(iv.load(tmp_path / "run", problem), whole)
     assert same(copy.deepcopy(whole), whole)
     with pytest.raises(
