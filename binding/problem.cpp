@@ -171,7 +171,7 @@ LinearTerms make_linear(const LinearSpec& spec, Functions& functions) {
 /// Into the problem, whose invariants, events and breakpoints are there.
 void add_variations(const VariationsSpec& spec, Functions& functions, Problem& problem) {
   const auto require_one_each = [](std::size_t given, std::size_t count, const char* what) {
-    if (given == count) return;
+    if (given == count || given == 0) return;
     throw std::invalid_argument("sensitivities have " + std::to_string(given) + " functions for " +
                                 std::to_string(count) + " " + what);
   };
@@ -329,7 +329,7 @@ void define_variations(nb::module_& module) {
           nb::arg("jumps") = Objects{}, nb::arg("breakpoints") = Objects{}, nb::arg("error_test") = true,
           "slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant "
           "(t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), "
-          "or None if it does not act. error_test=False: S has no part in the error test.")
+          "or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test.")
       .def_ro("k", &VariationsSpec::k)
       .def_ro("error_test", &VariationsSpec::error_test);
 }

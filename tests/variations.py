@@ -66,7 +66,8 @@ class Varied:
         lower, upper = self.bounds or (None, None)
         linear = _core.Linear(
             structure="dense", n=n, lower=0, upper=0, kind="function",
-            jacobian=lambda t, y: np.array(self.jac(t, y, self.p), float), mass=self.mass, null_basis=self.null_basis, lapack=None,
+            jacobian=lambda t, y: np.array(self.jac(t, y, self.p), float), mass=self.mass,
+            null_basis=self.null_basis, lapack=None,
         )  # fmt: skip
         return _core.Problem(
             n=n, complex=False, fun=lambda t, y: self.fun(t, y, self.p), args=(), parameters=np.zeros(0),

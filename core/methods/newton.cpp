@@ -134,10 +134,9 @@ Status AgingJacobian::sensitivity_rate(double t, const double* Y, const double* 
   return Status::ok;
 }
 
-Status AgingJacobian::solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f,
+/// The blocks below the first, which is solved.
+Status AgingJacobian::solve_below(Factorization& factors, double c, double t, const double* Y, const double* f,
                                   double* b) {
-  solve_blocks(factors, b, 0, extent_.n);
-  if (extent_.k == 0) return Status::ok;
   if (couple(c, t, Y, f, b) == Status::stop) return Status::stop;
   solve_blocks(factors, b, extent_.n, extent_.size());
   return Status::ok;

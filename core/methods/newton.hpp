@@ -138,7 +138,11 @@ class AgingJacobian {
   }
   /// The same with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
   /// what y does to the slopes of the sensitivities.
-  Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
+  Status solve_whole(Factorization& factors, double c, double t, const double* Y, const double* f, double* b) {
+    count_solve();
+    factors.solve(b);
+    return extent_.k == 0 ? Status::ok : solve_below(factors, c, t, Y, f, b);
+  }
   [[nodiscard]] LinearWork work() const;
   void count_factorization() { ++work_.factorizations; }
   void count_solve() { ++work_.solves; }
@@ -174,6 +178,7 @@ class AgingJacobian {
   Outcome factored(double c, double t1, bool regular);
   void fields(Archive& archive);
   Outcome finite_or_noted(const double* out, std::size_t count);
+  Status solve_below(Factorization& factors, double c, double t, const double* Y, const double* f, double* b);
   Status couple(double c, double t, const double* Y, const double* f, double* b);
 
   Callback& f_;        // of all that the method integrates,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from ._base.failures import FailureWarning, InvariantError, SolveError
 from ._base.public import public as _public
 from ._base.public import version as _version
+from ._base.suggestions import absent as _absent
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
@@ -36,6 +37,7 @@ from ._solve.problem import Problem
 
 if _TYPE_CHECKING:
     from ._mechanics.system import MechanicalSystem
+    from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
     from ._studies.fit.experiment import Experiment
     from ._studies.fit.fit import fit
@@ -95,11 +97,13 @@ __all__ = [
     "check_invariants",
     "check_sensitivities",
     "compile",
+    "complex_ode",
     "find_invariants",
     "fit",
     "impose",
     "load",
     "objective",
+    "ode",
     "odeint",
     "plot_work_precision",
     "solve_ensemble",
@@ -110,6 +114,8 @@ __all__ += METHODS
 #: Imported when they are first used, since a solve does not need them.
 _LATER = {
     "MechanicalSystem": "._mechanics.system",
+    "complex_ode": "._solve.ode",
+    "ode": "._solve.ode",
     "CheckReport": "._studies.check",
     "check_invariants": "._studies.check",
     "Experiment": "._studies.fit.experiment",
@@ -132,14 +138,18 @@ for _name in {*__all__} - {*_LATER}:
         _public(_found)
 
 
-def __getattr__(name: str) -> object:
-    """The version, and the public names of `_LATER`."""
-    if name == "__version__":
-        return _version()
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
-    return found
+if _TYPE_CHECKING:  # for whom any other name is an error
+    __version__: str
+else:
+
+    def __getattr__(name: str) -> object:
+        """The version, and the public names of `_LATER`."""
+        if name == "__version__":
+            return _version()
+        if name not in _LATER:
+            raise AttributeError(_absent(__name__, name, __all__, ("problems", "scipy", "symbolic")))
+        globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
+        return found
 
 
 def __dir__() -> list[str]:

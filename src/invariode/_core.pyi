@@ -80,7 +80,7 @@ class Variations:
 
     def __init__(self, k: int, slope: object, thresholds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], invariants: Sequence[object] = [], jumps: Sequence[object] = [], breakpoints: Sequence[object] = [], error_test: bool = True) -> None:
         """
-        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. error_test=False: S has no part in the error test.
+        slope(t, Y) -> (k, n): J S_j + f_pj. thresholds: (k, n), absolute tolerances of S. For each invariant (t, Y) -> (k, m): G S_j + g_pj; for each event and breakpoint (t, Y before, y after) -> S after, (k, n), or None if it does not act. An empty list: none has any. error_test=False: S has no part in the error test.
         """
 
     @property

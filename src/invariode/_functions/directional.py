@@ -29,9 +29,9 @@ from .compiled import (
 from .derivatives import INCREMENT, TINY, sizes, somewhere, takes_complex
 from .graph.derived import Derived, derived, native
 from .graph.function import GraphFunction, OnGraph, TracedFunction
-from .graph.nodes import Node
+from .graph.nodes import Node, in_order
 from .graph.python import Formula
-from .graph.switches import Switch, evaluated, switches
+from .graph.switches import Switch, evaluated, has_steps, switches
 from .layout import Arguments, Parameters, count_of, numbers_in, place_of, with_numbers
 
 #: What functions raise for complex numbers that they are not made for.
@@ -236,6 +236,15 @@ class Directional:
         """Where the values of its graph jump; of a function without a graph that is not known."""
         return [] if self._graph is None else self._graph.switches(at)
 
+    @property
+    def knows_jumps(self) -> bool:
+        """Whether its values jump nowhere else."""
+        return self._graph is not None and not has_steps(self._graph.outputs)
+
+    def of_inputs(self, node: Node) -> bool:
+        """Whether a value depends on inputs, whose slopes are not known."""
+        return self._graph is not None and self._graph.of_inputs(node)
+
     def on_graph(self, outputs: Sequence[Node], name: str) -> Any:
         """Other values of its graph as a function of the same arguments."""
         assert self._graph is not None
@@ -292,8 +301,9 @@ class _OfGraph:
     def __init__(
         self, exact: Derived, fun: Any, places: Sequence[int | None], parameters: Array, n: int, m: int
     ) -> None:
-        before = int(fun.count(0)) if isinstance(fun, NativeWithInputs) else 0
+        before = self._before = int(fun.count(0)) if isinstance(fun, NativeWithInputs) else 0
         self._places = tuple(None if place is None else before + place for place in places)
+        self.outputs = exact.outputs
         self._exact, self._fun, self._n, self._m, self._p = exact, fun, n, m, np.array(parameters)
 
     @cached_property
@@ -313,6 +323,10 @@ class _OfGraph:
     def switches(self, at: Point) -> list[Switch]:
         """See `Directional.switches`."""
         return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t))
+
+    def of_inputs(self, node: Node) -> bool:
+        """See `Directional.of_inputs`."""
+        return any(one.op == "p" and one.value < self._before for one in in_order([node]))
 
     def with_values(self, outputs: Sequence[Node], name: str) -> Any:
         """See `Directional.on_graph`."""

@@ -5,6 +5,7 @@ holds the rest. The classes say which function takes a row: an entry point takes
 Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -33,6 +34,7 @@ from .._base.types import (
     Function,
     Interpolation,
     Keep,
+    LargestStep,
     MethodName,
     Numbers,
     OnFailure,
@@ -96,6 +98,14 @@ def _flag_or_strict(name: str, value: object) -> bool | Literal["strict"]:
     return flag(name, value)
 
 
+def _largest_step(name: str, value: object) -> LargestStep:
+    if isinstance(value, str):
+        if value != "tenth":
+            raise ValueError(f"{name} must be a positive number or 'tenth', of the interval; got {shown(value)}")
+        return "tenth"
+    return positive(name, value)
+
+
 @dataclass(frozen=True)
 class Option:
     """A row of the table, without the name and the type of the option."""
@@ -130,8 +140,14 @@ class StepSizeOptions(TypedDict, total=False):
         float | None, Option(None, "float", "Size of the first step. Default: chosen from f(t0, y0).", positive)
     ]
     max_step: Annotated[
-        float | None,
-        Option(None, "float", "Largest step. Default: a tenth of the interval; ``inf`` lifts that.", positive),
+        LargestStep,
+        Option(
+            math.inf,
+            "float or 'tenth'",
+            "Largest step. 'tenth' is a tenth of the interval: the rule of MATLAB's codes, and the default of the "
+            "functions that have their names, such as `ode45`.",
+            _largest_step,
+        ),
     ]
 
 
@@ -582,7 +598,7 @@ class ExtensionOptions(TypedDict, total=False):
 
     t_eval: ArrayLike | None
     first_step: float | None
-    max_step: float | None
+    max_step: LargestStep
     callback: Callable[[float, Array], object] | None
     check: bool | Literal["strict"]
     max_steps: int | None

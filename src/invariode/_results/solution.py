@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from .._base.arguments import Array, flag, warn
+from .._base.arguments import Array, choice, flag, warn
 from .._base.notebook import html_of_solution
 from .._problem.accepted import extension_options
 from .._problem.invariants import InvariantsLike
@@ -125,8 +125,8 @@ class Solution(Exports):
         t_eval : array_like, optional
             Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
             output if there are none. Those beyond `t_end` are left for a further extension.
-        max_step : float, optional
-            Default: the run's, or a tenth of the whole interval.
+        max_step : float or 'tenth', optional
+            Default: the run's; 'tenth' is a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
         max_steps, limits : optional
@@ -165,7 +165,9 @@ class Solution(Exports):
         extended: Solution = self._origin.extend(self, t_end, extension_options(**options))
         return extended
 
-    def plot(self, *, ax: Axes | None = None, components: Any = None, **line: Any) -> Axes:
+    def plot(
+        self, *, ax: Axes | None = None, components: Any = None, log: Literal["x", ""] | None = None, **line: Any
+    ) -> Axes:
         """Draws components of the solution over t.
 
         The curves are continuous: those of ``sol.sol`` with dense output, else cubics through the steps with the slopes
@@ -182,6 +184,10 @@ class Solution(Exports):
             differ from those of the others by a factor of more than 1000.
         components : int, str, or sequence of these, optional
             Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
+        log : {'x', ''}, optional
+            'x': a logarithmic axis of time, on which t = 0 has no place; '': a linear one. Default: linear, but in a
+            new figure logarithmic if half of the output lies in the first thousandth of the time and the steps span
+            six decades, as those of stiff runs do.
         **line
             Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes;
             a `marker` marks the points of the output.
@@ -195,12 +201,10 @@ class Solution(Exports):
         ------
         ValueError
             There is no such component; the run kept its final state only.
-
-        Notes
-        -----
-        The value at t = 0 stays in the data: ``ax.set_xscale("log")`` shows all later ones.
         """
-        return over_time.draw(self, ax, components, line)
+        if log is not None:
+            choice("log", log, ("x", ""))
+        return over_time.draw(self, ax, components, log, line)
 
     def plot_phase(
         self,
@@ -251,7 +255,7 @@ class Solution(Exports):
         """Draws how far the invariants are from their values, on a logarithmic axis.
 
         Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection
-        (`invariode.Solution.drift`).
+        (`invariode.Solution.drift`). Shaded: below ε ``|value|``, where rounding alone makes residuals.
 
         Parameters
         ----------

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from .. import _core
 from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
 from .._base.failures import InvariantError
-from .._base.types import MethodName, Numbers, OnFailure, OnInterrupt
+from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, is_native, native_parameters, to_native
 from .._functions.graph.function import OnGraph
@@ -299,13 +299,13 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
     explicit_one, implicit_one = options["prefer"] or ("", "")
-    first, largest = options["first_step"], options["max_step"]
+    first = options["first_step"]
     if first is not None and first > span:
-        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {shown(first)}")
+        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {shown(first)}")
     return Settings(
         t0=t0,
         tf=tf,
-        max_step=span / 10 if largest is None else largest,
+        max_step=longest_step(options["max_step"], span),
         first_step=0.0 if first is None else first,
         refine=options["refine"],
         times=times,
@@ -322,6 +322,11 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
         **_limits(options, 0 if times is None else len(times), reals(problem.y0)),
     )
+
+
+def longest_step(given: LargestStep, span: float) -> float:
+    """`max_step` on an interval of this length."""
+    return span / 10 if given == "tenth" else given
 
 
 def _calibrated(weights: Tolerances, order: int) -> Tolerances:

@@ -282,9 +282,9 @@ def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
         warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
     if plan.varied is not None and run.discontinuities and not plan.varied.follows_jumps:
         warn(
-            f"sensitivities: fun looks discontinuous at t = {run.discontinuities[0]:.6g}, and cannot be traced, so "
-            "that its conditions are not known. Sensitivities jump there too, and may be wrong behind: write fun so "
-            "that invariode.compile(fun, by='trace') takes it, or make the condition an event with an action",
+            f"sensitivities: fun looks discontinuous at t = {run.discontinuities[0]:.6g}, and not all of its "
+            "conditions are known. Sensitivities jump there too, and may be wrong behind: write fun with comparisons, "
+            "without floor and %, so that invariode.compile(fun, by='trace') takes it",
             AccuracyWarning,
         )
 

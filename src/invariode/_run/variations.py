@@ -177,7 +177,7 @@ def make_variations(
         times=times,
         actions=jumps,
         switches=[event for event, _ in switches],
-        follows_jumps=slope.how.endswith("graph"),
+        follows_jumps=slope.knows_jumps,
     )
 
 
@@ -379,10 +379,12 @@ def _switches(
     found = slope.switches(about.at)
     if not found:
         return []
-    if len(found) > _MOST_SWITCHES or problem.matrices.mass is not None:
+    unknown = problem.matrices.mass is not None or any(slope.of_inputs(one.difference) for one in found)
+    if len(found) > _MOST_SWITCHES or unknown:
         warn(
             f"sensitivities: fun jumps at {len(found)} conditions, where sensitivities jump too. With a mass matrix, "
-            f"or more than {_MOST_SWITCHES} of them, these are not followed: sensitivities may be wrong behind them",
+            f"if an input is compared, or with more than {_MOST_SWITCHES} of them, these are not followed: "
+            "sensitivities may be wrong behind them",
             AccuracyWarning,
         )
         return []

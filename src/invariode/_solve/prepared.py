@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
@@ -19,7 +20,7 @@ from .._problem.description import Description
 from .._problem.options import Options, ProblemArguments
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
-from .._run.plan import Plan, make_plan, solver
+from .._run.plan import Plan, longest_step, make_plan, solver
 from .._run.run import Solved, concluded, presented, solve
 
 Cover: TypeAlias = tuple[float, float, float]
@@ -58,7 +59,6 @@ class PreparedSolver:
         self._idle = deque([core])
         self._members = core.members
         self._complex = plan.functions.complex
-        self._max_step = None if options.get("max_step") is None else plan.settings.max_step
         # Whether the plan holds for another y0, for other args, for another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native and _may_vary(problem, plan)
@@ -144,7 +144,7 @@ class PreparedSolver:
 
     def _covering(self, t_span: Span) -> Cover:
         t0, tf = interval(t_span)
-        return t0, tf, abs(tf - t0) / 10 if self._max_step is None else self._max_step
+        return t0, tf, longest_step(self._options.get("max_step", math.inf), abs(tf - t0))
 
 
 def _may_vary(problem: Description, plan: Plan) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,8 @@ from .python import Formula
 
 #: What compares two numbers, the difference of which changes its sign there.
 _ORDERED = ("less", "less_equal")
+#: What jumps at more than one value.
+_STEPPED = ("floor", "ceil", "modulo", "equal", "not_equal")
 #: Points at which the branches of a condition are compared, the seed of their choice, and Newton's steps to each.
 _POINTS, _SEED, _STEPS = 8, 29, 20
 #: Relative to the values, branches that differ by less are one.
@@ -41,13 +43,18 @@ def switches(outputs: Sequence[Node], t: float, y: Array, p: Array) -> list[Swit
     return [one for one in conditions(outputs) if _jumps(one, t, y, p)]
 
 
+def has_steps(outputs: Sequence[Node]) -> bool:
+    """Whether a graph may jump elsewhere too."""
+    return any(node.op in _STEPPED for node in in_order(outputs))
+
+
 def conditions(outputs: Sequence[Node]) -> list[Switch]:
-    """All comparisons of values that depend on t or y and decide between branches."""
+    """All comparisons, and signs, of values that change with y, or with t and a parameter."""
     groups: dict[tuple[Node, Node], list[tuple[Node, bool]]] = {}
     for node in in_order(outputs):
-        if node.op not in _ORDERED:
+        if node.op not in _ORDERED and node.op != "sign":
             continue
-        a, b = node.arguments
+        a, b = (*node.arguments, node.graph.node(0.0))[:2]
         if (b, a) in groups:
             groups[b, a].append((node, False))
         else:
@@ -55,16 +62,24 @@ def conditions(outputs: Sequence[Node]) -> list[Switch]:
     found = []
     for (a, b), nodes in groups.items():
         difference = a - b
-        if all(node.op not in ("t", "y") for node in in_order([difference])):
+        used = {node.op for node in in_order([difference])}
+        if "y" not in used and not {"t", "p"} <= used:  # its time, if it has one, does not depend on parameters
             continue
-        below = _decided(outputs, dict(nodes))
-        above = _decided(outputs, {node: not answer for node, answer in nodes})
+        below = _decided(outputs, {node: _answer(node, below=below) for node, below in nodes})
+        above = _decided(outputs, {node: _answer(node, below=not below) for node, below in nodes})
         if below != above:
             found.append(Switch(difference, below, above))
     return found
 
 
-def _decided(outputs: Sequence[Node], answers: dict[Node, bool]) -> list[Node]:
+def _answer(node: Node, *, below: bool) -> Node | bool:
+    """The value of a comparison, or of a sign, where the first number is below the second, or not."""
+    if node.op == "sign":
+        return node.graph.node(-1.0 if below else 1.0)
+    return below
+
+
+def _decided(outputs: Sequence[Node], answers: Mapping[Node, Node | bool]) -> list[Node]:
     """The values with these answers to conditions."""
     graph = outputs[0].graph
     made: dict[Node, Node | bool] = {}
