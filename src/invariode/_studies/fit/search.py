@@ -233,7 +233,7 @@ class _Round:
         self._last = at
         residuals, jacobian = self._rows(at)
         if self._loss == "linear":
-            step = np.linalg.lstsq(jacobian, residuals)[0]
+            step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
             squares = float(residuals @ residuals) / max(self._count - len(u), 1)
             if float(np.sum((jacobian @ step) ** 2)) <= _ARRIVED**2 * squares:
                 raise _Arrived
@@ -309,9 +309,8 @@ def start_points(model: Model, count: int, seed: Any) -> list[Array]:
             lower[i] = upper[i] = math.log(first[i])
         if not (math.isfinite(lower[i]) and math.isfinite(upper[i])):
             raise ValueError(f"starts={count} needs two bounds of {one.name}, got {one.parameter.bounds}")
-    from scipy.stats.qmc import LatinHypercube
-
-    part = LatinHypercube(len(lower), rng=np.random.default_rng(seed)).random(count - 1)
+    rng, others = np.random.default_rng(seed), count - 1
+    part = np.array([(rng.permutation(others) + rng.random(others)) / others for _ in lower]).T
     return [first, *(space.natural(lower + one * (upper - lower)) for one in part)]
 
 

@@ -102,7 +102,7 @@ class SteadyStates:
         for j, one in enumerate(self._names):
             if one.kind == "y0":
                 right[self._n :, j] = totals[:, one.index]
-        return Steady(y, np.linalg.lstsq(system, right)[0])
+        return Steady(y, np.linalg.lstsq(system, right, rcond=None)[0])
 
     def _linear(self, y: Array, p: Array) -> tuple[Array, Array, Array]:
         """f, ∂f/∂y and ∂f/∂p."""
