@@ -434,10 +434,6 @@ def _require_possible(problem: Description, names: Sequence[ParameterName]) -> N
             raise ValueError(
                 "sensitivities are not possible with Dissipated, which holds in one direction only: leave it out"
             )
-        if law.direction == "stages":
-            raise ValueError(
-                'sensitivities are not possible with invariants of direction="stages": use direction="gradient"'
-            )
     mass = problem.matrices.mass
     if not callable(mass):
         return
