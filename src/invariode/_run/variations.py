@@ -150,10 +150,9 @@ def make_variations(
         else _Jump(about.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True), time, rate)
         for event, time in zip(problem.events, times, strict=True)
     ]
-    doses = [
-        None if point.action is None else _Dose(about.of(point.action, "the action in breakpoints", m=n))
-        for point in points
-    ]
+    actions = {id(one.action): one.action for one in points if one.action is not None}
+    made = {key: _Dose(about.of(one, "the action in breakpoints", m=n)) for key, one in actions.items()}
+    doses = [made.get(id(point.action)) for point in points]
     switches = _switches(slope, about, problem)
     sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
     tangents = [law.for_core for law in laws]
@@ -434,10 +433,6 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
         if law.sense:
             raise ValueError(
                 "sensitivities are not possible with Dissipated, which holds in one direction only: leave it out"
-            )
-        if law.direction == "stages":
-            raise ValueError(
-                'sensitivities are not possible with invariants of direction="stages": use direction="gradient"'
             )
     mass = problem.matrices.mass
     if not callable(mass):
