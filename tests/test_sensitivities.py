@@ -249,6 +249,24 @@ def test_where_an_invariant_is_held_so_is_its_derivative(method):
         np.testing.assert_allclose(law.tangent(t, Y), start, rtol=0, atol=1e-10 * size)
 
 
+@pytest.mark.parametrize("direction", ["gradient", "stages"])
+def test_corrections_along_stages_hold_derivatives_too(direction):
+    def orbit(t, y, mu):
+        r3 = (y[0] ** 2 + y[1] ** 2) ** 1.5
+        return [y[2], y[3], -mu * y[0] / r3, -mu * y[1] / r3]
+
+    def laws(t, y, mu):
+        return [(y[2] ** 2 + y[3] ** 2) / 2 - mu / np.sqrt(y[0] ** 2 + y[1] ** 2), y[0] * y[3] - y[1] * y[2]]
+
+    y0 = np.array([0.5, 0, 0, 3**0.5])
+    held = iv.Invariants(laws, direction=direction)
+    problem = iv.Problem(orbit, (0, 10), y0, args=(1.0,), invariants=held, sensitivities=True)
+    sol = problem.solve("ode45", rtol=1e-5)
+    law = Directional(laws, (1.0,), problem.parameters(), 4, at=Point(0.0, y0))
+    start, end = (law.tangent(0.0, np.vstack([sol.y[:, i], sol.sensitivities[:, :, i].T])) for i in (0, -1))
+    np.testing.assert_allclose(end, start, rtol=0, atol=1e-10)
+
+
 @pytest.mark.parametrize("method", ["ode15s", "radau", "auto"])
 def test_robertson_at_the_start_of_the_fast_phase(method):
     sol = iv.solve_ivp(robertson, (0, 0.4), [1.0, 0, 0], method, **ROBERTSON, sensitivities="k1")
@@ -442,7 +460,7 @@ def test_extensions_files_and_checkpoints_are_the_run(method, tmp_path):
     assert same(part.extend(8, max_steps=10**6), whole)
     part.save(tmp_path / "part.npz")
     assert same(iv.load(tmp_path / "part.npz", problem).extend(8, max_steps=10**6), whole)
-    problem.solve(method, **options, checkpoint=iv.Checkpoint(tmp_path / "run", every=1e-4))
+    problem.solve(method, **options, checkpoint=iv.Checkpoint(tmp_path / "run", every=0.02))
     assert same(iv.load(tmp_path / "run", problem), whole)
     assert same(copy.deepcopy(whole), whole)
     with pytest.raises(
