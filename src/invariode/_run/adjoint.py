@@ -15,6 +15,7 @@ what the run does to S in a step that ends there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, real_numbers, shown
+from .._base.types import MethodName
 from .._functions.directional import Directional, Given, Point
 from .._functions.graph.nodes import Node, in_order
 from .._problem.breakpoints import Breakpoint, to_breakpoints
@@ -32,7 +34,6 @@ from .._problem.options import Options
 from .._problem.sensitivities import Sensitivities, SensitivitiesLike
 from .._results.result import Result
 from .plan import ordered_breakpoints
-from .run import RunOrigin, solve
 from .variations import given_derivatives, require_possible
 
 #: Points of Gauss's quadrature in each step of λ: of order 10, beyond which the continuous solution is not smooth.
@@ -62,9 +63,31 @@ class Objective(NamedTuple):
     integrand: Any
 
 
+class Forward(NamedTuple):
+    """The run whose solution it is.
+
+    Attributes
+    ----------
+    problem, method, options
+        What was solved.
+    solve : callable
+        (problem, method, options) -> solution.
+    t : float
+        Where it ended.
+    solution : Result
+        With its continuous solution.
+    """
+
+    problem: Description
+    method: MethodName
+    options: Options
+    solve: Callable[[Description, MethodName, Options], Result]
+    t: float
+    solution: Result
+
+
 def gradient(
-    origin: RunOrigin,
-    sol: Result,
+    run: Forward,
     dG_dy: ArrayLike | None,
     dG_dp: ArrayLike | None,
     wrt: SensitivitiesLike | None,
@@ -72,21 +95,21 @@ def gradient(
     integrand: Any,
 ) -> Array:
     """See `Solution.gradient`."""
-    problem = origin.source.problem
+    problem = run.problem
     if wrt is not None:
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:
         problem = problem.replace(sensitivities=Sensitivities())
-    adjoint = _Adjoint(origin, sol, problem)
-    return adjoint.gradient(_objective(sol, origin.t, dG_dy, dG_dp, t, integrand, adjoint.k))
+    adjoint = _Adjoint(run, problem)
+    return adjoint.gradient(_objective(run.solution, run.t, dG_dy, dG_dp, t, integrand, adjoint.k))
 
 
 class _Adjoint:
     """The equations of λ along a solution."""
 
-    def __init__(self, origin: RunOrigin, sol: Result, problem: Description) -> None:
-        self._origin, self._sol, self._problem = origin, sol, problem
-        if sol.sol is None:
+    def __init__(self, run: Forward, problem: Description) -> None:
+        self._run, self._sol, self._problem = run, run.solution, problem
+        if self._sol.sol is None:
             raise ValueError("gradient needs the continuous solution: solve with adjoint=True, or with dense_output")
         self._names = problem.parameters()
         self.n, self.k = len(problem.y0), len(self._names)
@@ -116,7 +139,7 @@ class _Adjoint:
 
     @cached_property
     def _breakpoints(self) -> list[Breakpoint]:
-        given = self._origin.source.options.get("breakpoints")
+        given = self._run.options.get("breakpoints")
         return ordered_breakpoints(self._problem, () if given is None else to_breakpoints("breakpoints", given))
 
     def _derivatives(self, fun: Any, called: str, m: int | None, given: Given | None = None) -> Directional:
@@ -182,7 +205,7 @@ class _Adjoint:
 
     def gradient(self, objective: Objective) -> Array:
         """The derivative of G + ∫ g dt, of shape (k,)."""
-        t0, tf = self._problem.t_span[0], self._origin.t
+        t0, tf = self._problem.t_span[0], self._run.t
         y = self._sol.sol(objective.times)
         parts = [self._tangential(*one) for one in zip(objective.times.tolist(), y.T, objective.costs.T, strict=True)]
         total = objective.direct + sum((beside for _, beside in parts), np.zeros(self.k))
@@ -202,7 +225,7 @@ class _Adjoint:
     def _sizes(self, objective: Objective, states: Array, g: Directional | None) -> Array:
         """The sizes of μ that matter: by which a change of y within its weights changes G + ∫ g dt by as much as all
         changes within theirs together."""
-        t0, tf = self._problem.t_span[0], self._origin.t
+        t0, tf = self._problem.t_span[0], self._run.t
         costs = [*zip(states.T, objective.costs.T, strict=True)]
         if g is not None:
             times = [t0, 0.5 * (t0 + tf), tf]
@@ -215,7 +238,7 @@ class _Adjoint:
     def _backwards(self, g: Directional | None, last: Array, jumps: dict[float, Array], sizes: Array) -> Result:
         """μ as a function of s = t_f − t, whose smallest steps are shorter than those at t_f."""
         slope, solution, n = self._slope, self._sol.sol, self.n
-        t0, tf = self._problem.t_span[0], self._origin.t
+        t0, tf = self._problem.t_span[0], self._run.t
 
         def rate(s: float, mu: Array) -> Array:
             y = solution(tf - s)
@@ -228,7 +251,7 @@ class _Adjoint:
 
         points: dict[float, Any] = {tf - point.t: None for point in self._breakpoints}
         points |= {tf - time: (lambda s, mu, cost=cost: mu + cost) for time, cost in jumps.items()}
-        method, rtol = self._origin.source.method, np.max(self._sol._rtol)
+        method, rtol = self._run.method, np.max(self._sol._rtol)
         implicit = "jac" in find_method(method)[0].options
         adjoint = Description(rate, (0.0, tf - t0), last, jac=jacobian if implicit else None, name="the adjoint")
         atol = rtol * np.maximum(sizes, _LEAST_PART * sizes.max(initial=0))
@@ -240,7 +263,7 @@ class _Adjoint:
             "max_step": np.inf,
             "on_failure": "raise",
         }
-        return solve(adjoint, method, options)
+        return self._run.solve(adjoint, method, options)
 
     def _integral(self, g: Directional | None, mu: Result) -> Array:
         """∫ (λᵀ ∂f/∂p + ∂g/∂p) dt from the start to the end."""
@@ -249,7 +272,7 @@ class _Adjoint:
         begins, lengths = mu.t[:-1][lengths != 0], lengths[lengths != 0]
         places = (begins[:, None] + 0.5 * lengths[:, None] * (1 + nodes)).ravel()
         parts = (0.5 * lengths[:, None] * weights).ravel()
-        times = self._origin.t - places
+        times = self._run.t - places
         total = np.zeros(self.k)
         for t, part, y, here in zip(times.tolist(), parts, self._sol.sol(times).T, mu.sol(places).T, strict=True):
             total += part * self._slope.transposed(t, y, self._multiplier(here))[self.n :]

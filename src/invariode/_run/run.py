@@ -46,6 +46,7 @@ from .._results.result import (
 )
 from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
+from .adjoint import Forward, gradient
 from .agreement import compare
 from .call_errors import explain, wrong_length
 from .checkpoint import Checkpoint
@@ -106,9 +107,8 @@ class RunOrigin:
 
     def gradient(self, sol: Solution, *given: Any) -> Array:
         """See `Solution.gradient`."""
-        from .adjoint import gradient
-
-        return gradient(self, sol, *given)
+        source = self.source
+        return gradient(Forward(source.problem, source.method, source.options, solve, self.t, sol), *given)
 
     def identity(self) -> Identity:
         """What tells its run from another."""
