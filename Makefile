@@ -8,7 +8,7 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(shell find core binding -ty
   $(shell find src -name '*.py' -o -name '*.pyi' -o -name '*.jinja' -o -name '*.json')
 CXX_FILES := $(shell find core binding tests/native benchmarks -name '*.hpp' -o -name '*.cpp')
 # What `make stubs` makes, and `make lint` compares.
-STUBS := _core.pyi _problem/accepted.pyi _solve/ode_functions.pyi scipy.pyi
+STUBS := _core.pyi _base/method_names.pyi _problem/accepted.pyi _solve/ode_functions.pyi scipy.pyi
 PIP := $(BIN)/python -m pip -q --disable-pip-version-check
 CTEST := $(BIN)/ctest --output-on-failure -j 2
 WHEEL := build/wheel
@@ -109,7 +109,7 @@ lint: $(VENV)/.installed-lint  ## style, types, docstrings, static analysis, dri
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 	$(CMAKE) -S . -B $(NATIVE)-lint
 	find core -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -quiet -p $(NATIVE)-lint
-	mkdir -p build/_problem build/_solve && cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
+	mkdir -p build/_base build/_problem build/_solve && cd build && ../$(BIN)/python -m nanobind.stubgen -q -m invariode._core -o _core.pyi
 	$(BIN)/python .ci/stubs.py build
 	for stub in $(STUBS); do diff build/$$stub src/invariode/$$stub || exit 1; done
 
@@ -144,6 +144,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/events.py --write
 	$(BIN)/python benchmarks/limits.py --write
 	$(BIN)/python benchmarks/directions.py --write
+	$(BIN)/python benchmarks/fits.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist

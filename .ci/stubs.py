@@ -38,6 +38,14 @@ __all__ = {names}
 {functions}
 '''
 
+NAMES = '''"""Generated from METHODS: `make stubs`."""
+
+from typing import Any, Literal, TypeAlias
+
+OwnName: TypeAlias = Literal{ours}
+MethodName: TypeAlias = OwnName | Literal{theirs} | type[Any]
+'''
+
 CLASSES = '''"""Generated from METHODS: `make stubs`."""
 
 from ._solve.stepper import Stepper
@@ -120,7 +128,9 @@ def stubs() -> dict[str, str]:
         if (name := method.scipy_name) and name not in ours
     }
     classes = "\n".join([*ours.values(), "", *theirs.values()])
+    scipys = [method.scipy_name for method in METHODS.values() if method.scipy_name]
     return {
+        "_base/method_names.pyi": NAMES.format(ours=listed([*METHODS]), theirs=listed(scipys)),
         "_problem/accepted.pyi": accepted(Table()),
         "_solve/ode_functions.pyi": FUNCTIONS.format(names=listed([*METHODS]), functions=functions),
         "scipy.pyi": CLASSES.format(names=listed([*ours, *theirs]), classes=classes),

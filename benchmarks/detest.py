@@ -31,6 +31,8 @@ SPAN = (0.0, 20.0)
 TIMES = np.linspace(*SPAN, 41)
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9)
 STIFF_TOLERANCES = (1e-4, 1e-6, 1e-8)
+#: Where steps are long, and where the limit hardly matters.
+LIMITED_TOLERANCES = (1e-3, 1e-6)
 #: Of the references; two codes must agree on them to the tightest tolerance. (On D5 to 0.2 of it, else to 0.06.)
 REFERENCE, CHECK = 1e-13, min(TOLERANCES)
 
@@ -138,10 +140,10 @@ def detest() -> Iterator[Problem]:
 # Runs
 
 
-def solve(method: str, problem: Problem, rtol: float) -> tuple[Array, int]:
+def solve(method: str, problem: Problem, rtol: float, **options: Any) -> tuple[Array, int]:
     """The solution at TIMES and the evaluations of f. atol is rtol."""
     code = iv.solve_ivp if method in SUITE else scipy.integrate.solve_ivp
-    sol = code(problem.fun, SPAN, problem.y0, method=method, rtol=rtol, atol=rtol, t_eval=TIMES)
+    sol = code(problem.fun, SPAN, problem.y0, method=method, rtol=rtol, atol=rtol, t_eval=TIMES, **options)
     if not sol.success:
         raise SystemExit(f"{method} fails on {problem.name} at rtol {rtol}: {sol.message}")
     return sol.y, sol.nfev
@@ -187,6 +189,23 @@ def nonstiff_tables() -> str:
             table(["method", *"ABCDE"], worst),
         )
     )
+
+
+def table_of_limits() -> str:
+    """What a largest step of a tenth of the interval, the suite's rule, costs and gains: as in `nonstiff_tables`."""
+    set_of_problems = list(detest())
+    exact = [reference(problem) for problem in set_of_problems]
+    rows = []
+    for method in SUITE:
+        cells = []
+        for rtol in LIMITED_TOLERANCES:
+            for limit in ("tenth", np.inf):
+                runs = [solve(method, problem, rtol, max_step=limit) for problem in set_of_problems]
+                units = np.array([distance(y, z) for (y, _), z in zip(runs, exact, strict=True)]) / rtol
+                cells.append(f"{np.median(units):.2g} ({units.max():.2g}), {sum(nfev for _, nfev in runs)}")
+        rows.append([method, *cells])
+    header = ["method", *(f"{rtol:.0e}, {limit}" for rtol in LIMITED_TOLERANCES for limit in ("a tenth", "no limit"))]
+    return "\n\n".join(("The same with steps up to a tenth of the interval, and without a limit:", table(header, rows)))
 
 
 def max_of_class(set_of_problems: Sequence[Problem], units: Array, letter: str) -> str:
@@ -246,7 +265,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="replace the tables in docs/benchmarks")
     arguments = parser.parse_args()
     versions = f"SciPy {installed('scipy')}, `atol = rtol` on DETEST."
-    text = "\n\n".join((versions, nonstiff_tables(), stiff_tables()))
+    text = "\n\n".join((versions, nonstiff_tables(), table_of_limits(), stiff_tables()))
     print(text)
     if arguments.write:
         write_section("detest", text)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from invariode._base.arguments import Array
+from invariode._base.types import MethodName
 from invariode._problem.invariants import Invariants
 from invariode._problem.methods import METHODS
 from invariode._results.solution import Solution
@@ -36,6 +37,11 @@ DEMO_RTOL, DEMO_ATOL = 1e-5, 1e-4
 (ORBITS,), (PENDULUM,), (JACOBI,) = (problem().invariants for problem in (lotka_volterra, pendulum, three_body))
 #: Relative tolerance for the linear invariants of stiff problems: far above what they drift by.
 KINETICS_RTOL = 1e-6
+
+
+def solved(problem: Problem, method: MethodName, **options: Any) -> Solution:
+    """The problem solved as the suite does, with steps up to a tenth of the interval."""
+    return problem.solve(method, max_step="tenth", **options)
 
 
 def residual(invariants: Invariants, sol: Solution) -> Array:
@@ -77,14 +83,14 @@ class LotkaVolterra:
     def run(cls) -> LotkaVolterra:
         """Solves the problem in all these ways."""
         free, held = lotka_volterra(imposed=False), lotka_volterra()
-        raw = held.solve("ode23", refine=REFINE, interpolation="raw", dense_output=True)
+        raw = solved(held, "ode23", refine=REFINE, interpolation="raw", dense_output=True)
         return cls(
-            plain=free.solve("ode23", dense_output=True),
-            projected=held.solve("ode23"),
-            evaluated=held.solve("ode23", fsal="evaluate"),
+            plain=solved(free, "ode23", dense_output=True),
+            projected=solved(held, "ode23"),
+            evaluated=solved(held, "ode23", fsal="evaluate"),
             raw=raw,
-            corrected=held.solve("ode23", refine=REFINE, interpolation="corrected", dense_output=True),
-            continuous=held.solve("ode23", refine=REFINE, interpolation="projected", dense_output=True),
+            corrected=solved(held, "ode23", refine=REFINE, interpolation="corrected", dense_output=True),
+            continuous=solved(held, "ode23", refine=REFINE, interpolation="projected", dense_output=True),
             imposed=raw.impose(),
         )
 
@@ -154,9 +160,9 @@ class Pendulum:
         """Solves the problem in all these ways."""
         free, held = pendulum(imposed=False), pendulum()
         return cls(
-            plain=free.solve("ode45", refine=REFINE, dense_output=True),
-            raw=held.solve("ode45", refine=REFINE, interpolation="raw"),
-            projected=held.solve("ode45", refine=REFINE),
+            plain=solved(free, "ode45", refine=REFINE, dense_output=True),
+            raw=solved(held, "ode45", refine=REFINE, interpolation="raw"),
+            projected=solved(held, "ode45", refine=REFINE),
         )
 
     def rows(self) -> list[Row]:
@@ -196,12 +202,12 @@ class ThreeBody:
         """Solves the problem in all these ways."""
         free, held = three_body(imposed=False), three_body()
         return cls(
-            adams=free.solve("ode113", refine=REFINE, dense_output=True),
-            adams_projected=held.solve("ode113", refine=REFINE, dense_output=True),
-            demo=free.solve("ode45", rtol=DEMO_RTOL, atol=DEMO_ATOL),
-            demo_projected=held.solve("ode45", rtol=DEMO_RTOL, atol=DEMO_ATOL),
-            plain=free.solve("ode45"),
-            projected=held.solve("ode45"),
+            adams=solved(free, "ode113", refine=REFINE, dense_output=True),
+            adams_projected=solved(held, "ode113", refine=REFINE, dense_output=True),
+            demo=solved(free, "ode45", rtol=DEMO_RTOL, atol=DEMO_ATOL),
+            demo_projected=solved(held, "ode45", rtol=DEMO_RTOL, atol=DEMO_ATOL),
+            plain=solved(free, "ode45"),
+            projected=solved(held, "ode45"),
         )
 
     def rows(self) -> list[Row]:
@@ -268,7 +274,7 @@ class Code:
         found = []
         for name, problem, invariants in problems:
             for method in METHODS:
-                plain, projected = (problem(imposed=imposed).solve(method) for imposed in (False, True))
+                plain, projected = (solved(problem(imposed=imposed), method) for imposed in (False, True))
                 largest = (float(residual(invariants, plain).max()), float(residual(invariants, projected).max()))
                 gaps = (gap(plain), gap(projected)) if problem is three_body else None
                 found.append(cls(name, method, plain, projected, largest, gaps))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from invariode._base.arguments import Array
+from invariode._base.method_names import OwnName
 from invariode._problem.events import Event
 from invariode._results.result import StiffnessWarning
 from invariode._results.solution import Solution
@@ -40,7 +41,7 @@ def matlab_rows() -> list[Row]:
     return [*third_order, *_hires(), *_flame(), *_scalar_linear(), *_points(), *_blow_up()]
 
 
-def _third_order(method: str) -> list[Row]:
+def _third_order(method: OwnName) -> list[Row]:
     """u''' + u'' + 4 u' + 4 u = 4 t² + 8 t - 10 on [0, 2], whose solution is -sin 2t + t² - 3."""
     title = f"u‴ = −u″ − 4u′ − 4u + 4t² + 8t − 10 on [0, 2], rtol = atol, {method}"
 
@@ -53,7 +54,17 @@ def _third_order(method: str) -> list[Row]:
     for row in matlab("third-order linear"):
         printed, counted = row["rtol"], row[method]
         tol = float(printed)
-        sol = solve_ivp(f, (0, 2), [-3, -2, 2], method, None, True, rtol=tol, atol=tol, interpolation="raw")
+        sol = solve_ivp(
+            f,
+            (0, 2),
+            [-3, -2, 2],
+            method,
+            dense_output=True,
+            rtol=tol,
+            atol=tol,
+            max_step="tenth",
+            interpolation="raw",
+        )
         assert sol.sol is not None  # dense_output=True
         error, rule = np.abs(sol.sol(t)[0] - exact).max(), RULES.get(printed, DIGITS)
         rows.append(Row(title, f"evaluations of f, {printed}", str(counted["nfev"]), sol.nfev, SOURCE, stats=sol.stats))
@@ -99,7 +110,7 @@ def _flame() -> list[Row]:
     grown = Event(lambda t, y: y[0] - 0.99, terminal=True)
 
     def duration(u: float) -> float:
-        sol = solve_ivp(lambda t, y: y**2 * (1 - y), (0, 250), [0.01 * 2**u], events=grown)
+        sol = solve_ivp(lambda t, y: y**2 * (1 - y), (0, 250), [0.01 * 2**u], events=grown, max_step="tenth")
         assert sol.t_events is not None  # there is an event
         return float(sol.t_events[0][0])
 

@@ -37,7 +37,8 @@ STIFF = {
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6])
 @pytest.mark.parametrize("name", STIFF)
 def test_it_costs_little_more_than_the_better_member(name, rtol):
-    options = {"rtol": rtol, "atol": rtol / 1000}
+    # Robertson's concentrations, at the end far below atol, run away once they are negative.
+    options = {"rtol": rtol, "atol": rtol / 1000, "nonnegative": name.startswith("Robertson")}
     auto = iv.solve_ivp(*STIFF[name], "auto", **options)
     implicit = iv.solve_ivp(*STIFF[name], "ode15s", **options)
     explicit = iv.solve_ivp(*STIFF[name], "ode113", max_steps=implicit.nfev, **options)

@@ -501,6 +501,14 @@ def test_check_says_that_it_does_not_know_mass_matrices():
 # compare
 
 
+def test_compare_takes_methods_with_commas_between_them():
+    ways = [["-m", "ode23,ode45"], ["-m", "ode23", "-m", "ode45"], ["-m", "ode23, ode45,ode23"]]
+    options = ("compare", "prey.py:closed", "--decades", "3-3")
+    found = [[*dict.fromkeys(re.findall(r"^ode\w+", invariode(*options, *way).output, re.MULTILINE))] for way in ways]
+    assert found[0] == found[1] == found[2] == ["ode23", "ode45"]
+    assert "did you mean 'ode45'" in invariode(*options, "-m", "ode23,ode54").output
+
+
 def test_compare_prints_what_the_runs_cost():
     outcome = invariode("compare", "prey.py:closed", "--decades", "4-5", "-m", "ode45", "-m", "ode113", width=120)
     assert outcome.exit_code == 0, outcome.output

@@ -7,9 +7,9 @@ import doctest
 import importlib
 import io
 import re
+from importlib import metadata
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import invariode
@@ -41,8 +41,8 @@ def test_code_blocks_print_what_the_page_says(page, tmp_path, monkeypatch):
 
 
 PACKAGE = Path(invariode.__file__).parent
-#: The modules whose docstrings have examples.
-MODULES = [
+#: The modules whose docstrings have examples; those of the public names belong to the package.
+MODULES = ["invariode"] + [
     ".".join(["invariode", *path.relative_to(PACKAGE).with_suffix("").parts]).removesuffix(".__init__")
     for path in sorted(PACKAGE.rglob("*.py"))
     if ">>>" in path.read_text(encoding="utf-8")
@@ -51,8 +51,20 @@ MODULES = [
 
 @pytest.mark.parametrize("name", MODULES)
 def test_docstring_examples(name):
+    """They import what they use, so that they run where they are pasted."""
     module = importlib.import_module(name)
-    assert doctest.testmod(module, extraglobs={"np": np}).failed == 0
+    assert doctest.testmod(module, globs={}).failed == 0
+
+
+@pages_with("pip install")
+def test_pages_install_alike(page):
+    """From a clone, with the extras that there are."""
+    lines = re.findall(r"pip install [^`\n]*", page.read_text(encoding="utf-8"))
+    extras = metadata.metadata("invariode").get_all("Provides-Extra")
+    for line in lines:
+        named = re.fullmatch(r'pip install "\.\[([\w,]+)\]"', line)
+        assert named, line
+        assert {*named[1].split(",")} <= {*extras}
 
 
 @pages_with(LINK)

@@ -149,7 +149,7 @@ class TestCompiled:
         rates = [[10.0], [100.0], [1000.0]]
         out = iv.solve_ensemble(oscillator, (0, 1), [1.0, 0.0], args=rates, method="ode15s")
         for rate, end, nfev in zip(rates, out.y_end, out.stats["nfev"], strict=True):
-            alone = iv.ode15s(oscillator, (0, 1), [1.0, 0.0], args=tuple(rate))
+            alone = iv.solve_ivp(oscillator, (0, 1), [1.0, 0.0], "ode15s", args=tuple(rate))
             np.testing.assert_array_equal(end, alone.y[:, -1])
             assert nfev == alone.nfev
 

@@ -117,7 +117,13 @@ def test_repeated_t_values(odeint):
     np.testing.assert_array_equal(odeint(lambda y, t: a * y, [1.0, 2.0], [1.0, 1.0, 1.0]), [[1.0, 2.0]] * 3)
 
 
-@pytest.mark.parametrize("t", [[0, 1, 0.5], [0, 1, 1, 0], [1, 0, 2], []])
+@LIBRARIES
+def test_no_times_give_no_rows(odeint):
+    """SciPy's shape."""
+    assert odeint(lambda y, t: -y, [1.0, 2.0], []).shape == (0, 2)
+
+
+@pytest.mark.parametrize("t", [[0, 1, 0.5], [0, 1, 1, 0], [1, 0, 2]])
 def test_times_out_of_order_are_refused(t):
     with pytest.raises(ValueError, match="t must be a list of times in rising or falling order"):
         iv.odeint(lambda y, t: -y, 1.0, t)

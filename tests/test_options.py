@@ -102,7 +102,9 @@ def test_defaults_of_the_signature_are_those_of_the_table(way):
     entry, others = ENTRIES[way]
     for name, parameter in inspect.signature(entry).parameters.items():
         if name in TABLE and name not in others:
-            own = METHODS[way].refine if name == "refine" and way in METHODS else TABLE[name].default
+            own = TABLE[name].default
+            if name in ("refine", "max_step") and way in METHODS:
+                own = getattr(METHODS[way], name)
             if way.endswith("solve_ensemble") and name == "on_failure":
                 own = "warn"  # it fails in some trajectories of many
             assert parameter.default == own, f"default of {name}: change the row of options.py"

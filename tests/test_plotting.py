@@ -473,6 +473,59 @@ def test_numbers_at_a_logarithmic_axis_are_at_least_two_and_do_not_run_together(
     assert ax.get_xlim()[0] < 7e-9  # later curves are seen too
 
 
+def test_powers_of_ten_as_text_look_like_formulas():
+    """10⁻³ at the axes, and 2·10⁻³ between, where few powers leave room: not 1e-03."""
+    for high, numbers in ((1e3, {"10⁻³", "10⁰", "10³"}), (3e-3, {"10⁻³", "2·10⁻³"})):
+        ax = Figure(figsize=(4, 2)).add_subplot()
+        ax.loglog([1e-3, high], [1, 2])
+        log_axis(ax.xaxis, formulas=False)
+        ax.figure.canvas.draw()
+        labels = [*ax.get_xticklabels(), *ax.get_xticklabels(minor=True)]
+        assert numbers <= {text.get_text() for text in labels}
+
+
+def test_roundoff_is_shaded_where_the_axis_shows_it():
+    """Below ε |value|; without projection residuals are larger, and nothing is shaded."""
+    sol = turning().solve("dop853", rtol=1e-6)
+    ax = sol.plot_drift()
+    (shade,) = ax.patches
+    assert shade.get_y() + shade.get_height() == pytest.approx(np.finfo(float).eps)
+    assert ax.get_ylim()[0] == shade.get_y()
+    assert "roundoff" in ax.get_legend_handles_labels()[1]
+    plain = turning(invariants=None).solve(t_eval=[10, 20])
+    assert not plain.plot_drift(invariants=radius).patches
+
+
+def test_bands_are_named():
+    """Once, whatever the number of components."""
+    many = iv.solve_ensemble(circle, (0, 1), [[1.0, 0.0], [2.0, 0.0]], t_eval=[0, 0.5, 1], workers=1)
+    labels = many.plot().get_legend_handles_labels()[1]
+    assert labels[-2:] == ["90% of the trajectories", "50% of the trajectories"]
+    assert "trajectories" not in str(many.plot("quantiles").get_legend_handles_labels()[1])
+
+
+def test_a_stiff_run_has_a_logarithmic_axis_of_time():
+    """Chosen by itself if its outputs would stand at one place, in a new figure, and not if the user says otherwise."""
+    stiff = iv.problems.robertson().solve("ode15s")
+    assert stiff.plot().get_xscale() == "log"
+    assert stiff.plot(log="").get_xscale() == "linear"
+    assert stiff.plot(ax=axes()).get_xscale() == "linear"
+    assert stiff.plot(ax=axes(), log="x").get_xscale() == "log"
+    orbit = turning().solve("ode113", rtol=1e-12)  # whose first steps are tiny
+    assert orbit.plot().get_xscale() == "linear"
+    with pytest.raises(ValueError, match="log must be"):
+        stiff.plot(log="y")
+
+
+def test_numbers_of_phase_pictures_are_round():
+    """Multiples of 1, 2, 2.5 or 5."""
+    for size in (1.0, 1.7, 3.1, 7.9):
+        ax = iv.solve_ivp(circle, (0, 7), [size, 0]).plot_phase(0, 1)
+        ax.figure.canvas.draw()
+        step = np.diff(ax.get_xticks())[0]
+        assert round(step / 10 ** np.floor(np.log10(step) + 1e-9), 9) in (1, 2, 2.5, 5)
+
+
 def test_limits_that_the_caller_has_set_stay():
     ax = axes()
     ax.set_ylim(1e-3, 2e-3)
@@ -488,7 +541,7 @@ def test_corrections_too_small_to_be_seen_are_not_named():
 
 
 def test_equal_steps_are_shown_as_equal():
-    sol = iv.solve_ivp(lambda t, y: [-y[0]], (0, 1), [1.0], atol=1e-3)
+    sol = iv.solve_ivp(lambda t, y: [-y[0]], (0, 1), [1.0], atol=1e-3, first_step=0.1, max_step=0.1)
     low, high = sol.plot_steps()[0].get_ylim()
     assert low < 0.6 * np.abs(sol.steps.h).min()
     assert high > 1.5 * np.abs(sol.steps.h).max()
@@ -657,8 +710,8 @@ class TestWorkAndPrecision:
 
     def test_names_of_scipy_run_what_they_mean(self):
         """BDF is ode15s with an option, and takes other steps."""
-        problem = turning((0, 5), invariants=None)
-        given = {"reference": [np.cos(5), np.sin(5)], "rtols": [1e-3], "axes": Figure().subplots(1, 2)}
+        problem = turning((0, 10), invariants=None)
+        given = {"reference": [np.cos(10), np.sin(10)], "rtols": [1e-3], "axes": Figure().subplots(1, 2)}
         panels = iv.plot_work_precision(problem, ["BDF", "ode15s", "RK45"], **given)
         work = [int(line.get_xdata()[0]) for line in panels[0].lines]
         stats = [problem.solve(name, rtol=1e-3, atol=1e-6).stats for name in ("BDF", "ode15s", "ode45")]

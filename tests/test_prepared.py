@@ -52,6 +52,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "end": {"keep": "end"},
     "dense": {"dense_output": True, "refine": 3},
     "capped": {"max_step": 0.05},
+    "tenth": {"max_step": "tenth"},
 }
 
 
@@ -97,6 +98,17 @@ def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> N
     same(solver(), problem.solve(method))
 
 
+@dealt(8, form=FORMS, kept=[False, True], change=CHANGES, scale=[None, (1.0, 0.8)])
+def test_sensitivities_too(form: str, kept: bool, change: str, scale: Any) -> None:
+    """With a scale that is given, or that follows from the values of the parameters."""
+    problem = described(form, kept).replace(sensitivities=iv.Sensitivities(["args[0]", "y0[x]"], scale=scale))
+    solver = problem.prepare("ode45")
+    for _ in range(2):
+        a, b = solver(**CHANGES[change]), problem.replace(**CHANGES[change]).solve("ode45")
+        same(a, b)
+        np.testing.assert_array_equal(a.sensitivities, b.sensitivities)
+
+
 @dealt(16, form=FORMS, options=OPTIONS, change=CHANGES)
 def test_options_hold_in_every_call(form: str, options: str, change: str) -> None:
     problem, given = described(form), OPTIONS[options]
@@ -109,9 +121,9 @@ def test_times_must_fit_the_interval_of_the_call(form: str) -> None:
     solver = described(form).prepare(t_eval=[1.0, 2.0])
     assert solver(y0=[1.0, 0.0, 0.0, 1.0]).t.tolist() == [1.0, 2.0]
     assert solver(t_span=(0.5, 2.5)).t.tolist() == [1.0, 2.0]
-    with pytest.raises(ValueError, match="t_eval must lie within"):
+    with pytest.raises(ValueError, match="Values in `t_eval` are not within"):
         solver(t_span=(0.0, 1.5))
-    with pytest.raises(ValueError, match="first_step must not exceed"):
+    with pytest.raises(ValueError, match="`first_step` exceeds bounds"):
         described(form).prepare(first_step=0.5)(t_span=(0.0, 0.1))
 
 

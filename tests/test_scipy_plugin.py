@@ -65,11 +65,11 @@ def test_nfev_is_the_number_of_calls(method):
 
     options = {} if not implicit(method) else {"jac": np.zeros((4, 4))}  # else differences are calls as well
     solver = CLASSES[method](fun, 0, [0.4, 0, 0, 2], 20, **options)
-    assert solver.nfev + solver._stepper.nfev_check == calls[0] > 0
+    assert solver.nfev + solver._walk.core.nfev_check == calls[0] > 0
     while solver.status == "running":
         solver.step()
         solver.dense_output()
-        assert solver.nfev + solver._stepper.nfev_check == calls[0]
+        assert solver.nfev + solver._walk.core.nfev_check == calls[0]
         if method == "ode15s" and solver.t > 0.1:
             break
 

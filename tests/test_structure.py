@@ -123,6 +123,27 @@ def test_no_function_is_longer_than_a_screen():
     assert len(found) > 500
 
 
+ABSENT = {
+    "quad": "scipy.integrate.quad. Of SciPy's functions invariode has complex_ode, ode, odeint, solve_ivp",
+    "RK45": "scipy.integrate.RK45; SciPy's classes with our methods are in invariode.scipy",
+    "solve_ipv": "did you mean 'solve_ivp'?",
+    "nothing_like_it": "no attribute 'nothing_like_it'",
+}
+
+
+@pytest.mark.parametrize("name", ABSENT)
+def test_the_message_for_a_missing_name_says_where_it_is(name):
+    with pytest.raises(AttributeError, match=re.escape(ABSENT[name])):
+        getattr(iv, name)
+    assert not hasattr(iv, name)
+
+
+def test_a_module_that_is_not_imported_yet_is_named():
+    code = "import invariode; invariode.symbolic"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stderr
+    assert "has no attribute 'symbolic' yet: import invariode.symbolic" in told
+
+
 class TestFunctionsOfTheMethods:
     def test_each_method_has_one(self):
         for name in iv.METHODS:
@@ -164,6 +185,7 @@ class TestReplace:
             "mass": None,
             "nonnegative": [0],
             "bounds": (None, 10.0),
+            "sensitivities": "y0",
             "inputs": [iv.Input([0], [1.0])],
             "name": "new",
             "labels": ["c", "d"],
@@ -186,6 +208,7 @@ class TestReplace:
             "inputs": problem.inputs,
             "invariants": [one.fun for one in problem.invariants],
             "events": [one.fun for one in problem.events],
+            "sensitivities": problem.sensitivities and problem.sensitivities.args,
             **{name: None if m is None else np.asarray(m).tolist() for name, m in problem._as_given.items()},
             "name": problem.name,
             "labels": problem.labels,
@@ -206,7 +229,7 @@ class TestReplace:
     def test_it_solves_as_the_problem_made_so(self):
         replaced = self.problem().replace(y0=[5.0], args=(1.0,)).solve(rtol=1e-6)
         np.testing.assert_array_equal(
-            replaced.y, iv.ode45(lambda t, y, a: -a * y, (0, 1), [5.0], args=(1.0,), rtol=1e-6, refine=1).y
+            replaced.y, iv.solve_ivp(lambda t, y, a: -a * y, (0, 1), [5.0], args=(1.0,), rtol=1e-6).y
         )
 
 

@@ -331,6 +331,7 @@ def test_functions_that_are_seldom_defined_are_compared_too():
 
 
 @pytest.mark.parametrize("name", ["arguments", "kinks", "loops", "matrices", "callable object", "math"])
+@pytest.mark.filterwarnings("ignore::invariode.DiscontinuityWarning")  # of math.floor
 def test_runs_are_those_of_the_function(name):
     fun, n, args = FUNCTIONS[name]
     y0 = np.linspace(0.4, 1.3, n)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from ._base.failures import FailureWarning, InvariantError, SolveError
 from ._base.public import public as _public
 from ._base.public import version as _version
+from ._base.suggestions import absent as _absent
 from ._ensemble.solution import EnsembleEvents, EnsembleSolution, EnsembleStats
 from ._ensemble.store import EnsembleStore
 from ._functions.compile import compile
@@ -23,6 +24,7 @@ from ._problem.inputs import Input
 from ._problem.invariants import AccuracyWarning, Invariants
 from ._problem.manifolds import RotationMatrix, UnitQuaternion, UnitVector
 from ._problem.methods import METHODS, Method
+from ._problem.sensitivities import Sensitivities
 from ._results.result import DenseSolution, DiscontinuityWarning, Drift, Stats, Steps, StiffnessWarning
 from ._results.solution import Solution
 from ._solve.ensemble import solve_ensemble
@@ -35,8 +37,17 @@ from ._solve.problem import Problem
 
 if _TYPE_CHECKING:
     from ._mechanics.system import MechanicalSystem
+    from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
+    from ._studies.fit.experiment import Experiment
+    from ._studies.fit.fit import fit
+    from ._studies.fit.objective import Objective, objective
+    from ._studies.fit.parameters import Parameter
+    from ._studies.fit.prediction import Prediction
+    from ._studies.fit.profile import Profile
+    from ._studies.fit.result import Fit
     from ._studies.search import PolynomialInvariant, find_invariants
+    from ._studies.sensitivities import SensitivityReport, check_sensitivities
     from ._studies.work_precision import plot_work_precision
 
 __all__ = [
@@ -56,7 +67,9 @@ __all__ = [
     "EnsembleStats",
     "EnsembleStore",
     "Event",
+    "Experiment",
     "FailureWarning",
+    "Fit",
     "ImposeResult",
     "Input",
     "InvariantError",
@@ -64,10 +77,16 @@ __all__ = [
     "Limits",
     "MechanicalSystem",
     "Method",
+    "Objective",
+    "Parameter",
     "PolynomialInvariant",
+    "Prediction",
     "PreparedSolver",
     "Problem",
+    "Profile",
     "RotationMatrix",
+    "Sensitivities",
+    "SensitivityReport",
     "Solution",
     "SolveError",
     "Stats",
@@ -76,10 +95,15 @@ __all__ = [
     "UnitQuaternion",
     "UnitVector",
     "check_invariants",
+    "check_sensitivities",
     "compile",
+    "complex_ode",
     "find_invariants",
+    "fit",
     "impose",
     "load",
+    "objective",
+    "ode",
     "odeint",
     "plot_work_precision",
     "solve_ensemble",
@@ -90,10 +114,22 @@ __all__ += METHODS
 #: Imported when they are first used, since a solve does not need them.
 _LATER = {
     "MechanicalSystem": "._mechanics.system",
+    "complex_ode": "._solve.ode",
+    "ode": "._solve.ode",
     "CheckReport": "._studies.check",
     "check_invariants": "._studies.check",
+    "Experiment": "._studies.fit.experiment",
+    "fit": "._studies.fit.fit",
+    "Objective": "._studies.fit.objective",
+    "objective": "._studies.fit.objective",
+    "Parameter": "._studies.fit.parameters",
+    "Prediction": "._studies.fit.prediction",
+    "Profile": "._studies.fit.profile",
+    "Fit": "._studies.fit.result",
     "PolynomialInvariant": "._studies.search",
     "find_invariants": "._studies.search",
+    "SensitivityReport": "._studies.sensitivities",
+    "check_sensitivities": "._studies.sensitivities",
     "plot_work_precision": "._studies.work_precision",
 }
 
@@ -102,14 +138,18 @@ for _name in {*__all__} - {*_LATER}:
         _public(_found)
 
 
-def __getattr__(name: str) -> object:
-    """The version, and the public names of `_LATER`."""
-    if name == "__version__":
-        return _version()
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
-    return found
+if _TYPE_CHECKING:  # for whom any other name is an error
+    __version__: str
+else:
+
+    def __getattr__(name: str) -> object:
+        """The version, and the public names of `_LATER`."""
+        if name == "__version__":
+            return _version()
+        if name not in _LATER:
+            raise AttributeError(_absent(__name__, name, __all__, ("problems", "scipy", "symbolic")))
+        globals()[name] = found = getattr(_import_module(_LATER[name], __name__), name)
+        return found
 
 
 def __dir__() -> list[str]:

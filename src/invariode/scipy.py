@@ -2,6 +2,7 @@
 
 The stub beside this file, for type checkers, is made from it too: ``make stubs``.
 
+>>> import numpy as np
 >>> from scipy.integrate import solve_ivp
 >>> from invariode.scipy import ODE113
 >>> def pendulum(t, y):

@@ -134,3 +134,14 @@ sol.plot_steps()
 # Wrappers that hand on what they get
 def solve_with(fun: Callable[[float, Vector], list[float]], y0: Vector, rtol: float = 1e-6) -> Vector:
     return iv.solve_ivp(fun, (0, 1), y0, rtol=rtol).y
+
+
+# SciPy's older calls
+older_rows: Vector = iv.odeint(lambda y, t: [y[1], -y[0]], [1, 0], np.linspace(0, 1, 11), rtol=1e-6, hmax=0.1)
+older_rows, about = iv.odeint(lambda t, y: y, 1.0, [0, 1], tfirst=True, full_output=True, method="ode113")
+last: str = about["message"]
+run = iv.ode(with_arguments, invariants=energy).set_integrator("dopri5", rtol=1e-6, nsteps=1000)
+run.set_initial_value([1.0, 0.0], 0.0).set_f_params(1.0, 0.1).set_solout(lambda t, y: -1 if t > 1 else None)
+while run.successful() and run.t < 10:
+    older_rows = run.integrate(run.t + 1)
+rotated: complex = iv.complex_ode(lambda t, y: 1j * y).set_integrator("dopri5").set_initial_value(1.0).integrate(1)[0]

@@ -75,3 +75,12 @@ sol.plot_fase(0, 1)  # type: ignore[attr-defined]
 sol(0.5)  # type: ignore[operator]
 message: int = sol.message  # type: ignore[assignment]
 iv.ode46(f, (0, 1), [1])  # type: ignore[attr-defined]
+
+# Names of methods
+iv.solve_ivp(f, (0, 1), [1], method="ode54")  # type: ignore[arg-type]
+iv.Problem(f, (0, 1), [1]).solve("RK54")  # type: ignore[arg-type]
+iv.METHODS["ode54"]  # type: ignore[index]
+iv.odeint(f, [1], [0, 1], method="lsoda")  # type: ignore[call-overload]
+iv.odeint(f, [1], [0, 1], rtoll=1e-6)  # type: ignore[call-overload]
+iv.quad(f, 0, 1)  # type: ignore[attr-defined]
+iv.ode(f, invariants="energy")  # type: ignore[arg-type]

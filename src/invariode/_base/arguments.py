@@ -258,11 +258,11 @@ def state(y0: ArrayLike) -> Array:
     """The initial state as a new array of shape (n,)."""
     y = as_array("y0", y0)
     if y.ndim != 1:
-        raise ValueError(f"y0 must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
+        raise ValueError(f"`y0` must be 1-dimensional, got shape {y.shape}: {shown(y0)}")
     y = numbers("y0", y)
     if not np.isfinite(y).all():
         i = int(np.flatnonzero(~np.isfinite(y))[0])
-        raise ValueError(f"y0 must be finite, got y0[{i}] = {y[i]}")
+        raise ValueError(f"All components of the initial state `y0` must be finite, got y0[{i}] = {y[i]}")
     return y
 
 
@@ -292,7 +292,7 @@ def tolerances(rtol: ArrayLike, atol: ArrayLike, y: Array) -> tuple[float, float
     relative, absolute = tolerance("rtol", rtol, len(y)), tolerance("atol", atol, len(y))
     least = 100 * EPS
     if (relative < least).any():
-        warn(f"rtol is too small: raised to {least:.3g} (100 units of roundoff)")
+        warn(f"At least one element of `rtol` is too small: raised to {least:.3g} (100 units of roundoff)")
         relative = np.maximum(relative, least)
     smallest = float(relative.min()) if relative.size else RTOL
     threshold = np.repeat(np.broadcast_to(absolute / smallest, y.shape), pairs)
@@ -304,13 +304,13 @@ def output_times(t_eval: ArrayLike, t0: float, tf: float) -> Array:
     """t_eval as an array, inside the interval and in the order of integration."""
     times = real_numbers("t_eval", t_eval)
     if times.ndim != 1:
-        raise ValueError(f"t_eval must be 1-dimensional, got shape {times.shape}")
+        raise ValueError(f"`t_eval` must be 1-dimensional, got shape {times.shape}")
     low, high = min(t0, tf), max(t0, tf)
     outside = ~((times >= low) & (times <= high))
     if outside.any():
-        raise ValueError(f"t_eval must lie within t_span = ({t0}, {tf}), got {times[outside][0]}")
+        raise ValueError(f"Values in `t_eval` are not within `t_span`, ({t0}, {tf}): {times[outside][0]}")
     if (np.diff(times) * (1 if tf >= t0 else -1) <= 0).any():
-        raise ValueError("t_eval must be strictly sorted in the direction of integration")
+        raise ValueError("Values in `t_eval` are not properly sorted: strictly, in the direction of integration")
     return times
 
 
@@ -319,7 +319,9 @@ def extra_arguments(args: object) -> tuple[Any, ...]:
         return ()
     listed = items(args)
     if listed is None:
-        raise TypeError(f"args must be a tuple of the extra arguments, for one argument args=({shown(args)},)")
+        raise TypeError(
+            f"Supplied 'args' cannot be unpacked: give a tuple of the extra arguments, for one args=({shown(args)},)"
+        )
     return tuple(listed)
 
 

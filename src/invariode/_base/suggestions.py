@@ -12,6 +12,23 @@ def nearest(given: object, known: Iterable[str]) -> str | None:
     return near[0] if near else None
 
 
+def absent(module: str, name: str, public: Iterable[str], modules: Iterable[str]) -> str:
+    """The message for a name that a package does not have: of a module to import first, of SciPy's, or misspelt."""
+    text = f"module {module!r} has no attribute {name!r}"
+    if name.startswith("_"):
+        return text
+    if name in modules:
+        return f"{text} yet: import {module}.{name}"
+    from scipy import integrate
+
+    if name in integrate.__all__ and isinstance(getattr(integrate, name), type):
+        return f"{text}: it is scipy.integrate.{name}; SciPy's classes with our methods are in {module}.scipy"
+    if name in integrate.__all__:
+        theirs = [one for one in public if one in integrate.__all__]
+        return f"{text}: it is scipy.integrate.{name}. Of SciPy's functions {module} has {', '.join(theirs)}"
+    return f"{text}{meant(name, public)}"
+
+
 def meant(given: object, known: Iterable[str]) -> str:
     """The end of a message: the known name that was probably meant; empty if none is like the given one."""
     near = nearest(given, known)

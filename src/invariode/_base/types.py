@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 
 from .arguments import Array
+from .method_names import MethodName as MethodName
 
 
 class LowLevelCallable(Protocol):
@@ -36,9 +37,9 @@ EventsLike: TypeAlias = EventFunction | Sequence[EventFunction] | None
 Numbers: TypeAlias = float | np.floating[Any] | np.integer[Any] | Sequence[float] | Array
 BreakpointsLike: TypeAlias = Sequence[float | tuple[float, Function | None]] | Mapping[float, Function | None] | Array
 Span: TypeAlias = Sequence[float] | Array
-#: A name in `METHODS`, or SciPy's name or class. The registry may grow, so that names are not part of the type.
-MethodName: TypeAlias = str | type[Any]
 
+#: A length, or a tenth of the interval.
+LargestStep: TypeAlias = float | Literal["tenth"]
 Interpolation: TypeAlias = Literal["projected", "corrected", "raw"]
 InputKind: TypeAlias = Literal["previous", "linear", "cubic"]
 Fsal: TypeAlias = Literal["reuse", "evaluate"]

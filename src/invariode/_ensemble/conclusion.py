@@ -13,7 +13,7 @@ from .._results.messages import harmful_projection
 from .._results.result import DiscontinuityWarning, StiffnessWarning
 from .._run.plan import Plan
 from .outcomes import Outcomes, counts_by_name
-from .solution import EnsembleSolution, EnsembleStats, Trajectories, final_states
+from .solution import EnsembleSensitivities, EnsembleSolution, EnsembleStats, Trajectories, final_states
 from .store import EnsembleStore
 from .task import Task
 
@@ -52,9 +52,17 @@ def solution(task: Task, plan: Plan, found: Outcomes, on_failure: OnFailure) -> 
         _trajectories=_trajectories(plan, task, found),
         _final=times is None,
         _labels=plan.called.labels,
+        _sensitivities=None if plan.varied is None else _sensitivities(plan.varied.names, found, times is None),
     )
     remarks.conclude(result, on_failure)
     return result
+
+
+def _sensitivities(names: list[str], found: Outcomes, final: bool) -> EnsembleSensitivities:
+    failed = (found.status < 0)[:, None, None, None]
+    return EnsembleSensitivities(
+        names, np.where(failed, np.nan, found.S_end[..., None]) if final else found.S, found.S_end
+    )
 
 
 class Remarks:
@@ -130,7 +138,7 @@ def _trajectories(plan: Plan, task: Task, found: Outcomes) -> Trajectories:
     acting = any(event.action is not None for event in plan.functions.events)
     return Trajectories(
         task.problem.name,
-        plan.event_names,
+        plan.called.events,
         plan.names[: len(plan.bound)],
         None if acting else plan.bound,
         task.args,

@@ -168,6 +168,8 @@ def in_parts(ensemble: Ensemble, rows: Rows, means: Means) -> EnsembleSolution:
 
 def stored(ensemble: Ensemble, rows: Rows, means: Means, place: Place) -> EnsembleStore:
     """All rows, with their results in a store."""
+    if ensemble.problem.sensitivities is not None:
+        raise ValueError("sensitivities of an ensemble are not kept in a store: leave out store")
     run = _Parted(ensemble, rows, means)
     writer = StoreWriter(place.store, _layout(run), run.length, rows.size, in_words(place.seed), place.resume)
     with writer:
@@ -229,7 +231,7 @@ def _layout(run: _Parted) -> Layout:
         "component": plan.called.components,
         "parameter": parameter_names(problem.fun, args, len(problem.inputs)),
         "invariant": plan.names[: len(plan.bound)],
-        "event": plan.event_names,
+        "event": plan.called.events,
     }
     t = np.array([plan.settings.tf]) if times is None else times
     return Layout(in_words(about), names, t, y0.dtype, times is not None)

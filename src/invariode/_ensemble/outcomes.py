@@ -38,6 +38,8 @@ class Outcomes:
     residual_before: Array
     residual_after: Array
     correction: Array
+    S: Array  # sensitivities, (rows, n, k, n_t), of k = 0 parameters without them
+    S_end: Array
     messages: dict[int, str]
     events: list[EnsembleEvents]
     lanes: str  # as `EnsembleStats` says it
@@ -84,6 +86,8 @@ class Outcomes:
             self.events[e] = in_order(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
+#: Those of sensitivities, which stores do not hold.
+OF_SENSITIVITIES = ("S", "S_end")
 #: The arrays of `Outcomes` that every run fills.
 ROWS = tuple(
     field.name

@@ -17,6 +17,7 @@ from .._functions.lanes import Lanes, choose_lanes
 from .._functions.layout import TRUTHS, Arguments, arguments_of, count_of
 from .._results.messages import inconsistent_start
 from .._results.result import LIMIT_REACHED, NOT_CONSERVED
+from .._results.sensitivities import states_and_sensitivities
 from .._run.call_errors import wrong_length
 from .._run.plan import Plan, solver
 from .outcomes import Outcomes, in_order, travelling
@@ -74,7 +75,9 @@ def attempted(
 
 def _solved(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None = None) -> Outcomes:
     core, workers = solver(plan), min(workers, len(task.y0))
-    return _on_threads(task, plan, core, workers, report) if core.native else _in_processes(task, plan, workers, report)
+    if core.native and plan.varied is None:
+        return _on_threads(task, plan, core, workers, report)
+    return _in_processes(task, plan, workers, report)
 
 
 # ----------------------------------------------------------------------------------------------------------------------
@@ -97,6 +100,7 @@ def _on_threads(
     stiff_since, discontinuity = run.take_remarks()
     status, y_end = _CODES[states], run.take_end().view(dtype)
     status[list(misshapen)] = _RAISED
+    none = np.zeros((*y0.shape, 0))
     y_end[status == _RAISED] = np.nan
     return Outcomes(
         y=run.take_y().view(dtype),
@@ -113,6 +117,8 @@ def _on_threads(
         residual_before=before,
         residual_after=after,
         correction=correction,
+        S=none[..., None],
+        S_end=none,
         lanes=lanes.described(run.alone),
     )
 
@@ -208,13 +214,14 @@ def _solve_one(task: Task, i: int) -> _Outcome:
     try:
         with quietly():  # the first plan has said it
             plan = task.plan(i)
-        run = solver(plan).integrate(plan.y0.view(float))
+        run = solver(plan).integrate(plan.start)
         exception = plan.exception(run)
         status, message = plan.verdict(run) if exception is None else (_RAISED, _as_text(exception))
         row = _row(plan, run)
         if status == _RAISED:
             del row["y_end"]
-        events = [(times, points.view(task.y0.dtype)) for times, points in run.take_events()]
+        n, own = plan.functions.n, len(plan.called.events)
+        events = [(times, points[:, :n].copy().view(task.y0.dtype)) for times, points in run.take_events()[:own]]
         return _Outcome(i, status, message, row, events)
     except KeyboardInterrupt:
         raise
@@ -227,6 +234,11 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     if jumps := run.take_jumps():
         bound = bound.jumped(jumps)
     t, y, t_end, y_end = run.take_points()
+    n, k = len(plan.y0), 0
+    S, S_end = np.zeros((n, 0, len(t))), np.zeros((n, 0))
+    if plan.varied is not None:
+        k = len(plan.varied.names)
+        (y, S), (y_end, S_end) = states_and_sensitivities(y, n, k), states_and_sensitivities(y_end, n, k)
     counts = np.array(run.counts)
     counts[_NG] += bound.evaluations  # before the run, as in a single run
     counts[_NGDIFF] += bound.evaluations - len(bound.specs)
@@ -235,13 +247,16 @@ def _row(plan: Plan, run: _core.Run) -> dict[str, Any]:
     if len(bound):
         pieces = np.append(bound.pieces_of_output(len(t)), len(bound.jumps))
         after = np.abs(bound.residual(np.append(t, t_end), np.column_stack([y, y_end]), pieces)).max(axis=1)
-    at_times = np.full((len(y), 0 if plan.settings.times is None else len(plan.settings.times)), np.nan, y.dtype)
-    reached = min(len(t), at_times.shape[1])
-    at_times[:, :reached] = y[:, :reached]
+    times = 0 if plan.settings.times is None else len(plan.settings.times)
+    at_times, S_at_times = np.full((n, times), np.nan, y.dtype), np.full((n, k, times), np.nan)
+    reached = min(len(t), times)
+    at_times[:, :reached], S_at_times[:, :, :reached] = y[:, :reached], S[:, :, :reached]
     return {
         "t_end": t_end,
         "y_end": y_end,
         "y": at_times,
+        "S": S_at_times,
+        "S_end": S_end,
         "counts": counts,
         "value": bound.value,
         "residual_before": before[: len(bound)],
@@ -257,8 +272,12 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
     """The rows before they are solved: what stays of those that cannot be."""
     size, n = task.y0.shape
     times, m = plan.settings.times, len(plan.bound)
+    k, count = 0 if plan.varied is None else len(plan.varied.names), 0 if times is None else len(times)
+    why = "functions are in Python" if plan.varied is None else "sensitivities are computed with each trajectory"
     return Outcomes(
-        y=np.full((size, n, 0 if times is None else len(times)), np.nan, dtype=task.y0.dtype),
+        y=np.full((size, n, count), np.nan, dtype=task.y0.dtype),
+        S=np.full((size, n, k, count), np.nan),
+        S_end=np.full((size, n, k), np.nan),
         t_end=np.full(size, plan.settings.t0, dtype=float),
         y_end=np.full_like(task.y0, np.nan),
         status=np.full(size, _RAISED, dtype=np.int8),
@@ -272,7 +291,7 @@ def _unsolved(task: Task, plan: Plan) -> Outcomes:
         residual_before=np.zeros((size, m)),
         residual_after=np.zeros((size, m)),
         correction=np.zeros(size),
-        lanes=Lanes(reason="functions are in Python").described(),
+        lanes=Lanes(reason=why).described(),
     )
 
 
@@ -296,7 +315,7 @@ def _events(happened: list[tuple[int, Array, Array]], like: Array) -> EnsembleEv
 
 def _in_processes(task: Task, plan: Plan, workers: int, report: Callable[[float], None] | None) -> Outcomes:
     found, done = _unsolved(task, plan), 0
-    happened: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.event_names]
+    happened: list[list[tuple[int, Array, Array]]] = [[] for _ in plan.called.events]
     if workers > 1 and not may_start():
         warn("a daemonic process cannot start workers, and solves the ensemble alone: start it with daemon=False")
         workers = 1

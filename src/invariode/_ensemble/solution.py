@@ -8,7 +8,7 @@ import os
 import pickle
 from collections.abc import Iterator
 from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .._results.messages import MESSAGES
 from .._results.pictures.ensembles import draw as draw_ensemble
 from .._results.result import BeforeProjection, Drift, Names, Record, Stats, at_events, default_labels
 from .._results.saving import OCCURRENCES, apart, together
+from .._results.sensitivities import SensitivityData
 from .._results.solution import Solution
 
 if TYPE_CHECKING:  # extras, imported when they are used
@@ -159,6 +160,14 @@ class EnsembleStats(Record):
         return "\n".join([*rows, f"{'lanes':>17}: {self.lanes}"])
 
 
+class EnsembleSensitivities(NamedTuple):
+    """The derivatives of trajectories with respect to parameters."""
+
+    names: list[str]
+    values: Array  # as y, (N, n, k, n_t)
+    end: Array  # (N, n, k)
+
+
 @dataclasses.dataclass(eq=False, repr=False)
 class EnsembleSolution:
     """Result of `solve_ensemble`: N trajectories of n components.
@@ -220,6 +229,7 @@ class EnsembleSolution:
     _trajectories: Trajectories | None = None  # None: from a pickle or a file, without the functions
     _final: bool = False  # whether y are the final states
     _labels: list[str] | None = None  # None: the default ones
+    _sensitivities: EnsembleSensitivities | None = None
 
     def _repr_html_(self) -> str:
         return html_of_ensemble(self)
@@ -240,6 +250,16 @@ class EnsembleSolution:
     def labels(self) -> list[str]:
         """Names of the components."""
         return default_labels(self.y.shape[1]) if self._labels is None else self._labels
+
+    @property
+    def sensitivities(self) -> Array | None:
+        """∂y/∂p as y, of shape (N, n, k, n_t); None if the problem had no `sensitivities`."""
+        return None if self._sensitivities is None else self._sensitivities.values
+
+    @property
+    def sensitivity_names(self) -> list[str]:
+        """The k parameters."""
+        return [] if self._sensitivities is None else list(self._sensitivities.names)
 
     @property
     def failed(self) -> Array:
@@ -288,6 +308,11 @@ class EnsembleSolution:
         here = [event.trajectory == i for event in self.events]
         t, y = (self.t_end[i : i + 1], self.y_end[i][:, None]) if self._final else (self.t, self.y[i])
         reached = np.isfinite(y).all(axis=0)
+        S = None
+        if self._sensitivities is not None:
+            names, values, end = self._sensitivities
+            at_outputs = end[i][:, :, None] if self._final else values[i]
+            S = SensitivityData(names, at_outputs[:, :, reached], end[i], None)
         return Solution(
             t=t[reached],
             y=y[:, reached],
@@ -310,6 +335,7 @@ class EnsembleSolution:
             _atol=about.atol,
             _drift=self._drift(i, about, stats, known=len(invariants) > 0),
             _names=Names(f"{about.name} {i}", None, self._labels, self.y.shape[1], about.events),
+            _sensitivities=S,
         )
 
     def _stats_of(self, i: int) -> Stats:
@@ -432,7 +458,7 @@ class EnsembleSolution:
         """
         _, found = read(path, _ENSEMBLE)
         with damage_of(path):
-            labels = found["labels"]
+            labels, names = found["labels"], found["parameters"]
             named = None if labels is None else distinct_labels(labels, found["y_end"].shape[1])
             return cls(**{
                 **{name: one for name, one in found.items() if name in cls.__annotations__},
@@ -441,6 +467,7 @@ class EnsembleSolution:
                 "messages": {int(i): text for i, text in found["messages"].items()},
                 "_final": found["final"],
                 "_labels": named,
+                "_sensitivities": names and EnsembleSensitivities(names, found["S"], found["S_end"]),
             })  # fmt: skip
 
 
@@ -458,6 +485,10 @@ OF_TRAJECTORIES = {
 }
 
 
+def _of_sensitivities(name: str) -> Any:
+    return lambda m: None if m._sensitivities is None else getattr(m._sensitivities, name)
+
+
 def _events(m: EnsembleSolution) -> tuple[int, dict[str, Array]]:
     return len(m.events), together(m.events, none_of(m.y_end))
 
@@ -470,6 +501,9 @@ _ENSEMBLE = Kind(
         "messages": Field(dict[str, str], of=lambda m: {str(i): text for i, text in m.messages.items()}),
         "final": Field(bool, of=attrgetter("_final")),
         "labels": Field(list[str] | None, of=attrgetter("_labels")),
+        "parameters": Field(Annotated[list[str], "parameter"] | None, of=_of_sensitivities("names")),
+        "S": Field(float, "trajectory component parameter t", _of_sensitivities("values"), optional=True),
+        "S_end": Field(float, "trajectory component parameter", _of_sensitivities("end"), optional=True),
         "t": Field(float, "t"),
         "success": Field(bool, "trajectory"),
         **OF_TRAJECTORIES,

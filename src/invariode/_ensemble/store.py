@@ -18,7 +18,7 @@ from .._base.files import damage_of, named
 from .._base.formats import Field, Kind, header, kind_of
 from .._base.locks import Lock
 from .._results.saving import apart, together
-from .outcomes import ROWS, Outcomes, counts_by_name
+from .outcomes import OF_SENSITIVITIES, ROWS, Outcomes, counts_by_name
 from .solution import OF_TRAJECTORIES, EnsembleEvents, EnsembleSolution, EnsembleStats, final_states, none_of
 from .sources import Part, digest
 
@@ -356,7 +356,8 @@ class EnsembleStore:
                     raise ValueError(f"{name} is of {group[name].dtype} and shape {group[name].shape}")
         m = group["invariant"].shape[0] if "invariant" in group else 0
         times = bool(self.attributes["kept_times"])
-        held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in (*ROWS, "attempt")}
+        kept = [name for name in (*ROWS, "attempt") if name not in OF_SENSITIVITIES]
+        held = {name: group[name][:size] if name in group else np.zeros((size, m)) for name in kept}
         of_stats: dict[str, Any] = {name: held.pop(name) for name in ("clipped_amount", "stiff_since", "discontinuity")}
         y = held["y"] if times else final_states(held["y_end"], held["status"])
         counts = counts_by_name(held.pop("counts"))

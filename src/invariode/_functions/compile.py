@@ -64,6 +64,7 @@ def compile(
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> decay = iv.compile(lambda t, y, p: -p[0] * y[0])
     >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,))

@@ -16,11 +16,11 @@ from .graph.derived import derived, native
 from .layout import count_of
 
 #: Complex increment: its square is negligible against 1, and products of x and it do not vanish.
-_TINY = 1e-40
+TINY = 1e-40
 #: Components below this part of the largest have no scale of their own, and increments not smaller than of this size.
 _SMALLEST_PART = 0.1
 #: Relative increment of a central difference, and what counts as agreement with it.
-_INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
+INCREMENT, _SAME = EPS ** (1 / 3), 1e-6
 
 #: Where complex steps are tried, in parts of the sizes of x: what is not analytic may not show at x itself.
 _BESIDE_START = (0.1, 0.0)
@@ -171,7 +171,7 @@ class Derivatives:
         return compressed(entries)
 
     def _takes_complex(self, t: float, x: Array, form: _core.Differentiable) -> bool:
-        """Whether complex steps give what differences give, along a direction in which everything moves."""
+        """Whether complex steps give what differences give."""
 
         def values(z: Array) -> Array:
             if z.dtype.kind == "c":
@@ -179,11 +179,16 @@ class Derivatives:
             return self.value(z[0], z[1:])
 
         direction = np.append(max(abs(t), 1.0), somewhere(x))
-        for part in _BESIDE_START:
-            at = np.append(t, x + part * direction[1:])
-            if (found := compared(values, at, direction)) is not None:
-                return bool(found.agree().all())
-        return False
+        return takes_complex(values, np.append(t, x), direction, np.append(0.0, direction[1:]))
+
+
+def takes_complex(values: Callable[[Array], Any], x: Array, direction: Array, beside: Array) -> bool:
+    """Whether complex steps give what differences give, along a direction in which everything moves; tried at x and
+    `beside` it, which is given as a direction."""
+    for part in _BESIDE_START:
+        if (found := compared(values, x + part * beside, direction)) is not None:
+            return bool(found.agree().all())
+    return False
 
 
 class Comparison(NamedTuple):
@@ -195,14 +200,14 @@ class Comparison(NamedTuple):
 
     @property
     def by_step(self) -> Array:
-        return np.imag(np.asarray(self.stepped)) / _TINY
+        return np.imag(np.asarray(self.stepped)) / TINY
 
     def agree(self, times: float = 1.0) -> Array:
         """Which components are equal, up to `times` the errors that are expected."""
         if isinstance(self.stepped, Exception) or self.stepped.shape != self.by_difference.shape:
             return np.zeros(1, dtype=bool)
         by_step, by_difference = self.by_step, self.by_difference
-        noise = 10 * EPS / _INCREMENT * self.size + np.finfo(float).tiny
+        noise = 10 * EPS / INCREMENT * self.size + np.finfo(float).tiny
         error = _SAME * np.maximum(np.abs(by_step), np.abs(by_difference)) + noise
         return np.asarray(np.abs(by_step - by_difference) <= times * error)
 
@@ -218,16 +223,16 @@ def compared(function: Callable[[Array], Any], x: Array, direction: Array) -> Co
         warnings.simplefilter("ignore")
         warnings.simplefilter("error", ComplexWarning)  # an imaginary part was dropped
         try:
-            up, down = (values(x + side * _INCREMENT * direction) for side in (1, -1))
+            up, down = (values(x + side * INCREMENT * direction) for side in (1, -1))
         except (ValueError, ArithmeticError, Warning):  # as from math.log(-1) and 1 / 0
             return None
         try:
-            stepped = values(x + 1j * _TINY * direction)
+            stepped = values(x + 1j * TINY * direction)
         except Exception as error:  # the function is not made for this
             stepped = error
     if up.shape != down.shape or not (np.isfinite(up) & np.isfinite(down)).all():
         return None
-    return Comparison(stepped, (up - down) / (2 * _INCREMENT), np.maximum(np.abs(up), np.abs(down)))
+    return Comparison(stepped, (up - down) / (2 * INCREMENT), np.maximum(np.abs(up), np.abs(down)))
 
 
 def _count_values(

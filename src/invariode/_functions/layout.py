@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -134,7 +136,7 @@ class Arguments(int):
 
     def __new__(cls, entries: Iterable[Entry]) -> Self:
         entries = tuple(entries)
-        made = super().__new__(cls, sum(int(np.prod(one.shape)) for one in _numbers(entries)))
+        made = super().__new__(cls, sum(math.prod(one.shape) for one in _numbers(entries)))
         made.entries = entries
         return made
 
@@ -176,7 +178,7 @@ class Arguments(int):
 
     def known(self) -> Array:
         """Which of the numbers are constants."""
-        return np.concatenate([_NONE, *(np.full(int(np.prod(one.shape)), one.fixed) for one in _numbers(self.entries))])
+        return np.concatenate([_NONE, *(np.full(math.prod(one.shape), one.fixed) for one in _numbers(self.entries))])
 
     def made(self, of_numbers: Callable[[Numbers, int], Any], of_constant: Callable[[Any], Any]) -> list[Any]:
         """The arguments, made of each entry of numbers and the place where they begin, and of each constant."""
@@ -189,7 +191,7 @@ class Arguments(int):
             if isinstance(entry, Constant):
                 return of_constant(entry.value)
             found = of_numbers(entry, place)
-            place += int(np.prod(entry.shape))
+            place += math.prod(entry.shape)
             return found
 
         return [of(entry) for entry in self.entries]
@@ -198,7 +200,7 @@ class Arguments(int):
         """The arguments with these numbers."""
 
         def of_numbers(entry: Numbers, place: int) -> Any:
-            numbers = np.reshape(parameters[place : place + int(np.prod(entry.shape))], entry.shape)
+            numbers = np.reshape(parameters[place : place + math.prod(entry.shape)], entry.shape)
             if entry.fixed or np.array_equal(numbers, entry.value):  # of its own type
                 return entry.value.copy() if entry.shape else entry.value
             return np.array(numbers) if entry.shape else float(numbers)
@@ -213,7 +215,7 @@ class Arguments(int):
         """Why code with numbers up to this rank as constants does not take other rows (N, k) of numbers."""
         place, found = 0, None
         for entry in _numbers(self.entries):
-            size = int(np.prod(entry.shape))
+            size = math.prod(entry.shape)
             if entry.rank <= most and (rows[:, place : place + size] != np.ravel(entry.value)).any():
                 found = found or f"{shown(entry.value)} is a constant of the compiled code, and other rows differ"
             place += size
@@ -252,6 +254,48 @@ def _entry(value: Any) -> Entry:
     if type(value) in (list, tuple):
         return Listed(type(value), tuple(map(_entry, value)))
     return Constant(value)
+
+
+_NUMBER = (bool, int, float, np.bool_, np.integer, np.floating)
+
+
+def numbers_in(value: Any) -> Iterator[tuple[str, Any]]:
+    """The numbers of an argument in their order, each with what is added to the argument's name for it."""
+    if isinstance(value, _NUMBER):
+        yield "", value
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        for place, one in np.ndenumerate(value):
+            yield (f"[{', '.join(map(str, place))}]" if place else ""), one
+    elif type(value) in (list, tuple):
+        for i, entry in enumerate(value):
+            for suffix, one in numbers_in(entry):
+                yield f"[{i}]{suffix}", one
+
+
+def place_of(args: Sequence[Any], index: int, item: int | None) -> int:
+    """The place of a number of an argument among those of all arguments."""
+    return int(arguments_of(args[:index])) + (item or 0)
+
+
+def with_numbers(args: Sequence[Any], changes: Mapping[int, Mapping[int, Any]]) -> tuple[Any, ...]:
+    """The arguments with other numbers: by argument, and by place among its numbers."""
+    return tuple(_changed(value, changes[i], count()) if i in changes else value for i, value in enumerate(args))
+
+
+def _changed(value: Any, numbers: Mapping[int, Any], places: Iterator[int]) -> Any:
+    if isinstance(value, _NUMBER):
+        return numbers.get(next(places), value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        inside = {i: numbers[place] for i, place in zip(range(value.size), places, strict=False) if place in numbers}
+        if not inside:
+            return value
+        made = np.array(value, dtype=np.result_type(float, *inside.values()))
+        for i, number in inside.items():
+            made.flat[i] = number
+        return made
+    if type(value) in (list, tuple):
+        return type(value)(_changed(one, numbers, places) for one in value)
+    return value
 
 
 class Parameters(np.ndarray[Any, Any]):

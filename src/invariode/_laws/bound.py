@@ -24,7 +24,7 @@ from .._base.arguments import (
 from .._functions.compiled import CoreFunction, as_python, complex_form, is_native, native_parameters, to_native
 from .._functions.derivatives import compared, somewhere
 from .._functions.graph.derived import derived
-from .._functions.layout import count_of
+from .._functions.layout import Parameters, count_of
 from .._problem.invariants import Invariants
 
 #: With when="needed", points closer to the manifold than this are left alone, in units of rtol.
@@ -81,6 +81,7 @@ class BoundInvariants:
     negligible: float = 0.0
     evaluations: int = 0  # of the functions, so far
 
+    tangents: Sequence[Any] = ()  # with sensitivities (t, Y) -> G S_j + g_pj of each spec
     jumps: tuple[Jump, ...] = ()
     forward: float = 1.0
 
@@ -101,6 +102,11 @@ class BoundInvariants:
     def senses(self) -> list[int]:
         """The sense of the invariant that each value belongs to."""
         return [spec.sense for spec in self.specs for _ in range(spec.m)]
+
+    def varied(self, tangents: Sequence[Any]) -> BoundInvariants:
+        """The same with their tangents, which may be machine code."""
+        parameters = self.parameters if len(self.parameters) else Parameters.of(self.args)
+        return replace(self, tangents=tangents, parameters=parameters)
 
     def equalities(self) -> BoundInvariants:
         """Only those that keep their values."""
@@ -196,13 +202,19 @@ class BoundInvariants:
 
     def evaluate(self, dense: _core.Dense, t: Array) -> Array:
         """The rows of a continuous solution of the core at t, projected between the steps if the run does so."""
-        return dense.evaluate(t, self._problem(dense.n, dense.complex, self.value))
+        problem = self._problem(dense.n, dense.complex, self.value, dense.parameters)
+        return dense.evaluate(t, problem)
 
     def _problem_of(self, y: Array, value: Array) -> _core.Problem:
         return self._problem(reals(y), y.dtype.kind == "c", value)
 
-    def _problem(self, n: int, is_complex: bool, value: Array) -> _core.Problem:
-        """The invariants alone, for the core; n: reals in a state."""
+    def _problem(self, n: int, is_complex: bool, value: Array, parameters: int = 0) -> _core.Problem:
+        """The invariants alone, for the core; n: reals in a state. With `parameters` for states with as many
+        sensitivities."""
+        variations = None
+        if parameters and self.specs:
+            none = np.zeros((parameters, n))
+            variations = _core.Variations(parameters, self.tangents[0], none, list(self.tangents))  # no slope is needed
         return _core.Problem(
             n=n,
             complex=is_complex,
@@ -211,6 +223,7 @@ class BoundInvariants:
             parameters=self.parameters,
             invariants=[_core.Invariant(*spec) for spec in self.specs],
             value=value,
+            variations=variations,
         )
 
 

@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
 from numpy.typing import ArrayLike
 from .._base.arguments import Array
-from .._base.types import BreakpointsLike, EventsLike, Fsal, Interpolation, Keep, Numbers, OnFailure, OnInterrupt
+from .._base.types import BreakpointsLike, EventsLike, Fsal, Interpolation, Keep, LargestStep, Numbers, OnFailure, OnInterrupt
 from .grouped import CheckpointLike, Limits, LinearSolver
 from .invariants import InvariantsLike
+from .sensitivities import SensitivitiesLike
 from .options import AllOptions, EnsembleOptions, ExtensionOptions, Options, ProblemEnsembleOptions, SolveOptions, StepperOptions
 
 __all__ = ["ensemble_options", "extension_options", "problem_ensemble_options", "run_options", "solve_options", "stepper_options", "suite_options"]
@@ -14,50 +15,52 @@ __all__ = ["ensemble_options", "extension_options", "problem_ensemble_options", 
 def solve_options(
     *, invariants: InvariantsLike | None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] |
     Sequence[str] | None = ..., mass: Any = ..., breakpoints: BreakpointsLike | None = ..., jac: Any = ...,
-    jac_sparsity: Any = ..., lband: int | None = ..., uband: int | None = ..., linear_solver: LinearSolver = ..., rtol:
-    Numbers = ..., atol: Numbers = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float |
-    None = ..., calibrate: bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool |
-    None = ..., prefer: tuple[str, str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., refine: int
-    = ..., keep: Keep | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ...,
-    max_steps: int | None = ..., limits: Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt:
-    OnInterrupt = ..., on_failure: OnFailure = ...
+    jac_sparsity: Any = ..., lband: int | None = ..., uband: int | None = ..., linear_solver: LinearSolver = ...,
+    sensitivities: SensitivitiesLike | None = ..., rtol: Numbers = ..., atol: Numbers = ..., first_step: float | None =
+    ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
+    Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ...,
+    fsal: Fsal = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback:
+    Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits |
+    None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
 ) -> SolveOptions: ...
 def run_options(
     *, breakpoints: BreakpointsLike | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers
-    = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool =
+    = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool =
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
-    str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., interpolation:
-    Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback: Callable[[float, Array], object] | None =
-    ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ..., checkpoint: CheckpointLike |
-    None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
+    str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., adjoint: bool = ...,
+    interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback: Callable[[float, Array],
+    object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ..., checkpoint:
+    CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
 ) -> Options: ...
 def suite_options(
     *, args: Iterable[Any] | None = ..., vectorized: bool = ..., events: EventsLike = ..., invariants: InvariantsLike |
     None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] | Sequence[str] | None = ..., mass: Any
     = ..., breakpoints: BreakpointsLike | None = ..., jac: Any = ..., jac_sparsity: Any = ..., lband: int | None = ...,
-    uband: int | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers = ..., first_step:
-    float | None = ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
-    Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ...,
-    fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., interpolation: Interpolation = ...,
-    refine: int = ..., keep: Keep | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool
-    = ..., max_steps: int | None = ..., limits: Limits | None = ..., checkpoint: CheckpointLike | None = ...,
-    on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
+    uband: int | None = ..., linear_solver: LinearSolver = ..., sensitivities: SensitivitiesLike | None = ..., rtol:
+    Numbers = ..., atol: Numbers = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float |
+    None = ..., calibrate: bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool |
+    None = ..., prefer: tuple[str, str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output:
+    bool = ..., adjoint: bool = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ...,
+    callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits:
+    Limits | None = ..., checkpoint: CheckpointLike | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure
+    = ...
 ) -> AllOptions: ...
 def ensemble_options(
     *, invariants: InvariantsLike | None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] |
     Sequence[str] | None = ..., mass: Any = ..., breakpoints: BreakpointsLike | None = ..., jac: Any = ...,
-    jac_sparsity: Any = ..., lband: int | None = ..., uband: int | None = ..., linear_solver: LinearSolver = ..., rtol:
-    Numbers = ..., atol: Numbers = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float |
-    None = ..., calibrate: bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool |
-    None = ..., prefer: tuple[str, str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep |
-    None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None =
-    ..., limits: Limits | None = ..., on_failure: OnFailure = ..., workers: int | None = ..., lanes: Literal['auto', 1]
-    = ..., retry: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = ..., executor: Any = ..., chunk: int | None =
-    ..., resume: bool = ..., seed: Any = ...
+    jac_sparsity: Any = ..., lband: int | None = ..., uband: int | None = ..., linear_solver: LinearSolver = ...,
+    sensitivities: SensitivitiesLike | None = ..., rtol: Numbers = ..., atol: Numbers = ..., first_step: float | None =
+    ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
+    Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ...,
+    fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep | None = ..., callback: Callable[[float, Array],
+    object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ..., on_failure:
+    OnFailure = ..., workers: int | None = ..., lanes: Literal['auto', 1] = ..., retry: Mapping[str, Any] |
+    Sequence[Mapping[str, Any]] | None = ..., executor: Any = ..., chunk: int | None = ..., resume: bool = ..., seed:
+    Any = ...
 ) -> EnsembleOptions: ...
 def problem_ensemble_options(
     *, breakpoints: BreakpointsLike | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers
-    = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool =
+    = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool =
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
     str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep | None = ..., callback:
     Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits |
@@ -66,14 +69,14 @@ def problem_ensemble_options(
     bool = ..., seed: Any = ...
 ) -> ProblemEnsembleOptions: ...
 def extension_options(
-    *, first_step: float | None = ..., max_step: float | None = ..., check: bool | Literal['strict'] = ..., t_eval:
+    *, first_step: float | None = ..., max_step: LargestStep = ..., check: bool | Literal['strict'] = ..., t_eval:
     ArrayLike | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps:
     int | None = ..., limits: Limits | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
 ) -> ExtensionOptions: ...
 def stepper_options(
     *, invariants: InvariantsLike | None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] |
     Sequence[str] | None = ..., mass: Any = ..., jac: Any = ..., jac_sparsity: Any = ..., lband: int | None = ...,
-    uband: int | None = ..., linear_solver: LinearSolver = ..., min_step: float | None = ..., calibrate: bool = ...,
-    check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str]
-    | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ...
+    uband: int | None = ..., linear_solver: LinearSolver = ..., sensitivities: SensitivitiesLike | None = ..., min_step:
+    float | None = ..., calibrate: bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf:
+    bool | None = ..., prefer: tuple[str, str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ...
 ) -> StepperOptions: ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from numpy.typing import ArrayLike
@@ -29,6 +30,8 @@ from .inputs import Input, InputsLike, to_inputs
 from .invariants import Invariants, InvariantsLike, to_invariants
 from .matrices import Matrices, to_matrices
 from .options import ProblemArguments, unknown_option
+from .parameters import ParameterName
+from .sensitivities import Sensitivities, SensitivitiesLike, to_sensitivities
 from .slope import Slope
 
 _ARGUMENTS = ProblemArguments.__annotations__.keys()
@@ -47,6 +50,7 @@ class Description:
     inputs: list[Input]
     name: str
     bounds: Bounds | None
+    sensitivities: Sensitivities | None
     records_events: bool
     _title: str | None
     _labels: list[str] | None
@@ -68,6 +72,7 @@ class Description:
         mass: Any = None,
         nonnegative: Any = None,
         bounds: Any = None,
+        sensitivities: SensitivitiesLike | None = None,
         inputs: InputsLike | None = None,
         name: str | None = None,
         labels: Sequence[str] | None = None,
@@ -75,9 +80,7 @@ class Description:
         called = fun if is_native(fun) else unlambdified(function("fun", fun, "f(t, y)"))
         span, start = interval(t_span), state(y0)
         start.flags.writeable = False
-        listed = to_events(events)
-        for event in listed:
-            terminal_count(event), direction_sign(event)
+        listed = _checked_events(events)
         is_complex = start.dtype.kind == "c"
         if is_complex and isinstance(called, TracedFunction):
             called = called.of_complex()
@@ -96,6 +99,7 @@ class Description:
             inputs=to_inputs(inputs, span),
             name=call_name(called, "problem") if name is None else name,
             bounds=to_bounds(nonnegative, bounds, start, named),
+            sensitivities=to_sensitivities(sensitivities),
             records_events=events is not None,
             _title=name,
             _labels=named,
@@ -109,6 +113,23 @@ class Description:
                 "bounds": bounds,
             },
         )
+        if self.sensitivities is not None and self.args:
+            self.parameters()
+
+    def parameters(self) -> tuple[ParameterName, ...]:
+        """Those of the sensitivities, in their order; without these none."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> tuple[ParameterName, ...]:
+        if self.sensitivities is None:
+            return ()
+        if self.y0.dtype.kind == "c":
+            raise ValueError(
+                "sensitivities are for real problems, and y0 is complex: write the problem in real and imaginary parts"
+            )
+        named = self.sensitivities.names
+        return named(self.fun, self.args, self._labels, len(self.y0), first=2 + len(self.inputs))
 
     if not TYPE_CHECKING:  # for whom `__init__` says it
 
@@ -166,6 +187,7 @@ class Description:
             "invariants": self.invariants,
             "events": self.events if self.records_events else None,
             **self._as_given,
+            "sensitivities": self.sensitivities,
             "inputs": self.inputs,
             "name": self._title,
             "labels": self._labels,
@@ -177,6 +199,13 @@ class Description:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, t_span={self.t_span}, n={len(self.y0)})"
+
+
+def _checked_events(events: EventsLike) -> list[Any]:
+    listed = to_events(events)
+    for event in listed:
+        terminal_count(event), direction_sign(event)
+    return listed
 
 
 #: That of `__init__`, since `__new__` only refuses a fourth argument by position.

@@ -135,7 +135,8 @@ def terminal_count(event: Event) -> int:
         count = -1
     if not 0 <= count < _MOST_OCCURRENCES or count != int(count):
         raise ValueError(
-            f"terminal of {event.__name__} must be a boolean or a positive integer below 2**53, got {shown(terminal)}"
+            "The `terminal` attribute of each event must be a boolean or positive integer, below 2**53; that of "
+            f"{event.__name__} is {shown(terminal)}"
         )
     return int(count)
 

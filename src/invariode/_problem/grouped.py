@@ -66,6 +66,7 @@ class GMRES:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> x = np.linspace(0, 1, 202)[1:-1]
     >>> def heat(t, u):
@@ -117,6 +118,7 @@ class Banded:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> x = np.linspace(0, 1, 52)[1:-1]
     >>> def heat(t, u):
@@ -210,6 +212,7 @@ class Limits:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> def decay(t, y):
     ...     return -y

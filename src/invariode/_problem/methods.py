@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
 from .. import _core
 from .._base.arguments import shown
+from .._base.method_names import OwnName
 from .._base.suggestions import meant
+from .._base.types import LargestStep
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Method:
         Where the formulas come from.
     """
 
-    name: str
+    name: OwnName
     summary: str
     family: str
     min_order: int
@@ -70,6 +73,12 @@ class Method:
     def fixed_order(self) -> bool:
         return self.min_order == self.order
 
+    @property
+    def max_step(self) -> LargestStep:
+        """The `max_step` of the function of this name by default: 'tenth' for MATLAB's codes, whose names begin with
+        ode, as it is there; infinite for the others, as in `solve_ivp`."""
+        return "tenth" if self.name.startswith("ode") else math.inf
+
 
 def _from_core(row: _core.Method) -> Method:
     given = {field.name: getattr(row, field.name) for field in fields(Method) if field.name != "scipy_options"}
@@ -77,7 +86,9 @@ def _from_core(row: _core.Method) -> Method:
 
 
 #: The methods by name, as the core lists them.
-METHODS: Mapping[str, Method] = MappingProxyType({row.name: _from_core(row) for row in _core.methods()})
+METHODS: Mapping[OwnName, Method] = MappingProxyType(
+    {method.name: method for method in map(_from_core, _core.methods())}
+)
 
 
 def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
@@ -85,14 +96,14 @@ def find_method(method: object) -> tuple[Method, Mapping[str, bool]]:
     name implies."""
     name = getattr(method, "_method", method.__name__) if isinstance(method, type) else method
     if not isinstance(name, str):
-        raise TypeError(f"method must be the name of a method, one of {_names()}; got {shown(method)}")
+        raise TypeError(f"`method` must be one of {_names()}, by name; got {shown(method)}")
     for candidate in METHODS.values():
         if name == candidate.name:
             return candidate, {}
         if name == candidate.scipy_name:
             return candidate, candidate.scipy_options
     known = [n for m in METHODS.values() for n in (m.name, m.scipy_name) if n]
-    raise ValueError(f"unknown method {name!r}{meant(name, known)} Methods: {_names()}")
+    raise ValueError(f"unknown method {name!r}{meant(name, known) or '.'} `method` must be one of {_names()}")
 
 
 def _names() -> str:

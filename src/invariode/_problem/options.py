@@ -5,6 +5,7 @@ holds the rest. The classes say which function takes a row: an entry point takes
 Checks, signatures and docstrings follow from the rows, so that a new option is one row here and its use.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -33,6 +34,7 @@ from .._base.types import (
     Function,
     Interpolation,
     Keep,
+    LargestStep,
     MethodName,
     Numbers,
     OnFailure,
@@ -44,6 +46,7 @@ from .grouped import CheckpointLike, Limits, LinearSolver, to_checkpoint, to_lim
 from .inputs import InputsLike
 from .invariants import InvariantsLike
 from .methods import Method, find_method
+from .sensitivities import SensitivitiesLike
 
 __all__ = [
     "TABLE",
@@ -95,6 +98,14 @@ def _flag_or_strict(name: str, value: object) -> bool | Literal["strict"]:
     return flag(name, value)
 
 
+def _largest_step(name: str, value: object) -> LargestStep:
+    if isinstance(value, str):
+        if value != "tenth":
+            raise ValueError(f"{name} must be a positive number or 'tenth', of the interval; got {shown(value)}")
+        return "tenth"
+    return positive(name, value)
+
+
 @dataclass(frozen=True)
 class Option:
     """A row of the table, without the name and the type of the option."""
@@ -129,8 +140,14 @@ class StepSizeOptions(TypedDict, total=False):
         float | None, Option(None, "float", "Size of the first step. Default: chosen from f(t0, y0).", positive)
     ]
     max_step: Annotated[
-        float | None,
-        Option(None, "float", "Largest step. Default: a tenth of the interval; ``inf`` lifts that.", positive),
+        LargestStep,
+        Option(
+            math.inf,
+            "float or 'tenth'",
+            "Largest step. 'tenth' is a tenth of the interval: the rule of MATLAB's codes, and the default of the "
+            "functions that have their names, such as `ode45`.",
+            _largest_step,
+        ),
     ]
 
 
@@ -362,6 +379,16 @@ class OutputOptions(TypedDict, total=False):
         ),
     ]
     dense_output: Annotated[bool, Option(False, "bool", "Whether ``Solution.sol`` is computed.", flag)]
+    adjoint: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Keep what ``Solution.gradient`` needs, the gradient of a scalar with respect to many parameters: the "
+            "continuous solution, as `dense_output` does.",
+            flag,
+        ),
+    ]
 
 
 class DescribingOptions(TypedDict, total=False):
@@ -445,6 +472,18 @@ class DescribingOptions(TypedDict, total=False):
             "Components that must not become negative, such as concentrations: short for `bounds` of 0 below. True "
             "means all.",
             command=True,
+        ),
+    ]
+
+    sensitivities: Annotated[
+        SensitivitiesLike | None,
+        Option(
+            None,
+            "bool, str, int, list of these, or Sensitivities",
+            "Derivatives of the solution with respect to parameters, computed with it: True for all numbers in `args`, "
+            "or names of f's arguments (``'k1'``, ``'p[2]'`` in an array p), indices of arguments, and initial values "
+            "(``'y0[prey]'``; ``'y0'`` for all). They are ``Solution.sensitivities``, as accurate as y. See "
+            "`Sensitivities`.",
         ),
     ]
 
@@ -569,7 +608,7 @@ class ExtensionOptions(TypedDict, total=False):
 
     t_eval: ArrayLike | None
     first_step: float | None
-    max_step: float | None
+    max_step: LargestStep
     callback: Callable[[float, Array], object] | None
     check: bool | Literal["strict"]
     max_steps: int | None
@@ -603,9 +642,10 @@ def table_of(kind: type) -> dict[str, Option]:
 TOPICS: Mapping[str, tuple[str, ...]] = {
     "the problem": ("args", "vectorized", "events", "invariants", "bounds", "nonnegative", "mass", "breakpoints"),
     "its Jacobian": ("jac", "jac_sparsity", "lband", "uband", "linear_solver"),
+    "its parameters": ("sensitivities",),
     "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
     "the method": ("max_order", "bdf", "prefer", "fsal"),
-    "output": ("t_eval", "dense_output", "interpolation", "refine", "keep"),
+    "output": ("t_eval", "dense_output", "adjoint", "interpolation", "refine", "keep"),
     "the course of the run": (
         "callback",
         "progress",

@@ -15,6 +15,7 @@ from .._base.formats import write
 from .._base.public import version
 from .result import Result
 from .saving import SOLUTION
+from .sensitivities import named
 
 if TYPE_CHECKING:  # an extra, imported when it is used
     import pandas
@@ -31,6 +32,7 @@ class Exports(Result):
         -------
         xarray.Dataset
             `y` (component, t), with the problem's labels and the times as coordinates, complex if the problem is.
+            `sensitivities` (component, parameter, t), if there are any.
             With invariants, `residual` (invariant, t), and their first values as the coordinate `value`. For each event
             `y_events_NAME` (event_NAME, component) with its times as the coordinate `t_events_NAME`; events that share
             a name are numbered. If the steps were kept, `h, order, error, correction` (t_step). The attributes
@@ -50,7 +52,8 @@ class Exports(Result):
         -------
         pandas.DataFrame
             One row per output, with the index `t`; a column per component under its label (complex ones have two,
-            LABEL.real and LABEL.imag, so that they can be written), then ``residual of NAME`` for each invariant. Its
+            LABEL.real and LABEL.imag, so that they can be written), with sensitivities ``d LABEL / d PARAMETER``, then
+            ``residual of NAME`` for each invariant. Its
             `attrs` hold what the attributes of `to_xarray` do, and the invariants' values.
 
         Raises
@@ -96,6 +99,10 @@ def to_xarray(solution: Result) -> xarray.Dataset:
         coordinates["invariant"] = list(g.names)
         coordinates["value"] = ("invariant", g.value)
         variables["residual"] = (("invariant", "t"), solution.residual, {"long_name": "g - value"})
+    S = solution._sensitivities
+    if S is not None:
+        coordinates["parameter"] = S.names
+        variables["sensitivities"] = (("component", "parameter", "t"), S.values, {"long_name": "dy / dp"})
     for name, t, y in zip(_event_names(solution), solution.t_events or (), solution.y_events or (), strict=True):
         coordinates[f"t_events_{name}"] = (f"event_{name}", t)
         variables[f"y_events_{name}"] = ((f"event_{name}", "component"), y.reshape(len(t), len(solution.y)))
@@ -123,6 +130,10 @@ def to_dataframe(solution: Result) -> pandas.DataFrame:
             columns += [(f"{label}.real", values.real), (f"{label}.imag", values.imag)]
         else:
             columns.append((label, values))
+    S = solution._sensitivities
+    if S is not None:
+        names = named(S.names, _labels(solution))
+        columns += zip(names, S.values.reshape(len(names), len(solution.t)), strict=True)
     g = solution._invariants
     if len(g):
         columns += [(f"residual of {name}", row) for name, row in zip(g.names, solution.residual, strict=True)]
@@ -146,6 +157,8 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         **{name: ("trajectory", ensemble[name]) for name in ("t_end", "status", "attempt", "correction")},
         **{name: ("trajectory", counts) for name, counts in ensemble.stats.items()},
     }
+    if ensemble.sensitivities is not None:
+        variables["sensitivities"] = ((*whole[:2], "parameter", "t"), ensemble.sensitivities)
     if ensemble.value.shape[1]:
         laws = ("value", "residual_before", "residual_after")
         variables |= {name: (("trajectory", "invariant"), ensemble[name]) for name in laws}
@@ -153,6 +166,7 @@ def ensemble_to_xarray(ensemble: Any) -> xarray.Dataset:
         "trajectory": np.arange(len(ensemble)),
         "component": ensemble.labels,
         "t": ensemble.t,
+        **({} if ensemble.sensitivities is None else {"parameter": ensemble.sensitivity_names}),
     }
     data: xarray.Dataset = xr.Dataset(variables, coordinates, {"invariode_version": version()})
     return data

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .._base.arguments import Array, real_numbers
 from .._core import Dense
 from .._laws.bound import BoundInvariants, as_columns
+from .sensitivities import SensitivityData, states_and_sensitivities
 
 #: The status of a run ended by a limit: its results are right, and it can be extended. That of one that found an
 #: invariant which f does not conserve.
@@ -103,6 +104,9 @@ class Stats(Record):
     discontinuities : tuple of float
         Where f looks discontinuous and that cost failed attempts, in the order of the run: at each t f has its new
         value. At most 64. For jumps of f that depend on t these are exact, and can be given as `breakpoints`.
+    sensitivities : str or None
+        Of a run with `sensitivities`: how the derivatives of its functions were formed: 'graph' (exact, from their
+        expressions), 'given', 'complex-step' or 'differences'; of each function, if they differ.
     """
 
     steps: int
@@ -128,6 +132,7 @@ class Stats(Record):
     stiff_since: float | None = None
     jacobian: str | None = None
     discontinuities: tuple[float, ...] = ()
+    sensitivities: str | None = None
 
 
 class StiffnessWarning(UserWarning):
@@ -301,11 +306,39 @@ class DenseSolution:
         if times.ndim > 1:
             raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
         g = self._invariants
-        y = as_columns(g.evaluate(self._dense, np.atleast_1d(times)), self._dtype)
+        rows = g.evaluate(self._dense, np.atleast_1d(times))
+        y = as_columns(rows[:, : self._dense.n] if self._dense.parameters else rows, self._dtype)
         if self._imposed is not None and y.shape[1]:
             pieces = g.pieces_at(np.atleast_1d(times), "right")
             y = g.equalities().impose(np.atleast_1d(times), y, **self._imposed, pieces=pieces).y
         return y[:, 0] if times.ndim == 0 else y
+
+    def sensitivities(self, t: ArrayLike) -> Array:
+        """∂y/∂p at t, of a run with `sensitivities`.
+
+        Parameters
+        ----------
+        t : float or array_like of shape (n_t,)
+            Times.
+
+        Returns
+        -------
+        ndarray of shape (n, k) or (n, k, n_t)
+            As accurate as ``sol(t)``, and on the tangent of the manifold where ``sol(t)`` is on the manifold.
+
+        Raises
+        ------
+        ValueError
+            The run had no sensitivities.
+        """
+        if not self._dense.parameters:
+            raise ValueError("the run had no sensitivities: solve with sensitivities=True, or the names of parameters")
+        times = real_numbers("t", t)
+        if times.ndim > 1:
+            raise ValueError(f"t must be a number or 1-dimensional, got shape {times.shape}")
+        rows = self._invariants.evaluate(self._dense, np.atleast_1d(times))
+        found = states_and_sensitivities(rows.T, self._dense.n, self._dense.parameters)[1]
+        return found[:, :, 0] if times.ndim == 0 else found
 
     def imposed(self, rtol: ArrayLike, atol: ArrayLike) -> DenseSolution:
         """The same with its values projected to roundoff."""
@@ -364,6 +397,7 @@ class Result(dict[str, Any]):
     _atol: ArrayLike
     _drift: BeforeProjection
     _names: Names
+    _sensitivities: SensitivityData | None
     _origin: Any  # what it was made from, a `RunOrigin`; None: there are no functions
 
     def __init__(
@@ -374,6 +408,7 @@ class Result(dict[str, Any]):
         _atol: ArrayLike,
         _drift: BeforeProjection,
         _names: Names,
+        _sensitivities: SensitivityData | None = None,
         _origin: Any = None,
         **fields: Any,
     ) -> None:
@@ -381,6 +416,7 @@ class Result(dict[str, Any]):
         own = self.__dict__  # past __setattr__: a short solve takes 30 µs, to which this must not add
         own["_invariants"], own["_rtol"], own["_atol"] = _invariants, _rtol, _atol
         own["_drift"], own["_names"], own["_origin"] = _drift, _names, _origin
+        own["_sensitivities"] = _sensitivities
 
     def changed(self, **changes: Any) -> Self:
         """A copy with other values of some fields, and with what the user has added."""
@@ -413,6 +449,35 @@ class Result(dict[str, Any]):
 
     __eq__ = object.__eq__  # arrays do not compare to one truth
     __hash__ = object.__hash__  # type: ignore[assignment]  # a dict has none
+
+    @property
+    def sensitivities(self) -> Array | Any:
+        """∂y/∂p at the outputs, of shape (n, k, n_t); None if the run had no `sensitivities`."""
+        return None if self._sensitivities is None else self._sensitivities.values
+
+    @property
+    def sensitivity_names(self) -> list[str]:
+        """The k parameters."""
+        return [] if self._sensitivities is None else list(self._sensitivities.names)
+
+    @property
+    def sensitivities_events(self) -> list[Array] | Any:
+        """∂y/∂p at `y_events`, with t fixed: for each event (occurrences, n, k). None without events."""
+        return self._at_events("before")
+
+    @property
+    def sensitivities_after_events(self) -> list[Array] | Any:
+        """The same behind the action of the event; NaN for an action that was not taken, since the run ended there."""
+        return self._at_events("after")
+
+    @property
+    def sensitivities_t_events(self) -> list[Array] | Any:
+        """∂τ/∂p of the times of events: for each event (occurrences, k). None without events."""
+        return self._at_events("times")
+
+    def _at_events(self, which: str) -> list[Array] | None:
+        found = None if self._sensitivities is None else self._sensitivities.events
+        return None if found is None else list(getattr(found, which))
 
     @property
     def residual(self) -> Array:

@@ -42,6 +42,7 @@ class _Dense(TypedDict):
     extension: str
     rtol: float
     complex: bool
+    parameters: int
 
 
 def _of_origin(name: str) -> Any:
@@ -80,7 +81,23 @@ def apart(whole: Mapping[str, Array], size: int) -> list[dict[str, Array]]:
 def _events(sol: Result) -> tuple[int | None, dict[str, Array]]:
     pairs = zip(sol.t_events or (), sol.y_events or (), strict=True)
     each = [{"t": t, "y": y.reshape(len(t), len(sol.y))} for t, y in pairs]
-    return None if sol.t_events is None else len(each), together(each, {"t": np.zeros(0), "y": sol.y.T[:0]})
+    none = {"t": np.zeros(0), "y": sol.y.T[:0]}
+    S = sol._sensitivities
+    if S is not None and S.events is not None:
+        for i, one in enumerate(each):
+            one |= {name: found[i] for name, found in S.events._asdict().items()}
+        n, k = len(sol.y), len(S.names)
+        none |= {"before": np.zeros((0, n, k)), "after": np.zeros((0, n, k)), "times": np.zeros((0, k))}
+    return None if sol.t_events is None else len(each), together(each, none)
+
+
+def _of_sensitivities(name: str) -> Any:
+    """A field of the sensitivities, None without them."""
+    return lambda sol: None if sol._sensitivities is None else getattr(sol._sensitivities, name)
+
+
+def _of_group(sol: Result) -> None:
+    """What a group has or has not."""
 
 
 def _values_after(sol: Result) -> Array:
@@ -108,6 +125,7 @@ OCCURRENCES = {
 RUN = {
     "names": Field(Names, of=lambda sol: vars(sol._names)),
     "invariants": Field(Annotated[list[str], "invariant"], of=lambda sol: sol._invariants.names),
+    "sensitivities": Field(Annotated[list[str], "parameter"] | None, of=_of_sensitivities("names")),
     "identity": Field(_Identity | None, GROUP, _identity),  # None: there is nothing to go on with
     "rtol": Field(float, "component?", attrgetter("_rtol"), within=(0, np.finfo(float).max)),
     "atol": Field(float, "component?", attrgetter("_atol"), within=(0, np.finfo(float).max)),
@@ -125,15 +143,20 @@ END = {
     "next_h": Field(float | None, of=_of_origin("next_h"), within=(0, math.inf)),
     "memory_version": Field(int | None, of=_of_origin("memory_version")),
     "y_end": Field(None, "component", _of_origin("y"), optional=True),
+    "S_end": Field(float, "component parameter", _of_sensitivities("end"), optional=True),
     "memory": Field(np.uint8, "byte", _memory, optional=True),
 }
 #: and what it has left behind.
 OUTPUT = {
     "t": Field(float, "t"),
     "y": Field(None, "component t"),
+    "S": Field(float, "component parameter t", _of_sensitivities("values"), optional=True),
     "steps": Field(float, "step 6", lambda sol: sol.steps and sol.steps._rows, optional=True),
     "events": Field(Annotated[int, "event"] | None, GROUP, _events),
     **OCCURRENCES,
+    "events.before": Field(float, "occurrence component parameter", _of_group, optional=True),
+    "events.after": Field(float, "occurrence component parameter", _of_group, optional=True),
+    "events.times": Field(float, "occurrence parameter", _of_group, optional=True),
     "jumps.row": Field(np.int64, "jump", lambda sol: [jump.row for jump in sol._invariants.jumps], within=(0, "t")),
     "jumps.t": Field(float, "jump", lambda sol: [jump.t for jump in sol._invariants.jumps]),
     "jumps.value": Field(float, "jump invariant", _values_after),

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from .._base.arguments import Array, flag, warn
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, choice, flag, warn
 from .._base.notebook import html_of_solution
 from .._problem.accepted import extension_options
 from .._problem.invariants import InvariantsLike
 from .._problem.options import TABLE, ExtensionOptions, unknown_option
+from .._problem.sensitivities import SensitivitiesLike
 from .export import Exports
 from .pictures import drift, over_time, phase, steps
 from .pictures.canvas import require_matplotlib
@@ -75,6 +78,7 @@ class Solution(Exports):
         -------
         Solution
             Points that did not converge are unchanged, with a warning. Dissipated functions are not imposed.
+            Sensitivities stay as they are.
         """
         g = self._invariants.equalities()
         if len(g) == 0:
@@ -124,8 +128,8 @@ class Solution(Exports):
         t_eval : array_like, optional
             Times of the output in the new interval, if the run had `t_eval`. Default: those it has not reached, or no
             output if there are none. Those beyond `t_end` are left for a further extension.
-        max_step : float, optional
-            Default: the run's, or a tenth of the whole interval.
+        max_step : float or 'tenth', optional
+            Default: the run's; 'tenth' is a tenth of the whole interval.
         first_step, callback, check, progress, on_interrupt : optional
             As in `solve_ivp`.
         max_steps, limits : optional
@@ -164,7 +168,72 @@ class Solution(Exports):
         extended: Solution = self._origin.extend(self, t_end, extension_options(**options))
         return extended
 
-    def plot(self, *, ax: Axes | None = None, components: Any = None, **line: Any) -> Axes:
+    def gradient(
+        self,
+        dG_dy: ArrayLike | None = None,
+        dG_dp: ArrayLike | None = None,
+        wrt: SensitivitiesLike | None = None,
+        *,
+        t: ArrayLike | None = None,
+        integrand: Callable[..., Any] | None = None,
+    ) -> Array:
+        """The gradient of a scalar that depends on the solution, with respect to its parameters.
+
+        It takes one run backwards, whatever the number of parameters, by the adjoint equations; `sensitivities`, the
+        other way, takes one more equation of the size of y for each of them. The run must have `adjoint` or
+        `dense_output`.
+
+        Parameters
+        ----------
+        dG_dy : array_like of shape (n,) or (n, m), optional
+            The derivatives of G(y(t_1), y(t_2), ...) with respect to the solution at m times. Of shape (n,): at the
+            end.
+        dG_dp : array_like of shape (k,), optional
+            The derivatives of G with respect to the parameters with y fixed. Default: 0.
+        wrt : bool, str, int, list of these, or Sensitivities, optional
+            The parameters, as for `sensitivities`. Default: those of the problem's `sensitivities`, else all numbers in
+            `args`.
+        t : array_like of shape (m,), optional
+            The times of G. Default: those of the solution.
+        integrand : callable, optional
+            ``g(t, y, *args)``, a number: ∫ g dt from the start to the end is added to G.
+
+        Returns
+        -------
+        ndarray of shape (k,)
+            As accurate as the solution: within some tolerances of what `sensitivities` gives.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A wrong shape; a run without continuous solution; actions that make the solution jump, jumps of f at
+            conditions, a singular mass matrix or one that is a function, mechanisms, complex y0.
+
+        Notes
+        -----
+        Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
+        the derivatives of G enter by their part along the manifold, as the solution and its sensitivities stay on it
+        and its tangent.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def decay(t, y, rate):
+        ...     return [-rate * y[0]]
+        >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,), rtol=1e-8, atol=1e-10, adjoint=True)
+        >>> bool(np.allclose(sol.gradient([1.0], wrt=["rate", "y0"]), [-np.exp(-2), np.exp(-2)], rtol=1e-6))
+        True
+        """
+        if self._origin is None:
+            raise ValueError(
+                "this solution comes from a file or a pickle, without the functions of its problem: solve it again"
+            )
+        found: Array = self._origin.gradient(self, dG_dy, dG_dp, wrt, t, integrand)
+        return found
+
+    def plot(
+        self, *, ax: Axes | None = None, components: Any = None, log: Literal["x", ""] | None = None, **line: Any
+    ) -> Axes:
         """Draws components of the solution over t.
 
         The curves are continuous: those of ``sol.sol`` with dense output, else cubics through the steps with the slopes
@@ -181,6 +250,10 @@ class Solution(Exports):
             differ from those of the others by a factor of more than 1000.
         components : int, str, or sequence of these, optional
             Indices or labels. Default: all. More than twelve share a sequence of colours, and only some are named.
+        log : {'x', ''}, optional
+            'x': a logarithmic axis of time, on which t = 0 has no place; '': a linear one. Default: linear, but in a
+            new figure logarithmic if half of the output lies in the first thousandth of the time and the steps span
+            six decades, as those of stiff runs do.
         **line
             Properties of the lines, as for ``Axes.plot``. A `label` tells this solution from others on the same axes;
             a `marker` marks the points of the output.
@@ -194,12 +267,10 @@ class Solution(Exports):
         ------
         ValueError
             There is no such component; the run kept its final state only.
-
-        Notes
-        -----
-        The value at t = 0 stays in the data: ``ax.set_xscale("log")`` shows all later ones.
         """
-        return over_time.draw(self, ax, components, line)
+        if log is not None:
+            choice("log", log, ("x", ""))
+        return over_time.draw(self, ax, components, log, line)
 
     def plot_phase(
         self,
@@ -250,7 +321,7 @@ class Solution(Exports):
         """Draws how far the invariants are from their values, on a logarithmic axis.
 
         Solid: ``|g - value|`` at the outputs, after projection. Dotted: the largest before projection
-        (`invariode.Solution.drift`).
+        (`invariode.Solution.drift`). Shaded: below ε ``|value|``, where rounding alone makes residuals.
 
         Parameters
         ----------

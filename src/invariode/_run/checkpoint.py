@@ -274,10 +274,14 @@ def _joined(state: dict[str, Any], parts: list[dict[str, Any]]) -> dict[str, Any
     """The fields of the whole run as one solution has them, but for its continuous output."""
     whole = {name: one for name, one in parts[0].items() if not name.startswith("dense.")}
     for name in whole.keys() & OUTPUT.keys() - {"dense", "events"}:
-        whole[name] = np.concatenate([part[name] for part in parts], axis=int(name == "y"))
+        along = OUTPUT[name].dimensions
+        axis = along.index("t") if "t" in along else 0
+        whole[name] = np.concatenate([part[name] for part in parts], axis=axis)
     rows = np.cumsum([0, *(len(part["t"]) for part in parts)])
     whole["jumps.row"] += np.repeat(rows[:-1], [len(part["jumps.row"]) for part in parts])
     options = whole["identity"]["options"]
     if "end" in (options.get("keep"), options.get("save")):
         whole |= {"t": np.array([state["t_end"]]), "y": state["y_end"][:, None]}
-    return {**whole, **{name: state[name] for name in END}, "imposed": False, "added": {}}
+        if "S" in whole:
+            whole["S"] = state["S_end"][:, :, None]
+    return {**whole, **{name: state[name] for name in END if name in state}, "imposed": False, "added": {}}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from .._base.arguments import Array
@@ -33,9 +35,9 @@ def _after_one_step(plan: Plan) -> tuple[float, Array]:
     """t and y at the end of the first step."""
     settings = plan.settings._replace(times=None, dense=False, save_all=False, record=False, refine=1)
     functions = plan.functions._replace(events=[], callback=lambda t, y: True)
-    run = solver(plan._replace(settings=settings, functions=functions)).integrate(plan.y0.view(float))
+    run = solver(plan._replace(settings=settings, functions=functions)).integrate(plan.start)
     _, _, t_end, y_end = run.take_points()
-    return t_end, y_end
+    return t_end, y_end[: len(plan.y0)]
 
 
 def ended_at_start(plan: Plan, found: list[int]) -> bool:
@@ -63,4 +65,10 @@ def with_start(sol: Solution, plan: Plan, found: list[int]) -> Solution:
     for e in found:
         t_events[e] = np.concatenate([[plan.settings.t0], t_events[e]])
         y_events[e] = np.concatenate([plan.y0[None, :], y_events[e]])
-    return sol.changed(t_events=t_events, y_events=y_events)
+    sensitivities = sol._sensitivities
+    if plan.varied is not None and sensitivities is not None and sensitivities.events is not None:
+        none = np.zeros(0), plan.start[None, :][:0]
+        start = np.array([plan.settings.t0]), plan.start[None, :]
+        first = plan.varied.at_events([start if e in found else none for e in range(len(t_events))], len(plan.y0))
+        sensitivities = dataclasses.replace(sensitivities, events=first.joined(sensitivities.events))
+    return sol.changed(t_events=t_events, y_events=y_events, _sensitivities=sensitivities)

@@ -319,6 +319,7 @@ def _described(problem: Description) -> Any:
         "args": problem.args,
         "bounds": problem.bounds,
         "inputs": [vars(one) for one in problem.inputs],
+        "sensitivities": None if problem.sensitivities is None else [one.name for one in problem.parameters()],
         **vars(problem.matrices),
     }
     return in_words(about, code=False)

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from .. import _core
 from .._base.arguments import EPS, LARGEST_COUNT, Array, distinct, kept, output_times, reals, shown, tolerances, warn
 from .._base.failures import InvariantError
-from .._base.types import MethodName, Numbers, OnFailure, OnInterrupt
+from .._base.types import LargestStep, MethodName, Numbers, OnFailure, OnInterrupt
 from .._functions.compile import compile
 from .._functions.compiled import CompiledFunction, is_native, native_parameters, to_native
 from .._functions.graph.function import OnGraph
+from .._functions.layout import Parameters
 from .._laws.bound import BoundInvariants, InvariantSpec, bind
 from .._problem.bounds import Bounds
 from .._problem.breakpoints import Breakpoint, of_inputs, ordered
@@ -42,6 +43,7 @@ from .._results.result import LIMIT_REACHED, Names
 if TYPE_CHECKING:
     from .._linear.krylov import Krylov
     from .._linear.matrices import Start
+    from .variations import Variations
 
 #: Errors of ode15s at rtol 1e-4 are as large as requested if its steps are ten times as accurate (measured on the
 #: problems of docs/theory/ode15s.md; the form of the rule is that of Hairer and Wanner's RADAU5).
@@ -137,6 +139,13 @@ class Plan(NamedTuple):
     on_interrupt: OnInterrupt
     on_failure: OnFailure
     checkpoint: Checkpoint | None
+    varied: Variations | None  # what is computed besides y
+
+    @property
+    def start(self) -> Array:
+        """What the core starts from: y0, and the sensitivities behind it."""
+        y0 = self.y0.view(float)
+        return y0 if self.varied is None else self.varied.augmented(y0)
 
     @property
     def laws(self) -> Laws:
@@ -150,6 +159,12 @@ class Plan(NamedTuple):
 
     def verdict(self, run: _core.Run) -> tuple[int, str]:
         """The status of the run and its message."""
+        status, message = self._verdict(run)
+        if self.varied is None or run.component < self.functions.n:
+            return status, message
+        return status, self.varied.in_words(message, run.component)
+
+    def _verdict(self, run: _core.Run) -> tuple[int, str]:
         ended = MESSAGES.get(run.state)
         if ended is not None and not run.remarkable:
             return ended
@@ -200,6 +215,7 @@ def solver(plan: Plan) -> _core.Solver:
         value=functions.value,
         lower=None if functions.bounds is None else functions.bounds.lower,
         upper=None if functions.bounds is None else functions.bounds.upper,
+        variations=None if plan.varied is None else plan.varied.for_core,
     )
     settings = _core.Settings(plan.settings)
     return _core.Solver(plan.method.name, problem, _core.Tolerances(*plan.tolerances), settings)
@@ -227,6 +243,8 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
     breakpoints = ordered_breakpoints(problem, options["breakpoints"])
     traced = _with_graph(problem, chosen)
     parameters, fun = _native_functions(problem, traced, breakpoints, options["linear_solver"])
+    if problem.sensitivities is not None and not len(parameters):  # their equations are machine code
+        parameters = Parameters.of(problem.args)
     linear, y0 = _linear_algebra(problem, chosen, options, fun, traced, parameters, weights)
     bound = bind(problem.invariants, settings.t0, y0, problem.args, weights.threshold)
     bound.forward = settings.forward
@@ -235,24 +253,33 @@ def make_plan(problem: Description, method: MethodName, given: Options) -> Plan:
         iterations = bound.iterations or settings.iterations
         settings = settings._replace(iterations=iterations, negligible=bound.negligible)
     event_names = distinct([event.__name__ for event in problem.events]) if problem.events else []
+    functions = _functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints)
+    called = Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names)
+    varied = None
+    if problem.sensitivities is not None:
+        varied = _variations(problem, options, y0, weights, bound, breakpoints)
+        bound = bound.varied(varied.tangents)
+        functions = functions._replace(events=[*functions.events, *varied.switches])
+        event_names = [*event_names, *(one.name for one in varied.switches)]
     return Plan(
         method=chosen,
         tolerances=weights,
         settings=settings,
-        functions=_functions(problem, fun, parameters, linear, bound, options["callback"], breakpoints),
+        functions=functions,
         y0=y0,
         moved=y0 is not problem.y0,
         bound=bound,
         names=_names(bound, linear),
         event_names=event_names,
         records_events=problem.records_events,
-        called=Names(problem.name, problem._title, problem._labels, len(problem.y0), event_names),
+        called=called,
         rtol=kept(rtol),
         atol=kept(atol),
         progress=options["progress"],
         on_interrupt=options["on_interrupt"],
         on_failure=options["on_failure"],
         checkpoint=cast("Checkpoint | None", options["checkpoint"]),
+        varied=varied,
     )
 
 
@@ -266,24 +293,26 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
     keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
-    if keep == "end" and (times is not None or options["dense_output"]):
-        raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
+    dense = options["dense_output"] or options["adjoint"]
+    if keep == "end" and (times is not None or dense):
+        other = "t_eval, dense_output and adjoint need"
+        raise ValueError(f'keep="end" keeps only the final state: {other} keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
     explicit_one, implicit_one = options["prefer"] or ("", "")
-    first, largest = options["first_step"], options["max_step"]
+    first = options["first_step"]
     if first is not None and first > span:
-        raise ValueError(f"first_step must not exceed the interval, of length {span}, got {shown(first)}")
+        raise ValueError(f"`first_step` exceeds bounds: the interval has length {span}, got {shown(first)}")
     return Settings(
         t0=t0,
         tf=tf,
-        max_step=span / 10 if largest is None else largest,
+        max_step=longest_step(options["max_step"], span),
         first_step=0.0 if first is None else first,
         refine=options["refine"],
         times=times,
         interpolation=options["interpolation"],
-        dense=options["dense_output"],
+        dense=dense,
         save_all=keep != "end",
         record=keep == "all",
         check=bool(options["check"]),
@@ -295,6 +324,11 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         iterations=find_method(explicit_one)[0].iterations if explicit_one else method.iterations,
         **_limits(options, 0 if times is None else len(times), reals(problem.y0)),
     )
+
+
+def longest_step(given: LargestStep, span: float) -> float:
+    """`max_step` on an interval of this length."""
+    return span / 10 if given == "tenth" else given
 
 
 def _calibrated(weights: Tolerances, order: int) -> Tolerances:
@@ -407,6 +441,21 @@ def _functions(
         value=bound.value,
         bounds=problem.bounds,
     )
+
+
+def _variations(
+    problem: Description,
+    options: Options,
+    y0: Array,
+    weights: Tolerances,
+    bound: BoundInvariants,
+    breakpoints: list[Breakpoint],
+) -> Variations:
+    """The sensitivities, if the problem asks for them."""
+    from .variations import Weights, make_variations, require_direct
+
+    require_direct(options["linear_solver"])
+    return make_variations(problem, y0, Weights(weights.rtol, weights.threshold), bound.specs, breakpoints)
 
 
 # ----------------------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -44,6 +44,7 @@ from .._results.result import (
     StiffnessWarning,
     at_events,
 )
+from .._results.sensitivities import SensitivityData, states_and_sensitivities
 from .._results.solution import Solution
 from .agreement import compare
 from .call_errors import explain, wrong_length
@@ -52,6 +53,9 @@ from .events_at_start import ended_at_start, found_at_start, with_start, without
 from .identity import Identity, identity_of_run
 from .interruption import stopped_by_interrupt
 from .plan import Plan, make_plan, ordered_breakpoints, solver
+
+if TYPE_CHECKING:
+    from .variations import Variations
 
 
 class Resumed(NamedTuple):
@@ -99,6 +103,12 @@ class RunOrigin:
     def extend(self, sol: Solution, t_end: float, options: ExtensionOptions) -> Solution:
         """See `Solution.extend`."""
         return _extended(self, sol, t_end, options)
+
+    def gradient(self, sol: Solution, *given: Any) -> Array:
+        """See `Solution.gradient`."""
+        from .adjoint import gradient
+
+        return gradient(self, sol, *given)
 
     def identity(self) -> Identity:
         """What tells its run from another."""
@@ -276,6 +286,13 @@ def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
     for text in about_jumps(run, plan.event_names):
         warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
+    if plan.varied is not None and run.discontinuities and not plan.varied.follows_jumps:
+        warn(
+            f"sensitivities: fun looks discontinuous at t = {run.discontinuities[0]:.6g}, and not all of its "
+            "conditions are known. Sensitivities jump there too, and may be wrong behind: write fun with comparisons, "
+            "without floor and %, so that invariode.compile(fun, by='trace') takes it",
+            AccuracyWarning,
+        )
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
@@ -315,7 +332,7 @@ def _integrated(
             request = around.enter_context(stopped_by_interrupt())
         if resumed is not None:
             return core.resume(*resumed, told, request, keep, every)
-        return core.integrate(plan.y0.view(float), told, request, keep, every)
+        return core.integrate(plan.start, told, request, keep, every)
 
 
 def _solution(
@@ -328,7 +345,10 @@ def _solution(
         bound = bound.jumped(jumps)
     dense = run.take_dense()
     t, y, t_end, y_end = run.take_points()
-    happened = run.take_events() if plan.records_events else None
+    happened = run.take_events() if plan.records_events or plan.varied else None
+    sensitivities = None
+    if plan.varied is not None:
+        y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -351,8 +371,23 @@ def _solution(
         _rtol=plan.rtol,
         _atol=plan.atol,
         _names=plan.called,
+        _sensitivities=sensitivities,
         _origin=RunOrigin(source, t_end, y_end, next_h, run.memory, checkpoint=checkpoint),
     )
+
+
+def _parted(
+    plan: Plan, varied: Variations, Y: Array, end: Array, happened: list[tuple[Array, Array]]
+) -> tuple[Array, Array, list[tuple[Array, Array]] | None, SensitivityData]:
+    """y at the outputs, at the end and at events, and the sensitivities."""
+    n, k = len(plan.y0), len(varied.names)
+    y, S = states_and_sensitivities(Y, n, k)
+    y_end, S_end = states_and_sensitivities(end[:, None], n, k)
+    recorded = plan.records_events
+    at_events = varied.at_events(happened, n)
+    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened] if recorded else None
+    found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
+    return y, y_end[:, 0], states, found
 
 
 #: Of a run without invariants.
@@ -378,6 +413,7 @@ def _stats(run: _core.Run, plan: Plan) -> Stats:
         stats.ng += plan.bound.evaluations
         stats.ngdiff += plan.bound.evaluations - len(plan.bound.specs)
     stats.jacobian = formed(plan.functions.linear, run)
+    stats.sensitivities = None if plan.varied is None else plan.varied.derivatives
     if run.remarkable:
         stats.stiff_since = run.stiff_since if run.stiff else None
         stats.discontinuities = tuple(run.discontinuities)
@@ -479,6 +515,9 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
     steps = None
     if old.steps is not None and new.steps is not None:
         steps = Steps(np.concatenate([old.steps._rows, new.steps._rows]), old.steps._methods)
+    sensitivities = None
+    if old._sensitivities is not None and new._sensitivities is not None:
+        sensitivities = old._sensitivities.joined(new._sensitivities, points)
     return new.changed(
         t=np.concatenate([old.t[:points], new.t]),
         y=np.concatenate([old.y[:, :points], new.y], axis=1),
@@ -488,6 +527,7 @@ def _joined(old: Solution, new: Solution, points: int, forward: float) -> Soluti
         stats=dataclasses.replace(new.stats, mechanics=_summed(old.stats.mechanics, new.stats.mechanics)),
         steps=steps,
         _invariants=bound,
+        _sensitivities=sensitivities,
     )
 
 

@@ -98,6 +98,7 @@ def solve_ivp(
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> def pendulum(t, y):
     ...     return [y[1], -np.sin(y[0])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn, Unpack
 
 import numpy as np
@@ -24,6 +24,7 @@ from .._problem.methods import find_method
 from .._problem.options import ExtensionOptions, Options, checked
 from .._results.result import BeforeProjection, DenseSolution, Names, Stats, Steps, at_events
 from .._results.saving import OUTCOME, SOLUTION, apart
+from .._results.sensitivities import AtEvents, SensitivityData
 from .._results.solution import Solution
 from .._run.checkpoint import CHECKPOINT, read_checkpoint
 from .._run.identity import Identity, known_identity, options_of, require_same
@@ -121,7 +122,7 @@ def load(
             raise unreadable(path, "is a checkpoint, which needs its problem: load(path, problem)")
         fields, parts, checkpoint = read_checkpoint(path, fields)
     with damage_of(path):
-        dense = _dense(parts, reals(fields["y"]))
+        dense = _dense(parts, reals(fields["y"]) * (1 + len(fields["sensitivities"] or ())))
         origin = None if fields["identity"] is None else _origin(fields)
         solution = _solution(fields).changed(_origin=origin)
     if problem is not None:
@@ -136,7 +137,10 @@ def load(
         solution = solution.changed(_origin=whole)
     if problem is not None or listed:
         start = _start(path, solution, dense) if problem is None else (problem.t_span[0], problem.y0)
-        solution = solution.changed(_invariants=_bind_again(path, solution, listed, start, extra))
+        bound = _bind_again(path, solution, listed, start, extra)
+        if solution._sensitivities is not None and bound.specs:
+            bound = bound.varied(_tangents(path, solution, problem, bound))
+        solution = solution.changed(_invariants=bound)
     if dense is None:
         return solution
     imposed = {"rtol": solution._rtol, "atol": solution._atol} if fields["imposed"] else None
@@ -245,10 +249,36 @@ def _solution(fields: dict[str, Any]) -> Solution:
         _atol=fields["atol"].tolist(),
         _drift=BeforeProjection(fields["drift.residual"], fields["drift.distance"], float(fields["drift.correction"])),
         _names=Names(**fields["names"]),
+        _sensitivities=_sensitivities(fields, each),
     )
     for name, held in fields["added"].items():
         solution[name] = fields[f"added.{held['array']}"] if "array" in held else held["value"]
     return solution
+
+
+def _sensitivities(fields: dict[str, Any], each: list[dict[str, Array]] | None) -> SensitivityData | None:
+    names = fields["sensitivities"]
+    if names is None:
+        return None
+    if "S" not in fields or "S_end" not in fields:
+        raise ValueError("sensitivities do not match")
+    events = None if each is None else AtEvents(*([one[name] for one in each] for name in AtEvents._fields))
+    return SensitivityData(names, fields["S"], fields["S_end"], events)
+
+
+def _tangents(path: PathLike, solution: Solution, problem: Description | None, bound: BoundInvariants) -> Sequence[Any]:
+    """What sensitivities between the steps are projected with."""
+    if problem is None:
+        raise ValueError(
+            f"the run in {os.fspath(path)} has sensitivities, which invariants alone do not project: give its problem, "
+            "load(path, problem)"
+        )
+    from .._run.variations import Weights, make_variations
+
+    rtol, threshold, _ = tolerances(solution._rtol, solution._atol, problem.y0)
+    weights = Weights(rtol, threshold)
+    with quietly():
+        return make_variations(problem, problem.y0, weights, bound.specs, []).tangents
 
 
 def _steps(rows: Array, methods: list[str]) -> Steps:

@@ -19,12 +19,14 @@ from .ivp import solve_ivp
 
 
 def _function_of(method: Method) -> Callable[..., Solution]:
-    """`solve_ivp` with the method, and its own number of points per step unless other options fix the output."""
+    """`solve_ivp` with the method, its own largest step, and its own number of points per step unless other options
+    fix the output."""
 
     def solve(fun: Function, t_span: Span, y0: ArrayLike, **options: Unpack[AllOptions]) -> Solution:
         keep = options.get("keep")
         if options.get("t_eval") is None and not (isinstance(keep, str) and keep == "end"):
             options.setdefault("refine", method.refine)
+        options.setdefault("max_step", method.max_step)
         return solve_ivp(fun, t_span, y0, method.name, **options)
 
     solve.__name__ = solve.__qualname__ = method.name
@@ -44,7 +46,7 @@ def _function_of(method: Method) -> Callable[..., Solution]:
     -----
     {method.family}. {method.source}.
     """
-    return documented({"refine": method.refine}, options=table_of(AllOptions))(solve)
+    return documented({"refine": method.refine, "max_step": method.max_step}, options=table_of(AllOptions))(solve)
 
 
 __all__ = [*METHODS]

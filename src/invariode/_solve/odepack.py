@@ -6,7 +6,7 @@ import functools
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from .._base.arguments import (
     shown,
     warn,
 )
+from .._base.method_names import OwnName
 from .._base.types import Function, MethodName, Numbers
 from .._functions.compiled import is_native
 from .._problem.invariants import InvariantsLike
@@ -40,6 +41,51 @@ _BY_ORDER = " or ".join(f"method={name!r}" for name in ("ode113", "ode15s"))
 _NONSTIFF, _STIFF = 1, 2
 
 
+class OdeintOptions(TypedDict, total=False):
+    """The arguments of `odeint` after `full_output`, for type checkers."""
+
+    ml: int | None
+    mu: int | None
+    rtol: Numbers | None
+    atol: Numbers | None
+    tcrit: ArrayLike | None
+    h0: float
+    hmax: float
+    hmin: float
+    ixpr: bool | int
+    mxstep: int
+    mxhnil: int
+    mxordn: int
+    mxords: int
+    printmessg: bool | int
+    tfirst: bool | int
+    method: MethodName | None
+    invariants: InvariantsLike | None
+
+
+@overload
+def odeint(
+    func: Function,
+    y0: ArrayLike,
+    t: ArrayLike,
+    args: Iterable[Any] = (),
+    Dfun: Any = None,
+    col_deriv: bool | int = 0,
+    full_output: Literal[False, 0] = 0,
+    **options: Unpack[OdeintOptions],
+) -> Array: ...
+@overload
+def odeint(
+    func: Function,
+    y0: ArrayLike,
+    t: ArrayLike,
+    args: Iterable[Any] = (),
+    Dfun: Any = None,
+    col_deriv: bool | int = 0,
+    *,
+    full_output: Literal[True, 1],
+    **options: Unpack[OdeintOptions],
+) -> tuple[Array, dict[str, Any]]: ...
 def odeint(
     func: Function,
     y0: ArrayLike,
@@ -66,7 +112,7 @@ def odeint(
     *,
     method: MethodName | None = None,
     invariants: InvariantsLike | None = None,
-) -> Any:
+) -> Array | tuple[Array, dict[str, Any]]:
     """Solves y' = f(y, t) with the call of `scipy.integrate.odeint`.
 
     Parameters
@@ -135,6 +181,7 @@ def odeint(
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> def pendulum(y, t, b, c):
     ...     theta, omega = y
@@ -201,7 +248,7 @@ def _warn_idle(given: dict[str, float]) -> None:
         warn(f"{name} has no effect: it controls ODEPACK's internals; leave it out")
 
 
-def _highest_order(method: MethodName, limits: dict[str, int]) -> Options:
+def _highest_order(method: MethodName, limits: dict[OwnName, int]) -> Options:
     about = find_method(method)[0]
     if "prefer" in about.options and any(limits[name] < METHODS[name].order for name in limits):
         warn(f"mxordn and mxords have no effect on {about.name}: for formulas of low order give {_BY_ORDER}")
@@ -219,8 +266,10 @@ class _Times(NamedTuple):
 
 def _times(t: ArrayLike) -> _Times:
     given = np.atleast_1d(real_numbers("t", t))
+    if not given.size:  # nothing to integrate, and no output: SciPy's shape, (0, n)
+        return _Times(np.zeros(1), np.zeros(0, dtype=np.intp))
     steps = np.diff(given)
-    if given.ndim != 1 or not given.size or not ((steps >= 0).all() or (steps <= 0).all()):
+    if given.ndim != 1 or not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("t must be a list of times in rising or falling order; they may repeat. Sort it")
     new = np.concatenate([[True], steps != 0])
     return _Times(given[new], np.cumsum(new) - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
@@ -19,7 +20,7 @@ from .._problem.description import Description
 from .._problem.options import Options, ProblemArguments
 from .._results.messages import MESSAGES
 from .._results.solution import Solution
-from .._run.plan import Plan, make_plan, solver
+from .._run.plan import Plan, longest_step, make_plan, solver
 from .._run.run import Solved, concluded, presented, solve
 
 Cover: TypeAlias = tuple[float, float, float]
@@ -58,7 +59,6 @@ class PreparedSolver:
         self._idle = deque([core])
         self._members = core.members
         self._complex = plan.functions.complex
-        self._max_step = None if options.get("max_step") is None else plan.settings.max_step
         # Whether the plan holds for another y0, for other args, for another interval.
         self._any_y0 = _of_any_y0(problem, plan, core.native)
         self._any_args = self._any_y0 and core.native and _may_vary(problem, plan)
@@ -100,11 +100,14 @@ class PreparedSolver:
         known = self._any_y0 and (args is None or self._any_args) and (t_span is None or self._any_span)
         start = self._plan.y0 if y0 is None else _as_state(y0, self._plan.y0)
         if known and start is not None:
+            beginning = start if self._plan.varied is None else self._plan.varied.augmented(start)
             cover = None if t_span is None else self._covering(t_span)
-            run = self._run(start, args, cover)
+            run = self._run(beginning, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
                 source = Solved(
-                    lambda: _changed(self.problem, run.take_start(), args, t_span), self.method, self._options
+                    lambda: _changed(self.problem, run.take_start()[: len(start)], args, t_span),
+                    self.method,
+                    self._options,
                 )
                 sol = presented(run, self._as_run(run, args, cover), source, self._members)
                 return concluded(sol, self._plan.on_failure)
@@ -141,7 +144,7 @@ class PreparedSolver:
 
     def _covering(self, t_span: Span) -> Cover:
         t0, tf = interval(t_span)
-        return t0, tf, abs(tf - t0) / 10 if self._max_step is None else self._max_step
+        return t0, tf, longest_step(self._options.get("max_step", math.inf), abs(tf - t0))
 
 
 def _may_vary(problem: Description, plan: Plan) -> bool:
@@ -156,12 +159,22 @@ def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
     mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
     alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
-    if alone or isinstance(problem.fun, CoreFunction):
+    if alone or isinstance(problem.fun, CoreFunction) or not _of_any_parameters(problem, plan, native):
         return False
     if any(event.at_start for event in problem.events):
         return False
     linear = plan.functions.linear
     return linear is None or not linear.algebraic if native else linear is None and not plan.bound.specs
+
+
+def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
+    """Whether the sensitivities, if there are any, are computed alike for all values of the parameters: their
+    tolerances if their scale is given. Python has derivatives of events, and of what is not native, at one value."""
+    wanted = problem.sensitivities
+    if wanted is None:
+        return True
+    absolute = bool(np.all(np.asarray(plan.atol) > 0))
+    return native and absolute and wanted.scale is not None and wanted.dy0dp is None and not problem.events
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Unpack
 
 from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
-from .. import _core
-from .._base.arguments import ATOL, RTOL, Array, flag, warn
-from .._base.types import Numbers
+from .._base.arguments import ATOL, RTOL, Array, flag
+from .._base.types import LargestStep, MethodName, Numbers
 from .._functions.compiled import is_native
 from .._problem.accepted import stepper_options
 from .._problem.description import Description
 from .._problem.docstrings import documented
-from .._problem.invariants import AccuracyWarning
 from .._problem.options import (
     TABLE,
     DescribingOptions,
@@ -26,14 +25,12 @@ from .._problem.options import (
     unknown_option,
     unused,
 )
-from .._results.messages import about_jumps_of_fun, harmful_projection, limited_by_stability
-from .._results.result import DenseSolution, DiscontinuityWarning, StiffnessWarning, default_labels
-from .._run.plan import make_plan, solver
+from .._results.result import DenseSolution
+from .._run.plan import make_plan
+from .._run.walk import Walk
 from .ivp import one_column
 
 _OPTIONS = table_of(StepperOptions)
-#: Before this many steps nothing can be said about harm: one step in eight is examined.
-FEW_STEPS = 64
 
 
 class _Interpolant(DenseOutput):
@@ -60,8 +57,7 @@ class Stepper(OdeSolver):
     y0 : array_like of shape (n,)
         Initial state, real or complex.
     max_step, rtol, atol, first_step, vectorized : optional
-        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`. `max_step` is a tenth of the interval by
-        default here too; ``inf`` lifts that.
+        As in `invariode.solve_ivp`, in the order of `scipy.integrate.RK45`.
 
     Other Parameters
     ----------------
@@ -88,7 +84,7 @@ class Stepper(OdeSolver):
     Invariants are called as ``g(t, y)``: SciPy's solve_ivp passes `args` only to `fun`, `jac` and events.
     """
 
-    _method: ClassVar[str]
+    _method: ClassVar[MethodName]
 
     def __init__(
         self,
@@ -96,7 +92,7 @@ class Stepper(OdeSolver):
         t0: float,
         y0: ArrayLike,
         t_bound: float,
-        max_step: float | None = None,
+        max_step: LargestStep = math.inf,
         rtol: Numbers = RTOL,
         atol: Numbers = ATOL,
         vectorized: bool = False,
@@ -106,6 +102,8 @@ class Stepper(OdeSolver):
         if wrong := next((name for name in options if name not in _OPTIONS), None):
             raise self._refused(wrong)
         describing, stepping = parted(stepper_options(**options), DescribingOptions)
+        if describing.get("sensitivities"):
+            raise ValueError(f"{type(self).__name__} steps y alone: sensitivities are those of solve_ivp and Problem")
         unused(self._method, describing)
         # The user's own function, not SciPy's wrapper of it, which refers to this object and would count calls twice.
         alone = one_column(fun) if flag("vectorized", vectorized) and not is_native(fun) else fun
@@ -114,13 +112,8 @@ class Stepper(OdeSolver):
         given: Options = stepping
         given |= {"max_step": max_step, "rtol": rtol, "atol": atol, "first_step": first_step, "keep": "end"}
         plan = make_plan(problem, self._method, given)
-        # The matrices of the plan, which the garbage collector cannot look into, would keep what refers to this alive.
-        self._plan = plan._replace(functions=plan.functions._replace(linear=None))
-        self._stepper = _core.Stepper(solver(plan), plan.y0.view(float))
-        if self._stepper.state in ("invariant_refused", "start_contradicts", "start_out_of_bounds"):
-            raise self._plan.exception(self._stepper.result()) or AssertionError
-        self.y = self._state()
-        self._steps, self._warned, self._warned_stiff, self._warned_discontinuous = 0, False, False, False
+        self._walk = Walk(plan, plan.y0)
+        self.y = self._walk.y
         self._count()
 
     @classmethod
@@ -130,63 +123,34 @@ class Stepper(OdeSolver):
         return unknown_option(name, (*_OPTIONS, "max_step", "rtol", "atol", "first_step", "vectorized"))
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        if self._stepper.state == "running":
-            self._stepper.step()
+        walk = self._walk
+        if walk.state == "running":
+            walk.step()
             self._count()
-            self._watch_run()
-        elif self._stepper.state == "interrupted":
+        elif walk.state == "interrupted":
             raise RuntimeError(
                 "a function raised an exception in an earlier step: start a new solver from the last t and y"
             )
-        if self._stepper.state not in ("running", "reached_end"):
-            return False, self._plan.verdict(self._stepper.result())[1]
-        self.t, self.y = self._stepper.t, self._state()
+        if walk.state not in ("running", "reached_end"):
+            return False, walk.failure[1]
+        self.t, self.y = walk.t, walk.y
         return True, None
-
-    def _watch_run(self) -> None:
-        """One warning each, if projection does harm, if stability limits the steps, and if f jumps. A solver does not
-        learn that a run ends before t_bound, so this is checked in steps 64, 128, 256, … too."""
-        self._steps += 1
-        if self._stepper.state == "running" and not (self._steps >= FEW_STEPS and self._steps.bit_count() == 1):
-            return
-        if not self._warned:
-            self._watch_accuracy()
-        since = self._stepper.stiff_since
-        if since is not None and not self._warned_stiff:
-            self._warned_stiff = True
-            warn(f"{self._plan.method.name}: {limited_by_stability(since)}", StiffnessWarning)
-        text = about_jumps_of_fun(self._stepper)
-        if text and not self._warned_discontinuous:
-            self._warned_discontinuous = True
-            warn(f"{self._plan.method.name}: {text}", DiscontinuityWarning)
-
-    def _watch_accuracy(self) -> None:
-        harmed = self._stepper.harmed
-        if harmed < 0 or self._stepper.state not in ("running", "reached_end"):
-            return
-        self._warned = True
-        component = default_labels(len(self.y))[harmed // 2 if self._plan.functions.complex else harmed]
-        distance = f"{self._stepper.harm:.2g} times its estimated errors"
-        warn(harmful_projection(component, distance), AccuracyWarning)
 
     def _dense_output_impl(self) -> _Interpolant:
         if self.status == "failed":
             raise RuntimeError("a failed step has no dense output: use that of the last accepted step")
-        dense = self._stepper.interpolant()
+        solution = self._walk.over_last_step()
         self._count()  # the extension may take evaluations of its own
-        return _Interpolant(self.t_old, self.t, DenseSolution(dense, self._plan.y0.dtype, self._plan.bound))
+        return _Interpolant(self.t_old, self.t, solution)
 
     @property
     def order(self) -> int:
-        return self._stepper.order
+        return self._walk.core.order
 
     @property
     def h(self) -> float:
-        return self._stepper.h
-
-    def _state(self) -> Array:
-        y: Array = self._stepper.y.view(self._plan.y0.dtype)
-        return y
+        return self._walk.core.h
 
     def _count(self) -> None:
-        self.nfev, self.njev, self.nlu = self._stepper.nfev, self._stepper.njev, self._stepper.nlu
+        core = self._walk.core
+        self.nfev, self.njev, self.nlu = core.nfev, core.njev, core.nlu

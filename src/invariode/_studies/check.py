@@ -213,7 +213,7 @@ def _points_nearby(problem: Description) -> list[tuple[float, Array]]:
 
     # outside its domain f may raise anything: the part of the run so far is enough
     with quietly(), suppress(Exception):
-        solve(problem, "ode45", {"callback": note, "keep": "end", "max_step": np.inf})
+        solve(problem, "ode45", {"callback": note, "keep": "end"})
     sizes = np.abs(np.array([y, *(state for _, state in run)])).max(axis=0)
     sizes[sizes == 0] = sizes.max(initial=0) or 1.0
     random = np.random.default_rng(0)

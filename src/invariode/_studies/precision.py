@@ -16,6 +16,7 @@ import numpy as np
 
 from .._base.arguments import EPS, Array
 from .._base.failures import InvariantError
+from .._base.types import MethodName
 from .._problem.grouped import Limits
 from .._problem.methods import METHODS, Method
 from .._results.result import LIMIT_REACHED, StiffnessWarning
@@ -28,8 +29,8 @@ WAYS = ("plain", "projected")
 
 #: Two solutions by different formulas give a reference and its accuracy, at the first of these rtol with which
 #: both reach the end.
-_EXPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("dop853", {}), ("ode113", {}))
-_IMPLICIT: tuple[tuple[str, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
+_EXPLICIT: tuple[tuple[MethodName, dict[str, Any]], ...] = (("dop853", {}), ("ode113", {}))
+_IMPLICIT: tuple[tuple[MethodName, dict[str, Any]], ...] = (("ode15s", {}), ("ode15s", {"bdf": True}))
 _TIGHT = (1e-12, 1e-11, 1e-10)
 
 #: A run of the reference may take this many times the limit of the others.
@@ -193,7 +194,7 @@ def _agreed(first: Solution, second: Solution, by: str) -> Reference:
     return Reference(found.y, size, by, first.status, found.error(second.y[:, -1]), lowest)
 
 
-def _names(pair: Sequence[tuple[str, dict[str, Any]]], rtol: float) -> str:
+def _names(pair: Sequence[tuple[MethodName, dict[str, Any]]], rtol: float) -> str:
     return " and ".join(name + (" as BDF" if options else "") for name, options in pair) + f" at rtol {power(rtol)}"
 
 

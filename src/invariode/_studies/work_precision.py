@@ -186,7 +186,7 @@ def _curves(axes: Axes, rows: Sequence[Row], cost: str, truth: Reference) -> Non
 
 def _style(method: str, way: str) -> dict[str, Any]:
     about, implied = find_method(method)
-    k = list(METHODS).index(about.name) + (len(METHODS) if implied else 0)  # the same method with options
+    k = [*METHODS].index(about.name) + (len(METHODS) if implied else 0)  # the same method with options
     colour, plain = COLOURS[k % len(COLOURS)], way == "plain"
     return {
         "color": colour,

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from .._base.types import MethodName
 from .._solve.problem import Problem
 from .._studies.below_zero import Lowest, below_zero
 from .._studies.check import CheckReport, checked_at
@@ -50,7 +51,7 @@ def check(
 
     Exit codes: 0 all is well, 1 there are findings, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
-    method_of(method)
+    name = method_of(method)[1]
     console = Console(highlight=False)
     with guarded():
         problem = load(file)
@@ -65,7 +66,7 @@ def check(
             times = np.linspace(t0, tf, along + 1)
             lowest = Lowest(problem.y0)
             tight: dict[str, Any] = {"rtol": TIGHTER * rtol, "atol": TIGHTER * atol}
-            sol = unprojected(problem).solve(method, t_eval=times, callback=lowest, **tight)
+            sol = unprojected(problem).solve(name, t_eval=times, callback=lowest, **tight)
             points = zip(sol.t[1:].tolist(), sol.y.T[1:], strict=True)
             reports = [checked_at(problem, t, y, rtol=rtol, atol=atol, nearby=False) for t, y in points]
             if reports:
@@ -73,13 +74,13 @@ def check(
                 findings += _print_along(console, sol.t[1:], reports)
             if not sol.success:
                 raise stop(sol.message, code=1)
-            _print_below_zero(console, problem, method, lowest, rtol, atol)
+            _print_below_zero(console, problem, name, lowest, rtol, atol)
     if findings:
         raise typer.Exit(1)
 
 
 def _print_below_zero(
-    console: Console, problem: Problem, method: str, accurate: Lowest, rtol: float, atol: float
+    console: Console, problem: Problem, method: MethodName, accurate: Lowest, rtol: float, atol: float
 ) -> None:
     """What becomes negative at the tolerances given, and not in the solution that was checked."""
     lowest = Lowest(problem.y0)

@@ -69,7 +69,7 @@ def compare(
             metavar="NAME",
             autocompletion=complete_method,
             show_default="all that can solve the problem",
-            help="A method; may be given several times.",
+            help="A method, or several with commas between them; may be given several times.",
         ),
     ] = None,
     decades: Annotated[
@@ -103,7 +103,7 @@ def compare(
         raise typer.BadParameter("must be a number that is not negative", param_hint="--atol-ratio")
     if not limit > 0:
         raise typer.BadParameter("must be positive", param_hint="--limit")
-    named = [_own_name(name) for name in method or ()]
+    named = [_own_name(name.strip()) for given in method or () for name in given.split(",")]
     if plot is not None:
         writable(plot, PICTURES, "--plot", "plot", force)
     console = Console(highlight=False)
@@ -159,7 +159,7 @@ def _rtols(decades: str) -> list[float]:
 
 def _own_name(name: str) -> Method:
     """The method; SciPy's BDF means options too, which are not compared."""
-    found = method_of(name)
+    found = method_of(name)[0]
     if name == found.scipy_name and found.scipy_options:
         raise typer.BadParameter(f"{name} is {found.name} with options; give {found.name}", param_hint="--method")
     return found
@@ -188,7 +188,7 @@ def _all(
         raise stop(str(none), code=1) from None
     rows = []
     try:
-        names = [method.name for method in methods]
+        names: list[str] = [method.name for method in methods]
         for row in compare_runs(problem, names, rtols, ratio, limit, truth):
             rows.append(row)
             if told:

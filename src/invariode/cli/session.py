@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, cast
 
 import typer
 from rich.console import Console
@@ -22,6 +22,7 @@ from rich.text import Text
 
 from .._base.arguments import PACKAGE
 from .._base.failures import InvariantError
+from .._base.types import MethodName
 from .._problem.methods import METHODS, Method, find_method
 from .._problem.options import TABLE
 
@@ -136,10 +137,10 @@ def complete_method(incomplete: str) -> list[str]:
     return [name for name in METHODS if name.startswith(incomplete)]
 
 
-def method_of(name: str) -> Method:
-    """The method of that name, which may be SciPy's."""
+def method_of(name: str) -> tuple[Method, MethodName]:
+    """The method of that name, which may be SciPy's, and the name as one that there is."""
     try:
-        return find_method(name)[0]
+        return find_method(name)[0], cast("MethodName", name)
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--method") from None
 

@@ -16,6 +16,7 @@ from rich.text import Text
 from .._base.arguments import Array, tolerances
 from .._base.progress import in_passing
 from .._base.style import STYLE
+from .._base.types import MethodName
 from .._functions.compiled import is_native
 from .._laws.bound import bind
 from .._problem.grouped import Checkpoint, Limits
@@ -148,7 +149,7 @@ def solve(
 
     Exit codes: 0 the run reached its end, 1 it failed, 2 the arguments or the file are wrong, 130 Ctrl-C.
     """
-    chosen = method_of(method)
+    chosen, name = method_of(method)
     if t_eval is not None and dense:
         raise typer.BadParameter("--t-eval and --dense exclude each other", param_hint="--dense")
     if output is not None:
@@ -172,12 +173,12 @@ def solve(
             if checkpoint is not None:
                 options["checkpoint"] = Checkpoint(checkpoint, every=checkpoint_every)
             from_file = checkpoint if resume and checkpoint is not None and checkpoint.exists() else None
-            sol = _solved(run, method, options, others, from_file)
+            sol = _solved(run, name, options, others, from_file)
             seconds = perf_counter() - start
     _write(sol, output, plot, (problem.name, drawn, log))  # first of all, since printed output may be lost
     if not quiet:
         with guarded():
-            named = chosen.name if method == chosen.name else f"{chosen.name} as {method}"
+            named = method if method == chosen.name else f"{chosen.name} as {method}"
             console = Console(highlight=False)
             console.print(_summary(problem, sol, f"{named}, rtol {rtol:g}, atol {atol:g}", seconds))
             console.print()
@@ -196,7 +197,7 @@ def _write(sol: Solution, output: Path | None, plot: Path | None, look: tuple[st
 
 
 def _solved(
-    problem: Problem, method: str, options: dict[str, Any], others: ExtensionOptions, from_file: Path | None
+    problem: Problem, method: MethodName, options: dict[str, Any], others: ExtensionOptions, from_file: Path | None
 ) -> Solution:
     """The solution, perhaps of a run that began earlier; Ctrl-C ends the command and says how far the run got."""
     reached = [problem.t_span[0], 0.0]

@@ -50,8 +50,8 @@ class Code(NamedTuple):
     pattern: Pattern | None
 
 
-def functions(system: System, laws: Sequence[Any], compiled: bool) -> Code:
-    """The functions f and its exact jac; for law i its function g_i and gradient dg_i.
+def functions(system: System, laws: Sequence[Any], compiled: bool, parameters: Sequence[str] = ()) -> Code:
+    """The functions f and its exact jac; for law i its function g_i and gradient dg_i. `parameters`: their names.
 
     The Jacobian of a system that is solved for its accelerations is formed when a method needs it: explicit methods do
     not.
@@ -66,7 +66,7 @@ def functions(system: System, laws: Sequence[Any], compiled: bool) -> Code:
         made[f"dg{i}"] = Formula(f"dg{i}", partial(_of_gradient, law, words, y), (1, n))
     rows = cache(lambda: jacobian(slopes, y))
     pattern = None if system.force else _sparse(rows(), n)
-    made["f"] = Formula("f", lambda: slopes, (n,))
+    made["f"] = Formula("f", lambda: slopes, (n,), parameters)
     if pattern is None:
         made["jac"] = Formula("jac", lambda: _dense(rows(), n, words.graph), (n, n))
     else:

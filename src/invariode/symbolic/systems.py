@@ -139,7 +139,9 @@ class SymbolicSystem(HasPoints):
             if left_out and self._mechanism is not None:
                 first = len(system.force) - len(self._mechanism.names)
                 system = system.without([first + self._mechanism.names.index(one) for one in left_out])
-            self._made[key] = functions(system, [law.formula for law in self._laws], native)
+            self._made[key] = functions(
+                system, [law.formula for law in self._laws], native, [str(one) for one in self._words.parameters]
+            )
         return self._made[key]
 
     def _invariants(

@@ -23,7 +23,7 @@ def jacobian(outputs: Sequence[Node], variables: Sequence[Node]) -> list[Row]:
     if not outputs:
         return []
     one = outputs[0].graph.node(1.0)
-    return _forwards(outputs, {variable: {i: one} for i, variable in enumerate(variables)})
+    return tangents(outputs, {variable: {i: one} for i, variable in enumerate(variables)})
 
 
 def gradient(output: Node, variables: Sequence[Node]) -> Row:
@@ -52,11 +52,12 @@ def tangent(outputs: Sequence[Node], direction: Mapping[Node, Node]) -> list[Nod
     """The derivatives of the outputs along a direction, given by the components of t and y in it."""
     if not outputs:
         return []
-    rows = _forwards(outputs, {variable: {0: along} for variable, along in direction.items()})
+    rows = tangents(outputs, {variable: {0: along} for variable, along in direction.items()})
     return [row.get(0, outputs[0].graph.node(0.0)) for row in rows]
 
 
-def _forwards(outputs: Sequence[Node], start: Mapping[Node, Row]) -> list[Row]:
+def tangents(outputs: Sequence[Node], start: Mapping[Node, Row]) -> list[Row]:
+    """The derivatives of the outputs along several directions, in which a variable has the components of its row."""
     rows: dict[Node, Row] = {}
     for node in in_order(outputs):
         if node in start:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..compiled import NativeWithInputs, Shape, made_by_compile, to_native
-from .derivatives import Row, gradient, jacobian, tangent
+from .derivatives import Row, gradient, jacobian, tangent, tangents
 from .function import GraphFunction, OnGraph
 from .nodes import Node
 from .python import Formula, Pattern
@@ -31,10 +31,15 @@ class Derived:
         The components of y.
     elementary : {"own", "libm"}
         As in `compile`.
+
+    Attributes
+    ----------
+    outputs, elementary
+        As given.
     """
 
     def __init__(self, name: str, outputs: Sequence[Node], n: int, elementary: str) -> None:
-        self._name, self._outputs, self._n, self._elementary = name, outputs, n, elementary
+        self._name, self.outputs, self._n, self.elementary = name, outputs, n, elementary
         self._graph = outputs[0].graph
         self._made: dict[tuple[Any, ...], GraphFunction] = {}
 
@@ -46,7 +51,7 @@ class Derived:
     def rows(self) -> list[Row]:
         """The rows of ∂/∂y: what is in no row is zero everywhere."""
         y = self._y
-        found = [gradient(self._outputs[0], y)] if len(self._outputs) == 1 else jacobian(self._outputs, y)
+        found = [gradient(self.outputs[0], y)] if len(self.outputs) == 1 else jacobian(self.outputs, y)
         return [{j: one for j, one in row.items() if not _is_zero(one)} for row in found]
 
     @cached_property
@@ -85,11 +90,11 @@ class Derived:
     def product(self) -> GraphFunction:
         """∂/∂y times v, of (t, (y, v))."""
         along = {y: self._graph.y(self._n + j) for j, y in enumerate(self._y)}
-        return self._function("product", lambda: tangent(self._outputs, along))
+        return self._function("product", lambda: tangent(self.outputs, along))
 
     def rate(self) -> GraphFunction:
         """∂/∂t."""
-        return self._function("rate", lambda: tangent(self._outputs, {self._graph.t: self._graph.node(1.0)}))
+        return self._function("rate", lambda: tangent(self.outputs, {self._graph.t: self._graph.node(1.0)}))
 
     @property
     def _direction(self) -> dict[Node, Node]:
@@ -99,11 +104,56 @@ class Derived:
 
     def slope(self) -> GraphFunction:
         """d/ds of the function at (t + s dt, y + s dy), s = 0, of (t, (y, dt, dy))."""
-        return self._function("slope", lambda: tangent(self._outputs, self._direction))
+        return self._function("slope", lambda: tangent(self.outputs, self._direction))
 
     def curvature(self) -> GraphFunction:
         """d²/ds² of the same."""
-        return self._function("curvature", lambda: tangent(tangent(self._outputs, self._direction), self._direction))
+        return self._function("curvature", lambda: tangent(tangent(self.outputs, self._direction), self._direction))
+
+    def tangents(self, places: Sequence[int | None]) -> GraphFunction:
+        """∂/∂y S_j + ∂/∂p_j for each parameter, given by its place (None: an initial value, of which the function does
+        not know), of (t, (y, S_1, S_2, ...)): one pass for all columns, which share what they have in common."""
+        graph, n = self._graph, self._n
+
+        def values() -> list[Node]:
+            start: dict[Node, Row] = {}
+            for i, y in enumerate(self._y):
+                start[y] = {j: graph.y(n + j * n + i) for j in range(len(places))}
+            for j, place in enumerate(places):
+                if place is not None:
+                    start.setdefault(graph.p(place), {})[j] = graph.node(1.0)
+            rows = tangents(self.outputs, start)
+            return [row.get(j, graph.node(0.0)) for j in range(len(places)) for row in rows]
+
+        return self._function(("tangents", *places), values)
+
+    def transposed(self, places: Sequence[int | None]) -> GraphFunction:
+        """(∂/∂y)ᵀ w, then wᵀ ∂/∂p for each parameter in these places, of (t, (y, w)): backwards through the graph, so
+        that many parameters cost little more than one."""
+        graph, n = self._graph, self._n
+
+        def values() -> list[Node]:
+            weighted = graph.node(0.0)
+            for i, one in enumerate(self.outputs):
+                weighted = weighted + graph.y(n + i) * one
+            variables = [*self._y, *(graph.p(at) for at in places if at is not None)]
+            row, zero = gradient(weighted, variables), graph.node(0.0)
+            own = iter(range(n, len(variables)))
+            by_parameter = [zero if at is None else row.get(next(own), zero) for at in places]
+            return [*(row.get(i, zero) for i in range(n)), *by_parameter]
+
+        return self._function(("transposed", *places), values)
+
+    def along(self, places: Sequence[int | None]) -> GraphFunction:
+        """d/ds of the function at (t + s dt, y + s dy, p + s dp), s = 0, of (t, (y, dt, dy, dp)), with the parameters
+        in these places."""
+        graph, n = self._graph, self._n
+
+        def values() -> list[Node]:
+            moving = {graph.p(at): graph.y(2 * n + 1 + j) for j, at in enumerate(places) if at is not None}
+            return tangent(self.outputs, self._direction | moving)
+
+        return self._function(("along", *places), values)
 
     def _filled(self, key: Any, size: int, place: Any) -> GraphFunction:
         def values() -> list[Node]:
@@ -122,7 +172,7 @@ class Derived:
             values = outputs()
             name = key if isinstance(key, str) else key[0]
             formula = Formula(f"{self._name}_{name}", lambda: values, (len(values),))
-            self._made[key] = GraphFunction(formula, self._elementary, how=DERIVED)
+            self._made[key] = GraphFunction(formula, self.elementary, how=DERIVED)
         return self._made[key]
 
 

@@ -71,11 +71,19 @@ class Formula:
         Makes its values, one after the other, when they are first needed.
     layout : tuple of int or Pattern
         The shape of what it returns, or where the values of a sparse matrix are.
+    parameters : sequence of str, default ()
+        Names of its further arguments, if it takes them one by one.
     """
 
-    def __init__(self, name: str, outputs: Callable[[], Sequence[Node]], layout: tuple[int, ...] | Pattern) -> None:
+    def __init__(
+        self,
+        name: str,
+        outputs: Callable[[], Sequence[Node]],
+        layout: tuple[int, ...] | Pattern,
+        parameters: Sequence[str] = (),
+    ) -> None:
         self.__name__ = self.__qualname__ = name
-        self._outputs, self.layout = outputs, layout
+        self._outputs, self.layout, self.parameters = outputs, layout, tuple(parameters)
 
     @cached_property
     def outputs(self) -> list[Node]:
@@ -107,17 +115,21 @@ class Formula:
         return found if len(self.layout) == 1 else np.reshape(found, self.layout)
 
     def __reduce__(self) -> tuple[Callable[..., Formula], tuple[Any, ...]]:
-        return _restored, (self.__name__, *as_rows(self.outputs), self.layout)
+        return _restored, (self.__name__, *as_rows(self.outputs), self.layout, self.parameters)
 
 
 def _restored(
-    name: str, rows: list[tuple[str, Any, list[int]]], outputs: list[int], layout: tuple[int, ...] | Pattern
+    name: str,
+    rows: list[tuple[str, Any, list[int]]],
+    outputs: list[int],
+    layout: tuple[int, ...] | Pattern,
+    parameters: tuple[str, ...],
 ) -> Formula:
     graph = Graph()
     nodes: list[Node] = []
     for op, value, arguments in rows:
         nodes.append(graph.make(op, *(nodes[i] for i in arguments), value=value))
-    return Formula(name, lambda: [nodes[i] for i in outputs], layout)
+    return Formula(name, lambda: [nodes[i] for i in outputs], layout, parameters)
 
 
 def _written(node: Node, a: list[str], careful: bool) -> str:

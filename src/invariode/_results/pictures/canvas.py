@@ -32,6 +32,8 @@ _POWERS, _BETWEEN = 2, (2, 5)
 
 _MARKERS = "o^Dvps"
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 
 def require_matplotlib() -> Any:
     return extra("matplotlib", "pictures need", "plot")
@@ -64,8 +66,9 @@ def new_panels(title: str | None, heights: Sequence[float], **options: Any) -> A
 
 
 def log_axis(axis: Axis, formulas: bool = True) -> None:
-    """Shows at least a factor of ten, with numbers that are few enough not to touch. `formulas`: 10⁻³, not 1e-3."""
-    from matplotlib.ticker import FuncFormatter, LogFormatter
+    """Shows at least a factor of ten, with numbers that are few enough not to touch. `formulas`: set by matplotlib's
+    parser, which takes its time; otherwise the same as text."""
+    from matplotlib.ticker import FuncFormatter
 
     name = axis.axis_name  # type: ignore[attr-defined]  # of XAxis and YAxis
     ax = axis.axes
@@ -82,11 +85,15 @@ def log_axis(axis: Axis, formulas: bool = True) -> None:
         multiple = round(value / 10.0**power)
         if np.floor(most) - np.ceil(least) + 1 >= _POWERS or multiple not in _BETWEEN:
             return ""
-        return rf"${multiple} \times 10^{{{power:.0f}}}$" if formulas else f"{multiple}e{power:+03.0f}"
+        return rf"${multiple} \times 10^{{{power:.0f}}}$" if formulas else f"{multiple}·{_power_of_ten(power)}"
 
     axis.set_minor_formatter(FuncFormatter(between))
     if not formulas:
-        axis.set_major_formatter(LogFormatter())
+        axis.set_major_formatter(FuncFormatter(lambda value, place=None: _power_of_ten(np.log10(value))))
+
+
+def _power_of_ten(power: float) -> str:
+    return "10" + f"{power:.0f}".translate(_RAISED)
 
 
 def drawable(name: str) -> str:

@@ -48,6 +48,7 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
         (curve,) = ax.plot(t, drawn, **paint)
         if before > 0:
             ax.plot(sol.t[[0, -1]], [before, before], ":", color=curve.get_color(), lw=1)
+    _shade_roundoff(ax, EPS * np.abs(g.value).max(initial=0.0))
     if largest.any():
         ax.plot([], [], ":", color="0.5", lw=1, label=once(ax, "largest before\nprojection"))
     log_axis(ax.yaxis)
@@ -56,6 +57,14 @@ def draw(sol: Result, ax: Axes | None, invariants: InvariantsLike | None, relati
     left_out = len(g) > MOST and not _has_levels(g)
     legend(ax, f"{MOST} of {len(g)} invariants" if left_out else None)
     return ax
+
+
+def _shade_roundoff(ax: Axes, level: float) -> None:
+    """The residuals that values of this size have by rounding alone, if the axis shows any: nothing drifts there."""
+    low = ax.get_ylim()[0]
+    if low < level:
+        shade = ax.axhspan(low, level, color="0.5", alpha=0.12, lw=0, zorder=0, label=once(ax, "roundoff"))
+        shade.sticky_edges.y.append(low)  # as far down as the axis
 
 
 def _label(g: BoundInvariants, relative: bool) -> str:

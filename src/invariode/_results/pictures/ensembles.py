@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._base.arguments import Array
 from ..._base.style import COLOURS
-from .canvas import component, joined, legend, new, properties
+from .canvas import component, joined, legend, new, once, properties
 from .curves import parts
 
 if TYPE_CHECKING:
@@ -22,6 +22,9 @@ _THREADS = 500
 
 #: Parts of the trajectories that are below a line.
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+#: Which of them bound each band, from the outermost inwards, and how opaque it is.
+_BANDS = ((0, 4, 0.15), (1, 3, 0.25))
 
 
 def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axes:
@@ -44,6 +47,8 @@ def draw(ensemble: Any, kind: str, ax: Axes | None, chosen: Any, line: dict[str,
                 **look,
             }
             {"bands": _bands, "quantiles": _quantiles, "spaghetti": _threads}[kind](ax, ensemble.t, values, own)
+    if kind == "bands":
+        _name_bands(ax)
     ax.set_xlabel("$t$")
     if len(rows) == 1:
         ax.set_ylabel(names[rows[0]])
@@ -59,9 +64,18 @@ def _of_those_there(values: Array) -> tuple[Array, Array]:
 
 def _bands(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:
     levels, reached = _of_those_there(values)
-    for low, high, alpha in ((0, 4, 0.15), (1, 3, 0.25)):
+    for low, high, alpha in _BANDS:
         ax.fill_between(t[reached], levels[low], levels[high], color=look["color"], alpha=alpha, linewidth=0)
     ax.plot(t[reached], levels[2], **look)
+
+
+def _name_bands(ax: Axes) -> None:
+    """In the legend, without a colour: they are those of all components. The inner one lies on the outer one."""
+    opaque = 0.0
+    for low, high, alpha in _BANDS:
+        opaque = 1 - (1 - opaque) * (1 - alpha)
+        label = f"{_QUANTILES[high] - _QUANTILES[low]:.0%} of the trajectories"
+        ax.fill_between([], [], [], color="0.3", alpha=opaque, linewidth=0, label=once(ax, label))
 
 
 def _quantiles(ax: Axes, t: Array, values: Array, look: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from .canvas import (
     drawable,
     joined,
     legend,
+    log_axis,
     mark,
     new_panels,
     occurrences,
@@ -32,11 +33,14 @@ _APART = 1e3
 #: More panels would be too small to read: the smallest components then share one.
 _PANELS = 4
 
+#: Half of the outputs in this part of the interval, and steps that differ by this factor, need a logarithmic axis.
+_BEGINNING, _DECADES = 1e-3, 1e6
+
 #: If there are more components than `MOST`, the number of names in the legend.
 _NAMED = 10
 
 
-def draw(sol: Result, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axes:
+def draw(sol: Result, ax: Axes | None, chosen: Any, log: str | None, line: dict[str, Any]) -> Axes:
     """See `Solution.plot`."""
     require_points(sol)
     those = components(sol, chosen)
@@ -44,8 +48,20 @@ def draw(sol: Result, ax: Axes | None, chosen: Any, line: dict[str, Any]) -> Axe
     groups = groups_of_scale(whole.y, those) if ax is None else [those]
     panels: list[Axes] = list(new_panels(sol._names.title, [1] * len(groups))) if ax is None else [ax]
     draw_groups(panels, sol, whole, groups, line)
+    if log == "x" or (log is None and ax is None and _piles_up(sol.t)):
+        for panel in panels:
+            panel.set_xscale("log")
+            log_axis(panel.xaxis)
     panels[-1].set_xlabel("$t$")
     return panels[0]
+
+
+def _piles_up(t: Array) -> bool:
+    """Whether a linear axis shows half of the outputs at one place, its beginning, with steps over many decades."""
+    h = np.diff(t)
+    h = h[h > 0]
+    early = len(t) > 0 and t[0] >= 0 and np.median(t) < _BEGINNING * t[-1]
+    return bool(early and h.size and h.max() >= _DECADES * h.min())
 
 
 def draw_groups(panels: list[Axes], sol: Result, whole: Curve, groups: list[list[int]], line: dict[str, Any]) -> None:

@@ -1,0 +1,519 @@
+"""Derivatives of user functions F(t, y, *args) in directions of t, y and parameters.
+
+They are exact from the graph of F, if it is compiled from one or can be traced; or those given; or complex steps, if
+these give what differences give. Differences are the last resort.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _core
+from .._base.arguments import Array, call_name, shown
+from .compiled import (
+    CompiledFunction,
+    CoreFunction,
+    NativeWithInputs,
+    Shape,
+    as_python,
+    event_value,
+    is_native,
+    to_native,
+)
+from .derivatives import INCREMENT, TINY, sizes, somewhere, takes_complex
+from .graph.derived import Derived, derived, native
+from .graph.function import GraphFunction, OnGraph, TracedFunction
+from .graph.nodes import Node, in_order
+from .graph.python import Formula
+from .graph.switches import Switch, evaluated, has_steps, switches
+from .layout import Arguments, Parameters, count_of, numbers_in, place_of, with_numbers
+
+#: What functions raise for complex numbers that they are not made for.
+_NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
+
+
+class Parameter(Protocol):
+    """A number among the arguments, or an initial value, on which no function depends directly."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def index(self) -> int: ...
+    @property
+    def item(self) -> int | None: ...
+
+
+class Given(NamedTuple):
+    """Derivatives that the user gives.
+
+    Attributes
+    ----------
+    jac : callable, optional
+        ``jac(t, y, *args)``, ∂F/∂y of shape (m, n), which may be sparse.
+    dfdp : callable or array_like, optional
+        ``dfdp(t, y, *args)``, ∂F/∂p, a column for each of the parameters that are no initial values.
+    """
+
+    jac: Any = None
+    dfdp: Any = None
+
+
+class Point(NamedTuple):
+    """Where F is defined."""
+
+    t: float
+    y: Array
+
+
+class Directional:
+    """The derivatives of F(t, y, *args) with m values for k parameters.
+
+    Parameters
+    ----------
+    fun : callable
+        F: Python, or native; with inputs as `fed` gives it them.
+    args : tuple
+        Its further arguments, with the values of the parameters.
+    names : sequence of ParameterName
+        The parameters.
+    n : int
+        The number of components of y.
+    given : Given, optional
+        Derivatives that are known. `dfdp` comes before everything, `jac` after the graph.
+    at : Point
+        A point at which F is defined: it is called there, for m and to see whether it takes complex numbers.
+    m : int, optional
+        The number of its values, which a native function does not say.
+    called : str
+        What messages call it.
+    moves_t : bool, default False
+        Whether derivatives with respect to t are wanted too.
+    event : bool, default False
+        Whether machine code has the signature of events.
+
+    Attributes
+    ----------
+    how : {"graph", "given", "complex-step", "differences"}
+        How derivatives are formed; "given and graph" and so on if only some were given.
+    m, k : int
+        The number of values and of parameters.
+    args, names
+        As given.
+    """
+
+    def __init__(
+        self,
+        fun: Any,
+        args: tuple[Any, ...],
+        names: Sequence[Parameter],
+        n: int,
+        given: Given | None = None,
+        *,
+        at: Point,
+        m: int | None = None,
+        called: str | None = None,
+        moves_t: bool = False,
+        event: bool = False,
+    ) -> None:
+        self.n, self.k, self.args, self.names = n, len(names), args, names
+        self._called = call_name(fun, "fun") if called is None else called
+        self._evaluate = _Evaluation(fun, args, names, m, self._called, event)
+        self.m = len(self._evaluate(at.t, at.y)) if m is None else m
+        self._evaluate.m = self.m
+        given = given or Given()
+        self._dfdp = None if given.dfdp is None else self._shaped("dfdp", given.dfdp, int(self._evaluate.own.sum()))
+        self._graph = self._by_graph(fun, args, names)
+        if self._graph is None:
+            self._require_numbers(at, names)
+        self._jac = None if given.jac is None or self._graph is not None else self._shaped("jac", given.jac, n)
+        self._steps: _Steps | None = None
+        if self._graph is None and (self._jac is None or (self._dfdp is None and self.k) or moves_t):
+            self._steps = _Steps(self._evaluate, at, moves_t)
+        found = "graph" if self._graph is not None else None if self._steps is None else self._steps.how
+        partly = self._dfdp is not None or self._jac is not None
+        #: How derivatives are formed.
+        self.how: str = " and ".join(filter(None, ["given" if partly else "", found]))
+
+    def _by_graph(self, fun: Any, args: tuple[Any, ...], names: Sequence[Parameter]) -> _OfGraph | None:
+        traced = _with_graph(fun)
+        if traced is None:
+            return None
+        floating = with_numbers(args, _as_floats(args, names))  # an integer may be an index, a parameter may not
+        parameters = Parameters.of(floating)
+        places = [place_of(args, one.index, one.item) if one.kind == "args" else None for one in names]
+        try:
+            exact = derived(traced, self.n, self.m, count_of(parameters))
+        except TypeError:  # it cannot be traced
+            return None
+        shape = Shape(self.n, self.m, count_of(parameters), event=False)
+        if exact is None or _constant(traced, shape, places):
+            return None
+        return _OfGraph(exact, traced, places, parameters, self.n, self.m)
+
+    def _require_numbers(self, at: Point, names: Sequence[Parameter]) -> None:
+        """That integers among the parameters may be other numbers."""
+        for one, number in zip(names, self._evaluate.given(names), strict=True):
+            if not isinstance(number, (int, np.integer)):
+                continue
+            try:
+                alone = _as_floats(self._evaluate.args, [one])
+                self._evaluate.called(at.t, at.y, with_numbers(self._evaluate.args, alone))
+            except (TypeError, IndexError) as error:
+                raise TypeError(
+                    f"{self._called} has no derivative with respect to {one.name} = {number}, which has to be an "
+                    f"integer ({error}): name the other parameters"
+                ) from error
+
+    def _shaped(self, what: str, given: Any, columns: int) -> Callable[[float, Array], Any]:
+        """A given matrix as a function of (t, y), with its shape checked."""
+        args, shape = self._evaluate.args, (self.m, columns)
+
+        def matrix(t: float, y: Array) -> Any:
+            found = given(t, y.copy(), *args) if callable(given) else given
+            found = found if hasattr(found, "tocsr") else np.asarray(found, dtype=float)
+            if what == "dfdp" and found.shape == (self.m,) and columns == 1:
+                found = found.reshape(shape)
+            if found.shape != shape:
+                raise ValueError(
+                    f"{what} of {self._called} must have shape {shape}, got {found.shape} at t = {t}: {shown(found)}"
+                )
+            return found
+
+        return matrix
+
+    @cached_property
+    def native(self) -> _core.Native | None:
+        """`tangent` as machine code for the core, with the parameters of the problem; None: Python's."""
+        if self._graph is None or self._dfdp is not None or not has_llvm():
+            return None
+        found: _core.Native = self._graph.native
+        return found
+
+    @property
+    def for_core(self) -> Any:
+        """`tangent` as the core calls it."""
+        return self.native or self.tangent
+
+    def tangent(self, t: float, Y: ArrayLike) -> Array:
+        """∂F/∂y S_j + ∂F/∂p_j in row j, of shape (k, m); Y (1 + k, n) has the rows y, S_1, S_2 and so on."""
+        rows = np.asarray(Y, dtype=float).reshape(1 + self.k, self.n)
+        if self._graph is not None and self._dfdp is None:
+            return self._graph.tangent(t, rows)
+        return self.columns(t, rows[0], np.zeros(self.k), rows[1:], np.eye(self.k))
+
+    def along(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """d/ds of F(t + s dt, y + s dy, p + s dp) at s = 0, of shape (m,)."""
+        found = self.columns(t, y, np.array([dt]), np.atleast_2d(dy), np.atleast_2d(dp))
+        return np.ravel(found)
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """The same in c directions, dt (c,), dy (c, n) and dp (c, k), in rows: of shape (c, m)."""
+        rest = dp if self._dfdp is None else np.zeros_like(dp)
+        if self._graph is not None:
+            found = self._graph.columns(t, y, dt, dy, rest)
+        elif self._jac is None:
+            assert self._steps is not None
+            found = np.array([self._steps(t, y, *one) for one in zip(dt, dy, rest, strict=True)], dtype=float)
+        else:
+            found = np.array((self._jac(t, y) @ dy.T).T)
+            if dt.any() or rest.any():
+                assert self._steps is not None
+                found += [self._steps(t, y, one, np.zeros(self.n), other) for one, other in zip(dt, rest, strict=True)]
+        found = np.reshape(found, (len(dt), self.m))
+        if self._dfdp is not None:
+            found = found + (self._dfdp(t, y) @ dp[:, self._evaluate.own].T).T
+        return found
+
+    def transposed(self, t: float, y: Array, w: Array) -> Array:
+        """(∂F/∂y)ᵀ w, then wᵀ ∂F/∂p_j for each parameter: of shape (n + k,)."""
+        if self._graph is not None and self._dfdp is None:
+            return self._graph.transposed(t, y, w)
+        return np.asarray(self.columns(t, y, *self._unit_directions) @ w)
+
+    @cached_property
+    def _unit_directions(self) -> tuple[Array, Array, Array]:
+        """Of each component of y, then of each parameter."""
+        both = self.n + self.k
+        return np.zeros(both), np.eye(both, self.n), np.eye(both, self.k, -self.n)
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """∂F/∂y, of shape (m, n)."""
+        if self._graph is not None:
+            return self._graph.jacobian(t, y)
+        n = self.n
+        return np.asarray(self.columns(t, y, np.zeros(n), np.eye(n), np.zeros((n, self.k))).T)
+
+    def switches(self, at: Point) -> list[Switch]:
+        """Where the values of its graph jump; of a function without a graph that is not known."""
+        return [] if self._graph is None else self._graph.switches(at)
+
+    @property
+    def knows_jumps(self) -> bool:
+        """Whether its values jump nowhere else."""
+        return self._graph is not None and not has_steps(self._graph.outputs)
+
+    def of_inputs(self, node: Node) -> bool:
+        """Whether a value depends on inputs, whose slopes are not known."""
+        return self._graph is not None and self._graph.of_inputs(node)
+
+    def on_graph(self, outputs: Sequence[Node], name: str) -> Any:
+        """Other values of its graph as a function of the same arguments."""
+        assert self._graph is not None
+        return self._graph.with_values(outputs, name)
+
+    def branch(self, outputs: Sequence[Node]) -> Callable[[float, Array], Array]:
+        """The same for Python, of (t, y)."""
+        assert self._graph is not None
+        return self._graph.branch(outputs)
+
+    def value(self, t: float, y: Array) -> Array:
+        """F itself, of shape (m,)."""
+        return self._evaluate(t, y)
+
+
+def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
+    """Whether a parameter is a constant of the graph, such as the count of a loop."""
+    inside, before = (fun.fun, int(fun.count(0))) if isinstance(fun, NativeWithInputs) else (fun, 0)
+    if before:
+        shape = shape._replace(parameters=fun.count(shape.parameters))
+    arguments = inside.known(shape).parameters
+    if not isinstance(arguments, Arguments):
+        return False
+    known = arguments.known()
+    return any(place is not None and bool(known[before + place]) for place in places)
+
+
+def _as_floats(args: tuple[Any, ...], names: Sequence[Parameter]) -> dict[int, dict[int, float]]:
+    changes: dict[int, dict[int, float]] = {}
+    for one in names:
+        if one.kind == "args":
+            number = [*numbers_in(args[one.index])][one.item or 0][1]
+            changes.setdefault(one.index, {})[one.item or 0] = float(number)
+    return changes
+
+
+def _with_graph(fun: Any) -> Any:
+    """F as something that may have a graph. None: it is machine code, or belongs to the core."""
+    inside = fun.fun if isinstance(fun, NativeWithInputs) else fun
+    if isinstance(inside, OnGraph):
+        return fun
+    compiled = isinstance(inside, CompiledFunction)
+    if isinstance(inside, CoreFunction) or (is_native(inside) and not compiled):
+        return None
+    python = inside.fun if compiled else getattr(inside, "py_func", inside)  # numba's
+    formula = isinstance(python, Formula)
+    made = GraphFunction(python) if formula else TracedFunction(python, compiled and inside.inplace, "own", "trace")
+    return fun._replace(fun=made) if isinstance(fun, NativeWithInputs) else made
+
+
+class _OfGraph:
+    """Derivatives of a graph."""
+
+    def __init__(
+        self, exact: Derived, fun: Any, places: Sequence[int | None], parameters: Array, n: int, m: int
+    ) -> None:
+        before = self._before = int(fun.count(0)) if isinstance(fun, NativeWithInputs) else 0
+        self._places = tuple(None if place is None else before + place for place in places)
+        self.outputs = exact.outputs
+        self._exact, self._fun, self._n, self._m, self._p = exact, fun, n, m, np.array(parameters)
+
+    @cached_property
+    def native(self) -> Any:
+        """Of (t, (y, S_1, S_2, ...))."""
+        k = len(self._places)
+        return native(self._exact.tangents(self._places), self._fun, (1 + k) * self._n, k * self._m, len(self._p))
+
+    @cached_property
+    def _tangent(self) -> Callable[[float, Array, Array], Array]:
+        """The same for Python."""
+        k = len(self._places)
+        return self._for_python(self._exact.tangents(self._places), (1 + k) * self._n, k * self._m)
+
+    @cached_property
+    def _transposed(self) -> Callable[[float, Array, Array], Array]:
+        """Of (t, (y, w))."""
+        n = self._n
+        return self._for_python(self._exact.transposed(self._places), n + self._m, n + len(self._places))
+
+    @cached_property
+    def _jacobian(self) -> Callable[[float, Array, Array], Array]:
+        return self._for_python(self._exact.dense(), self._n, self._m * self._n)
+
+    def _for_python(self, made: GraphFunction, n: int, size: int) -> Callable[[float, Array, Array], Array]:
+        """A function of the graph, of n numbers beside t and the parameters, with so many values."""
+        if has_llvm():
+            return as_python(native(made, self._fun, n, size, len(self._p)), size)
+        formula = made.fun
+        return lambda t, y, p: np.array(formula(t, y, p))
+
+    def transposed(self, t: float, y: Array, w: Array) -> Array:
+        """See `Directional.transposed`."""
+        return self._transposed(t, np.concatenate([y, w]), self._numbers(t))
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """See `Directional.jacobian`."""
+        return self._jacobian(t, y, self._numbers(t)).reshape(self._m, self._n)
+
+    def switches(self, at: Point) -> list[Switch]:
+        """See `Directional.switches`."""
+        return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t))
+
+    def of_inputs(self, node: Node) -> bool:
+        """See `Directional.of_inputs`."""
+        return any(one.op == "p" and one.value < self._before for one in in_order([node]))
+
+    def with_values(self, outputs: Sequence[Node], name: str) -> Any:
+        """See `Directional.on_graph`."""
+        made = GraphFunction(Formula(name, lambda: outputs, (len(outputs),)), self._exact.elementary)
+        return self._fun._replace(fun=made) if isinstance(self._fun, NativeWithInputs) else made
+
+    def branch(self, outputs: Sequence[Node]) -> Callable[[float, Array], Array]:
+        """See `Directional.branch`."""
+        values = evaluated(outputs)
+        return lambda t, y: values(t, y, self._numbers(t))
+
+    def tangent(self, t: float, rows: Array) -> Array:
+        """∂F/∂y S_j + ∂F/∂p_j, of shape (k, m)."""
+        return self._tangent(t, rows.ravel(), self._numbers(t)).reshape(len(self._places), self._m)
+
+    def columns(self, t: float, y: Array, dt: Array, dy: Array, dp: Array) -> Array:
+        """Derivatives along directions, in rows."""
+        formula, p = self._exact.along(self._places).fun, self._numbers(t)
+        along = np.column_stack([dt, dy, dp])
+        return np.array([formula(t, np.concatenate([y, one]), p) for one in along])
+
+    def _numbers(self, t: float) -> Array:
+        return numbers_at(t, self._fun, self._p)
+
+
+def numbers_at(t: float, fun: Any, p: Array) -> Array:
+    """What machine code takes as its parameters: the values of inputs at t, then the numbers of the arguments."""
+    if not isinstance(fun, NativeWithInputs):
+        return p
+    return np.concatenate([*(one.evaluate(np.array([t]))[0] for one in fun.inputs), p])
+
+
+def has_llvm() -> bool:
+    """Whether there is what makes machine code of graphs."""
+    return find_spec("llvmlite") is not None
+
+
+class _Evaluation:
+    """F(t, y) with its arguments, or with other values of the parameters."""
+
+    def __init__(
+        self, fun: Any, args: tuple[Any, ...], names: Sequence[Parameter], m: int | None, called: str, event: bool
+    ) -> None:
+        self.args, self._names = args, [one for one in names if one.kind == "args"]
+        self._fun, self.m, self._name, self._event = fun, m, called, event
+        #: Which of the parameters are in the arguments.
+        self.own = np.array([one.kind == "args" for one in names], dtype=bool)
+        self._flat = Parameters.of(args)
+        places = [place_of(args, one.index, one.item) for one in self._names]
+        self.p = np.zeros(len(names))
+        self.p[self.own] = self._flat[places]
+
+    def __call__(self, t: Any, y: Array, p: Array | None = None) -> Array:
+        """The values (m,); t, y and p may be complex if F takes that."""
+        return self.called(t, y, self.args if p is None else self._with(p[self.own]))
+
+    def called(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
+        """The values with other arguments."""
+        inside = self._fun.fun if isinstance(self._fun, NativeWithInputs) else self._fun
+        if is_native(inside) and not isinstance(inside, (CompiledFunction, CoreFunction)):
+            return self._of_machine_code(t, y, args)
+        given = [*self._inputs(t), *args]
+        if isinstance(inside, CompiledFunction):
+            return self._of_compiled(inside, t, y, given)
+        return np.ravel(np.asarray(inside(t, y.copy(), *given)))
+
+    def given(self, names: Sequence[Parameter]) -> list[Any]:
+        """The numbers of the parameters as they were given; 0.0 for initial values."""
+        return [[*numbers_in(self.args[one.index])][one.item or 0][1] if one.kind == "args" else 0.0 for one in names]
+
+    def _with(self, p: Array) -> tuple[Any, ...]:
+        changes: dict[int, dict[int, Any]] = {}
+        for one, value in zip(self._names, p.tolist(), strict=True):
+            changes.setdefault(one.index, {})[one.item or 0] = value
+        return with_numbers(self.args, changes)
+
+    def _inputs(self, t: Any) -> list[Any]:
+        """As F takes them."""
+        if not isinstance(self._fun, NativeWithInputs):
+            return []
+        rows = [one.evaluate(np.array([np.real(t)]))[0] for one in self._fun.inputs]
+        return [row.reshape(shape)[()] for row, shape in zip(rows, self._fun.shapes, strict=True)]
+
+    def _of_compiled(self, fun: CompiledFunction, t: Any, y: Array, given: list[Any]) -> Array:
+        """As it was traced, or as numba takes it: with all numbers in one array."""
+        numbers = [np.concatenate([np.ravel(np.asarray(one)) for one in given])] if given else []
+        out: Array | None = None
+        if fun.inplace:
+            out = np.full(self._values_of(fun), np.nan, dtype=np.result_type(y, float, *numbers))
+        filled = [] if out is None else [out]
+        try:
+            returned = fun.fun(t, y.copy(), *filled, *given)
+        except (TypeError, IndexError):
+            returned = fun.fun(t, y.copy(), *filled, *numbers)
+        return out if out is not None else np.ravel(np.asarray(returned))
+
+    def _values_of(self, fun: CompiledFunction) -> int:
+        if self.m is None:
+            raise ValueError(f"{self._name} fills an array: say how many values it has")
+        return self.m
+
+    def _of_machine_code(self, t: Any, y: Array, args: tuple[Any, ...]) -> Array:
+        if np.iscomplexobj(t) or np.iscomplexobj(y) or self.m is None:
+            raise TypeError(f"{self._name} is machine code for real numbers")
+        p = numbers_at(t, self._fun, np.array(Parameters.of(args)))
+        if self._event:
+            code = to_native(self._name, self._fun, len(y), 1, p, event=True)
+            return np.array([event_value(code, t, np.ascontiguousarray(y), p)])
+        return as_python(to_native(self._name, self._fun, len(y), self.m, p), self.m)(t, y, p)
+
+
+class _Steps:
+    """Derivatives by complex steps, if these give what differences give; else by central differences."""
+
+    def __init__(self, evaluate: _Evaluation, at: Point, moves_t: bool) -> None:
+        self._evaluate, self._n = evaluate, len(at.y)
+        p = evaluate.p
+        self._size_of_p = np.where(p == 0, 1.0, np.abs(p))
+        direction = np.concatenate(
+            [[max(abs(at.t), 1.0) if moves_t else 0.0], somewhere(at.y), somewhere(p, self._size_of_p)]
+        )
+        beside = np.append(0.0, direction[1:])
+        beside[1 + self._n :] = 0
+        works = takes_complex(self._values, np.concatenate([[at.t], at.y, p]), direction, beside)
+        self.how = "complex-step" if works else "differences"
+
+    def _values(self, z: Array) -> Array:
+        t, y, p = z[0], z[1 : 1 + self._n], z[1 + self._n :]
+        values = self._evaluate(t if np.iscomplexobj(t) and t.imag else float(t.real), y, p)
+        if np.iscomplexobj(z):
+            return values
+        return values.astype(float)
+
+    def __call__(self, t: float, y: Array, dt: float, dy: Array, dp: Array) -> Array:
+        """The derivative along a direction."""
+        x, direction = np.concatenate([[t], y, self._evaluate.p]), np.concatenate([[dt], dy, dp])
+        if not direction.any():
+            return np.zeros(self._evaluate.m or 0)
+        if self.how == "complex-step":
+            with np.errstate(all="ignore"):
+                try:
+                    return np.imag(self._values(x + 1j * TINY * direction)) / TINY
+                except _NOT_COMPLEX:  # here, where a branch compares numbers, or the like
+                    pass
+        size = np.concatenate([[max(abs(t), 1.0)], sizes(y), self._size_of_p])
+        h = INCREMENT / np.max(np.abs(direction) / size)
+        up, down = (self._values(x + side * h * direction) for side in (1, -1))
+        return np.asarray((up - down) / (2 * h))

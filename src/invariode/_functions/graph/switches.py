@@ -1,0 +1,165 @@
+"""Conditions at which the values of a graph jump: where f switches from one branch to another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import Array
+from .derivatives import jacobian
+from .nodes import Node, in_order
+from .python import Formula
+
+#: What compares two numbers, the difference of which changes its sign there.
+_ORDERED = ("less", "less_equal")
+#: What jumps at more than one value.
+_STEPPED = ("floor", "ceil", "modulo", "equal", "not_equal")
+#: Points at which the branches of a condition are compared, the seed of their choice, and Newton's steps to each.
+_POINTS, _SEED, _STEPS = 8, 29, 20
+#: Relative to the values, branches that differ by less are one.
+_SAME = 1e-9
+
+
+class Switch(NamedTuple):
+    """A condition whose branches differ where it switches.
+
+    Attributes
+    ----------
+    difference : Node
+        What changes its sign.
+    below, above : list of Node
+        The values of the graph where the difference is negative, and where it is positive.
+    """
+
+    difference: Node
+    below: list[Node]
+    above: list[Node]
+
+
+def switches(outputs: Sequence[Node], t: float, y: Array, p: Array) -> list[Switch]:
+    """The conditions of a graph at which its values jump. They are looked for around (t, y)."""
+    return [one for one in conditions(outputs) if _jumps(one, t, y, p)]
+
+
+def has_steps(outputs: Sequence[Node]) -> bool:
+    """Whether a graph may jump elsewhere too."""
+    return any(node.op in _STEPPED for node in in_order(outputs))
+
+
+def conditions(outputs: Sequence[Node]) -> list[Switch]:
+    """All comparisons, and signs, of values that change with y, or with t and a parameter."""
+    groups: dict[tuple[Node, Node], list[tuple[Node, bool]]] = {}
+    for node in in_order(outputs):
+        if node.op not in _ORDERED and node.op != "sign":
+            continue
+        a, b = (*node.arguments, node.graph.node(0.0))[:2]
+        if (b, a) in groups:
+            groups[b, a].append((node, False))
+        else:
+            groups.setdefault((a, b), []).append((node, True))
+    found = []
+    for (a, b), nodes in groups.items():
+        difference = a - b
+        used = {node.op for node in in_order([difference])}
+        if "y" not in used and not {"t", "p"} <= used:  # its time, if it has one, does not depend on parameters
+            continue
+        below = _decided(outputs, {node: _answer(node, below=below) for node, below in nodes})
+        above = _decided(outputs, {node: _answer(node, below=not below) for node, below in nodes})
+        if below != above:
+            found.append(Switch(difference, below, above))
+    return found
+
+
+def _answer(node: Node, *, below: bool) -> Node | bool:
+    """The value of a comparison, or of a sign, where the first number is below the second, or not."""
+    if node.op == "sign":
+        return node.graph.node(-1.0 if below else 1.0)
+    return below
+
+
+def _decided(outputs: Sequence[Node], answers: Mapping[Node, Node | bool]) -> list[Node]:
+    """The values with these answers to conditions."""
+    graph = outputs[0].graph
+    made: dict[Node, Node | bool] = {}
+    for node in in_order(outputs):
+        if node in answers:
+            made[node] = answers[node]
+            continue
+        given = [made[one] for one in node.arguments]
+        if not any(isinstance(one, bool) for one in given):
+            same = all(one is before for one, before in zip(given, node.arguments, strict=True))
+            made[node] = node if same else graph.make(node.op, *_nodes(given), value=node.value)
+        elif node.op == "select" and isinstance(given[0], bool):
+            made[node] = given[1] if given[0] else given[2]
+        else:
+            made[node] = _logic(node, given)
+    return _nodes([made[one] for one in outputs])
+
+
+def _logic(node: Node, given: Sequence[Node | bool]) -> Node | bool:
+    """and, or and not of conditions, some of which are decided."""
+    if node.op == "not":
+        return not given[0]
+    settles = node.op == "or"  # the answer that decides alone
+    if any(one is settles for one in given):
+        return settles
+    rest = _nodes([one for one in given if not isinstance(one, bool)])
+    return rest[0] if rest else not settles
+
+
+def _nodes(given: Sequence[Node | bool]) -> list[Node]:
+    assert not any(isinstance(one, bool) for one in given)
+    return [one for one in given if isinstance(one, Node)]
+
+
+def evaluated(outputs: Sequence[Node]) -> Callable[[float, Array, Array], Array]:
+    """Values of a graph as a function of (t, y, p)."""
+    formula = Formula("branch", lambda: outputs, (len(outputs),))
+    return lambda t, y, p: np.array(formula(t, y, p))
+
+
+def _jumps(switch: Switch, t: float, y: Array, p: Array) -> bool:
+    """Whether the branches differ at a point of the switch; also if none is found."""
+    graph = switch.difference.graph
+    variables = [graph.t, *(graph.y(i) for i in range(len(y)))]
+    row = jacobian([switch.difference], variables)[0]
+    value = evaluated([switch.difference])
+    gradient = evaluated([row.get(i, graph.node(0.0)) for i in range(len(variables))])
+    below, above = evaluated(switch.below), evaluated(switch.above)
+    rng = np.random.default_rng(_SEED)
+    found = False
+    for _ in range(_POINTS):
+        size = np.maximum(np.abs(np.append(t, y)), 1.0)
+        at = _root(value, gradient, np.append(t, y) + size * rng.standard_normal(len(size)), p)
+        if at is None:
+            continue
+        with np.errstate(all="ignore"):
+            a, b = below(at[0], at[1:], p), above(at[0], at[1:], p)
+            gap, scale = np.abs(a - b), np.maximum(np.abs(a), np.abs(b)).max(initial=0)
+        if not np.isfinite(gap).all():
+            continue
+        found = True
+        if (gap > _SAME * scale).any():
+            return True
+    return not found
+
+
+def _root(
+    value: Callable[[float, Array, Array], Array],
+    gradient: Callable[[float, Array, Array], Array],
+    x: Array,
+    p: Array,
+) -> Array | None:
+    """A point near x at which the value is 0, by Newton's method along the gradient."""
+    for _ in range(_STEPS):
+        with np.errstate(all="ignore"):
+            here, slope = float(value(x[0], x[1:], p)[0]), gradient(x[0], x[1:], p)
+            step = here / (slope @ slope) * slope
+        if not np.isfinite(step).all():
+            return None
+        x = x - step
+        if np.abs(step).max() <= _SAME * np.abs(x).max():
+            return x
+    return None

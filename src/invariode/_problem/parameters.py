@@ -1,0 +1,234 @@
+"""Names of parameters: numbers among the arguments of f, and initial values.
+
+A parameter is called as f calls it: ``k1``; ``p[2]`` in an array, list or tuple p; ``args[0]`` if f takes ``*args``, or
+does not tell names. The initial value of a component is ``y0[label]``, or ``y0[2]``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import operator
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from .._base.arguments import Array, call_name, items, shown
+from .._base.suggestions import meant
+from .._functions.compiled import CompiledFunction
+from .._functions.graph.python import Formula
+from .._functions.layout import numbers_in, with_numbers
+
+#: All initial values.
+Y0 = "y0"
+
+#: This many names are listed in a message.
+_MOST_LISTED = 8
+
+_POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterName:
+    """A parameter: its name, and where its value is.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    kind : {"args", "y0"}
+        Whether it is in an argument or an initial value.
+    index : int
+        The argument or the component.
+    item : int or None
+        The place among the numbers of the argument, in their order. None: the argument is a number.
+    """
+
+    name: str
+    kind: Literal["args", "y0"]
+    index: int
+    item: int | None = None
+
+
+def parameter_names(
+    fun: Any,
+    args: tuple[Any, ...],
+    labels: Sequence[str] | None,
+    n: int,
+    wanted: Any,
+    *,
+    first: int = 2,
+    option: str = "sensitivities",
+) -> tuple[ParameterName, ...]:
+    """The parameters that are wanted, in the order given.
+
+    Parameters
+    ----------
+    fun
+        f, for the names of its arguments.
+    args
+        The arguments of f after t and y.
+    labels
+        Names of the components, if they have any.
+    n
+        The number of components.
+    wanted : bool, str, int, ParameterName, or several of these
+        True: all numbers in `args`. "y0": all initial values. An index is that of an argument. An argument of several
+        numbers stands for all of them.
+    first
+        The number of arguments of f before `args`.
+    option
+        The option in messages.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An unknown name, one that is given twice, an argument without numbers.
+    """
+    known = _Known(fun, args, labels, n, first, option)
+    if wanted is None or wanted is False:
+        return ()
+    if wanted is True:
+        found = [one for i in range(len(args)) for one in known.of_argument(i)]
+        if not found:
+            raise ValueError(
+                f'{option}=True needs numbers in args, got args={shown(args)}: "y0" means the initial values'
+            )
+        return tuple(found)
+    single = isinstance(wanted, (str, ParameterName)) or (listed := items(wanted)) is None
+    chosen = [one for each in ([wanted] if single else listed or []) for one in known.found(each)]
+    for i, one in enumerate(chosen):
+        if one in chosen[:i]:
+            raise ValueError(f"{option}: {one.name} is given twice")
+    if not chosen:
+        raise ValueError(f"{option} must name a parameter, got {shown(wanted)}")
+    return tuple(chosen)
+
+
+def values_of(args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName]) -> Array:
+    """The values of the parameters, of shape (k,)."""
+
+    def value(one: ParameterName) -> Any:
+        return y0[one.index] if one.kind == Y0 else [*numbers_in(args[one.index])][one.item or 0][1]
+
+    return np.array([value(one) for one in names], dtype=float)
+
+
+def with_values(
+    args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName], values: Iterable[float]
+) -> tuple[tuple[Any, ...], Array]:
+    """args and y0 with these values of the parameters; what was given stays as it is."""
+    start = np.array(y0)
+    changes: dict[int, dict[int, float]] = {}
+    for one, value in zip(names, values, strict=True):
+        if one.kind == Y0:
+            start[one.index] = value
+        else:
+            changes.setdefault(one.index, {})[one.item or 0] = float(value)
+    return with_numbers(args, changes), start
+
+
+class _Known:
+    """The parameters of a problem by name."""
+
+    def __init__(
+        self, fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, n: int, first: int, option: str
+    ) -> None:
+        self._fun, self._args, self._labels, self._n, self._option = fun, args, labels, n, option
+        self._names = _names_of_arguments(fun, len(args), first)
+
+    def of_argument(self, index: int) -> list[ParameterName]:
+        """The numbers of an argument."""
+        name = self._names[index]
+        found = [(i, suffix) for i, (suffix, value) in enumerate(numbers_in(self._args[index])) if _is_real(value)]
+        return [ParameterName(name + suffix, "args", index, i if suffix else None) for i, suffix in found]
+
+    def of_y0(self, index: int) -> ParameterName:
+        """An initial value."""
+        return ParameterName(f"{Y0}[{self._labels[index] if self._labels else index}]", "y0", index)
+
+    def found(self, given: Any) -> list[ParameterName]:
+        """The parameters that one item of what was given stands for."""
+        if isinstance(given, ParameterName):
+            given = given.name
+        if isinstance(given, str):
+            return self._named(given)
+        try:
+            index = operator.index(given)
+        except TypeError:
+            index = None
+        if index is None or isinstance(given, (bool, np.bool_)):
+            raise TypeError(f"{self._option} must be True, names or indices of arguments, got {shown(given)}")
+        if not 0 <= index < len(self._args):
+            raise ValueError(
+                f"{self._option}: there is no argument {index}, args has {len(self._args)}: {self._listed()}"
+            )
+        return self._all_of(index)
+
+    def _named(self, name: str) -> list[ParameterName]:
+        if name in self._names:
+            return self._all_of(self._names.index(name))
+        if name == Y0:
+            return [self.of_y0(i) for i in range(self._n)]
+        if together := [i for i, one in enumerate(self._names) if one.startswith(f"{name}[")]:
+            return [one for i in together for one in self._all_of(i)]
+        for index in range(len(self._args)):
+            for one in self.of_argument(index):
+                if name in (one.name, f"args[{index}]{one.name[len(self._names[index]) :]}"):
+                    return [one]
+            if name == f"args[{index}]":
+                return self._all_of(index)
+        return [self.of_y0(self._component(name))]
+
+    def _all_of(self, index: int) -> list[ParameterName]:
+        found = self.of_argument(index)
+        if not found:
+            raise ValueError(
+                f"{self._option}: {self._names[index]} is {shown(self._args[index])}, and parameters are real numbers"
+            )
+        return found
+
+    def _component(self, name: str) -> int:
+        """That of ``y0[label]``."""
+        inside = name[len(Y0) + 1 : -1] if name.startswith(f"{Y0}[") and name.endswith("]") else None
+        if inside is not None and self._labels is not None and inside in self._labels:
+            return list(self._labels).index(inside)
+        if inside is not None and inside.isdecimal() and int(inside) < self._n:
+            return int(inside)
+        names = [*self._names, *(one.name for i in range(len(self._args)) for one in self.of_argument(i)), Y0]
+        names += [self.of_y0(i).name for i in range(self._n)]
+        raise ValueError(
+            f"{self._option}: {call_name(self._fun, 'fun')} takes no parameter {name!r}; parameters are "
+            f"{self._listed()}{meant(name, names)}"
+        )
+
+    def _listed(self) -> str:
+        """The names there are, for messages."""
+        names = [one.name for i in range(len(self._args)) for one in self.of_argument(i)]
+        more = ["..."] if len(names) > _MOST_LISTED else []
+        label = self.of_y0(0).name if self._n else Y0
+        return ", ".join([*names[:_MOST_LISTED], *more, f"{label} and so on" if self._n > 1 else label])
+
+
+def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:
+    """As f calls them."""
+    plain = [f"args[{i}]" for i in range(size)]
+    compiled = isinstance(fun, CompiledFunction)
+    python = fun.fun if compiled else fun
+    if isinstance(python, Formula) and len(python.parameters) == size:
+        return list(python.parameters)
+    try:
+        found = inspect.signature(python).parameters.values()
+    except (TypeError, ValueError):  # machine code
+        return plain
+    names = [one.name for one in found if one.kind in _POSITIONAL][first + bool(compiled and fun.inplace) :]
+    takes_more = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in found)
+    if compiled and len(names) == 1 and size > 1 and not takes_more:  # it takes all of them as one array
+        return [f"{names[0]}[{i}]" for i in range(size)]
+    own = [other if name == Y0 else name for name, other in zip(names[:size], plain, strict=False)]
+    return own + plain[len(own) :]
+
+
+def _is_real(value: Any) -> bool:
+    return not isinstance(value, (bool, np.bool_))

@@ -1,0 +1,160 @@
+"""Which derivatives of the solution with respect to parameters a run computes, and what is known for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, flag, items, real_numbers, shown
+from .._base.suggestions import meant
+from .parameters import Y0, ParameterName, parameter_names
+
+#: What a list of initial values holds: labels or indices.
+_Components: TypeAlias = bool | int | str | Sequence[int | str]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """The derivatives of the solution with respect to parameters: ``sensitivities=Sensitivities(...)``.
+
+    With S = ∂y/∂p, of shape (n, k), the run solves M S' = (∂f/∂y) S + ∂f/∂p beside M y' = f.
+
+    Parameters
+    ----------
+    args : bool, str, int, or list of these, optional
+        Numbers in `args`: True for all, names of f's arguments (``"k1"``; ``"p[2]"`` in an array p; ``"args[0]"`` if f
+        takes ``*args``), or indices of arguments. Default: all, unless `y0` is given.
+    y0 : bool, str, int, or list of these, optional
+        Initial values: True for all, labels or indices of components. They follow those of `args`.
+    dfdp : callable, optional
+        ``dfdp(t, y, *args)``, ∂f/∂p, of shape (n, k): a column for each parameter in `args`. Default: from the
+        expressions of f if it can be traced, else by complex steps if f takes them, else by differences, with a
+        warning.
+    dy0dp : array_like of shape (n, k) or callable, optional
+        ∂y0/∂p of the parameters in `args` on which `y0` depends, or ``dy0dp(*args)``, which returns it. Default: 0.
+    scale : array_like or dict, optional
+        The sizes of the parameters, one number for each, or numbers by name: the error of ∂y_i/∂p_j is kept below
+        ``max(rtol_i |∂y_i/∂p_j|, atol_i / scale_j)``. Default: the absolute value of the parameter, 1 for a parameter
+        that is zero; of an initial value at least atol / rtol.
+    error_test : bool, default True
+        Whether the errors of the sensitivities limit the steps, as those of y do. False: the steps are those of a run
+        without them, and the errors are not known.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A field of a wrong type. The problem checks names and shapes.
+
+    Notes
+    -----
+    T. Maly and L. R. Petzold, Appl. Numer. Math. 20 (1996) 57-79.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def decay(t, y, rate):
+    ...     return [-rate * y[0]]
+    >>> sol = iv.solve_ivp(
+    ...     decay, (0, 1), [1.0], args=(2.0,), rtol=1e-8, sensitivities=iv.Sensitivities(args="rate", y0=True)
+    ... )
+    >>> sol.sensitivity_names
+    ['rate', 'y0[0]']
+    >>> bool(np.allclose(sol.sensitivities[0, :, -1], [-np.exp(-2), np.exp(-2)], rtol=1e-6))
+    True
+    """
+
+    args: Any = None
+    y0: _Components | None = None
+    dfdp: Any = None
+    dy0dp: Any = None
+    scale: ArrayLike | Mapping[str, float] | None = None
+    error_test: bool = True
+
+    def __post_init__(self) -> None:
+        flag("error_test of Sensitivities", self.error_test)
+        if self.dfdp is not None and not callable(self.dfdp):
+            raise TypeError(f"dfdp of Sensitivities must be a function dfdp(t, y, *args), got {shown(self.dfdp)}")
+        if self.dy0dp is not None and not callable(self.dy0dp):
+            object.__setattr__(self, "dy0dp", real_numbers("dy0dp of Sensitivities", self.dy0dp))
+
+    def names(
+        self, fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, n: int, first: int = 2
+    ) -> tuple[ParameterName, ...]:
+        """The parameters of a problem."""
+        wanted: list[Any] = []
+        if self.args is True or (self.args is None and (self.y0 is None or self.y0 is False)):
+            wanted += parameter_names(fun, args, labels, n, wanted=True, first=first)
+        elif self.args is not None and self.args is not False:
+            wanted += _listed(self.args)
+        if self.y0 is True:
+            wanted.append(Y0)
+        elif self.y0 is not None and self.y0 is not False:
+            wanted += [f"{Y0}[{one}]" for one in _listed(self.y0)]
+        return parameter_names(fun, args, labels, n, wanted, first=first)
+
+    def sizes(self, names: Sequence[ParameterName], default: Array) -> Array:
+        """p̄ of the parameters, of shape (k,), with a default for those that are not given."""
+        scale, size = self.scale, default
+        if scale is None:
+            return size
+        if isinstance(scale, Mapping):
+            known = {one.name: j for j, one in enumerate(names)}
+            size = size.copy()
+            for name, given in scale.items():
+                if name not in known:
+                    raise ValueError(
+                        f"scale of Sensitivities names {name!r}, which is not a parameter{meant(name, known)}"
+                    )
+                size[known[name]] = real_numbers(f"the scale of {name}", given)
+        else:
+            numbers = real_numbers("scale of Sensitivities", scale)
+            if numbers.shape not in ((), (len(names),)):
+                raise ValueError(
+                    f"scale of Sensitivities must be one number for each of {len(names)} parameters, got "
+                    f"{shown(self.scale)}"
+                )
+            size = np.broadcast_to(numbers, (len(names),))
+        if not (np.isfinite(size) & (size > 0)).all():
+            raise ValueError(f"scale of Sensitivities must be positive, got {shown(self.scale)}")
+        return size
+
+    def start(self, names: Sequence[ParameterName], args: tuple[Any, ...], n: int) -> Array:
+        """S at the start, of shape (n, k)."""
+        S = np.zeros((n, len(names)))
+        own = [j for j, one in enumerate(names) if one.kind == "args"]
+        for j, one in enumerate(names):
+            if one.kind == Y0:
+                S[one.index, j] = 1
+        if self.dy0dp is None:
+            return S
+        given = real_numbers("dy0dp", self.dy0dp(*args)) if callable(self.dy0dp) else np.asarray(self.dy0dp)
+        if given.ndim == 1 and len(own) == 1:
+            given = given[:, None]
+        if given.shape != (n, len(own)):
+            raise ValueError(
+                f"dy0dp must have shape ({n}, {len(own)}), a column for each of the parameters in args, got "
+                f"{given.shape}"
+            )
+        if not np.isfinite(given).all():
+            raise ValueError(f"dy0dp must be finite, got {shown(given)}")
+        S[:, own] = given
+        return S
+
+
+SensitivitiesLike: TypeAlias = bool | str | int | Sequence[str | int] | Sensitivities
+
+
+def to_sensitivities(given: SensitivitiesLike | None) -> Sensitivities | None:
+    """What is wanted; None: nothing."""
+    if given is None or given is False:
+        return None
+    return given if isinstance(given, Sensitivities) else Sensitivities(args=given)
+
+
+def _listed(given: Any) -> list[Any]:
+    listed = None if isinstance(given, (str, ParameterName)) else items(given)
+    return [given] if listed is None else listed

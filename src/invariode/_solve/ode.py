@@ -1,0 +1,507 @@
+"""`ode` and `complex_ode`: SciPy's classes of these names, on the methods of this package."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, choice, count, function, number, state, warn
+from .._base.public import public
+from .._base.suggestions import meant
+from .._base.types import Function, MethodName
+from .._functions.compiled import is_native
+from .._problem.description import Description
+from .._problem.invariants import InvariantsLike
+from .._problem.methods import METHODS, find_method
+from .._problem.options import MethodOptions, Options, StepSizeOptions, unknown_option
+from .._run.call_errors import explain
+from .._run.plan import Plan, make_plan
+from .._run.walk import Walk
+
+__all__ = ["complex_ode", "ode"]
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# Integrators
+
+#: SciPy's tolerances in these classes.
+_TOLERANCES: Options = {"rtol": 1e-6, "atol": 1e-12}
+
+_COMMON = ("rtol", "atol", "first_step", "max_step", "nsteps")
+_BANDS = ("lband", "uband")
+#: What our integrators take.
+_OURS = (*StepSizeOptions.__annotations__, *MethodOptions.__annotations__, "nsteps", *_BANDS)
+#: Parameters of SciPy's that have no effect here, and that scripts give to every integrator.
+_HINTS = ("method", "with_jacobian", "verbosity")
+
+
+class _Theirs(NamedTuple):
+    """An integrator of SciPy's."""
+
+    methods: Mapping[str, MethodName]  # what stands for it here, by the value of its parameter `method`, if it has one
+    takes: tuple[str, ...]
+    idle: tuple[str, ...]  # parameters that control only SciPy's: a warning says so
+    complex: bool = False
+
+
+_OF_HAIRER = ("safety", "ifactor", "dfactor", "beta")
+_OF_VODE: Mapping[str, MethodName] = {"adams": "ode113", "bdf": "BDF"}
+#: In the order in which SciPy looks for a name.
+_SCIPYS: Mapping[str, _Theirs] = MappingProxyType(
+    {
+        "vode": _Theirs(_OF_VODE, (*_COMMON, *_BANDS, "order"), ("min_step",)),
+        "zvode": _Theirs(_OF_VODE, (*_COMMON, *_BANDS, "order"), ("min_step",), complex=True),
+        "dopri5": _Theirs({"": "ode45"}, _COMMON, _OF_HAIRER),
+        "dop853": _Theirs({"": "dop853"}, _COMMON, _OF_HAIRER),
+        "lsoda": _Theirs(
+            {"": "auto"}, (*_COMMON, *_BANDS), ("min_step", "ixpr", "max_hnil", "max_order_ns", "max_order_s")
+        ),
+    }
+)
+
+
+class _Codes(NamedTuple):
+    """The return codes of a family of SciPy's integrators."""
+
+    success: int
+    wrong: int  # f is not defined at the start, or contradicts an invariant
+    too_long: int  # more than nsteps steps
+    failed: int  # the error test, at the smallest step
+    unsolved: int  # Newton's iteration
+    stopped: int = 2  # by solout
+
+
+_HAIRER = _Codes(success=1, wrong=-1, too_long=-2, failed=-3, unsolved=-3)
+_ODEPACK = _Codes(success=2, wrong=-3, too_long=-1, failed=-4, unsolved=-5)
+
+
+class _Integrator(NamedTuple):
+    """What `set_integrator` has chosen."""
+
+    name: str
+    method: MethodName
+    options: Options
+    bands: Mapping[str, Any]
+    nsteps: int | None  # the most in one call; None: any number
+    complex: bool  # the state is complex, whatever it starts from
+    implicit: bool
+    #: Steps lead beyond the requested times, as in ODEPACK. Explicit pairs end there, and start anew in the next call,
+    #: as DOPRI5 does.
+    goes_on: bool
+
+    @property
+    def codes(self) -> _Codes:
+        return _ODEPACK if self.goes_on else _HAIRER
+
+
+def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
+    """The integrator of that name, SciPy's or ours, with its parameters."""
+    parameters = dict(given)
+    found = _scipys(name)
+    if found is None:
+        method, takes, is_complex = _ours(name), _OURS, False
+    else:
+        name, theirs = found
+        method, takes, is_complex = _method(theirs, parameters), theirs.takes, theirs.complex
+        for idle in theirs.idle:
+            if parameters.pop(idle, 0):
+                warn(f"{idle} has no effect: it controls SciPy's {name}; leave it out")
+    if wrong := next((one for one in parameters if one not in takes), None):
+        raise unknown_option(wrong, takes, f"integrator {name!r} has no parameter")
+    about = find_method(method)[0]
+    if (order := parameters.pop("order", None)) is not None:
+        parameters["max_order"] = min(count("order", order), about.order)
+    nsteps = parameters.pop("nsteps", None) or None
+    bands = {one: parameters.pop(one) for one in _BANDS if one in parameters}
+    free = {one: value for one, value in parameters.items() if not _is_zero(value) or one in ("rtol", "atol")}
+    options: Any = {**_TOLERANCES, **free, "keep": "end"}
+    return _Integrator(
+        name=name,
+        method=method,
+        options=options,
+        bands=bands,
+        nsteps=None if nsteps is None else count("nsteps", nsteps),
+        complex=is_complex,
+        implicit="jac" in about.options,
+        goes_on=about.stages is None,
+    )
+
+
+def _scipys(name: object) -> tuple[str, _Theirs] | None:
+    """SciPy's integrator of that name or of one that begins so, as SciPy looks for it; None: it is not one."""
+    if not isinstance(name, str) or (name in METHODS and name not in _SCIPYS):
+        return None
+    return next(((full, about) for full, about in _SCIPYS.items() if full.startswith(name.lower())), None)
+
+
+def _ours(name: Any) -> MethodName:
+    try:
+        find_method(name)
+    except ValueError:
+        known = [*_SCIPYS, *METHODS]
+        raise ValueError(
+            f"No integrator name match with {name!r}{meant(name, known)} Integrators: {', '.join(dict.fromkeys(known))}"
+        ) from None
+    method: MethodName = name
+    return method
+
+
+def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
+    """The method that stands for an integrator; of what vode's `method` may be, SciPy takes the beginning."""
+    hints = {one: parameters.pop(one, None) for one in _HINTS}
+    kind = hints["method"]
+    if kind is None or "" in theirs.methods:
+        return next(iter(theirs.methods.values()))
+    begun = [one for one in theirs.methods if isinstance(kind, str) and one.startswith(kind.lower())]
+    return theirs.methods[begun[0] if begun else choice("method", kind, theirs.methods)]
+
+
+def _is_zero(value: object) -> bool:
+    """SciPy's way to say: no limit, or whatever the method chooses."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# The classes
+
+
+class _Calls:
+    """The user's functions with the parameters set last. The core holds on to this, and not to the object of `ode`,
+    which could not be freed otherwise."""
+
+    def __init__(self, f: Function, jac: Function | None) -> None:
+        self.f = f
+        self.jac = jac
+        self.f_params: tuple[Any, ...] = ()
+        self.jac_params: tuple[Any, ...] = ()
+
+    def jacobian(self) -> Any:
+        """``jac(t, y, *f_params)``, as problems call it."""
+        jac: Any = self.jac
+        if jac is None or is_native(jac):
+            return jac
+        function("jac", jac, "jac(t, y)")
+
+        @functools.wraps(jac)
+        def of_ours(t: float, y: Array, *f_params: Any) -> Any:
+            return jac(t, y, *self.jac_params)
+
+        return of_ours
+
+
+@public
+class ode:  # noqa: N801 - SciPy's name
+    """Advances y' = f(t, y) to one time after the other, with the calls of `scipy.integrate.ode`.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(t, y, *f_params)``: the derivative, of shape (n,).
+    jac : callable, optional
+        Its Jacobian, ``jac(t, y, *jac_params)``, of shape (n, n), or its bands. Explicit methods do not use it.
+    invariants : callable, Invariants, or list of these, optional
+        What the solution keeps, ``g(t, y, *f_params)``: see `solve_ivp`. They are held at their values at the initial
+        value, or where the parameters of f were set last.
+
+    Attributes
+    ----------
+    t : float
+        The time that the last call has reached.
+    y : ndarray
+        The state there, of shape (n,).
+
+    See Also
+    --------
+    solve_ivp : One call for the whole interval, with output, events and a record of the run.
+
+    Notes
+    -----
+    Which method stands for an integrator of SciPy's is shown by `set_integrator`. Methods of several steps, and the
+    implicit ones, go on across calls: their steps lead beyond the requested time, where the solution is interpolated.
+    The explicit pairs end exactly there, and start anew in the next call. Both do so in SciPy.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import invariode as iv
+    >>> def pendulum(t, y, torque):
+    ...     return [y[1], torque - np.sin(y[0])]
+    >>> def energy(t, y, torque):
+    ...     return y[1] ** 2 / 2 - np.cos(y[0]) - torque * y[0]
+    >>> run = iv.ode(pendulum, invariants=energy).set_integrator("dop853", rtol=1e-6)
+    >>> run.set_initial_value([1.0, 0.0], 0.0).set_f_params(0.1)
+    <invariode.ode, dop853, at t = 0.0>
+    >>> while run.successful() and run.t < 10:
+    ...     y = run.integrate(run.t + 0.5)
+    >>> bool(abs(energy(10, y, 0.1) - energy(0, [1.0, 0.0], 0.1)) < 1e-12)
+    True
+    """
+
+    _complex = False
+
+    def __init__(self, f: Function, jac: Function | None = None, *, invariants: InvariantsLike | None = None) -> None:
+        self._calls = _Calls(f, jac)
+        self._invariants = invariants
+        self._integrator: _Integrator | None = None
+        self._solout: Callable[[float, Array], Any] | None = None
+        self.t = 0.0
+        self._y: Array = np.zeros(0)
+        self._code: int | None = None  # None: nothing was integrated
+        self._problem: Description | None = None
+        self._plan: Plan | None = None
+        self._walk: Walk | None = None  # the steps of a run that goes on from call to call
+        self._begun = 0.0  # where the last one of them began
+
+    def __repr__(self) -> str:
+        return f"<invariode.{type(self).__name__}, {self._chosen().name}, at t = {self.t}>"
+
+    @property
+    def y(self) -> Array:
+        return self._y
+
+    def set_integrator(self, name: str, **integrator_params: Any) -> Self:
+        """Choose an integrator.
+
+        Parameters
+        ----------
+        name : str
+            SciPy's 'vode' (ode113, or with ``method='bdf'`` ode15s with ``bdf=True``), 'zvode' (the same for complex
+            states), 'dopri5' (ode45), 'dop853' or 'lsoda' (auto), or the beginning of such a name; or the name of one
+            of our `METHODS`.
+        **integrator_params
+            Of SciPy's: `rtol` (default 1e-6), `atol` (1e-12), `first_step`, `max_step`, `nsteps`, the most steps in a
+            call (default: any number); of those with Jacobians `lband` and `uband`; of 'vode' `method` and `order`.
+            `with_jacobian` and `verbosity` have no effect. Nor have `safety`, `ifactor`, `dfactor`, `beta`, `min_step`,
+            `ixpr`, `max_hnil`, `max_order_ns` and `max_order_s`, and a warning says so. With a name of ours: the
+            options of `solve_ivp` that concern the method, and `nsteps`.
+
+        Raises
+        ------
+        ValueError
+            There is no integrator of that name.
+        TypeError
+            It has no parameter of that name.
+        """
+        self._integrator = _integrator(name, integrator_params)
+        self._solout = None
+        return self.set_initial_value(self._y if len(self._y) else 0.0, self.t)
+
+    def set_initial_value(self, y: ArrayLike, t: float = 0.0) -> Self:
+        """Set the state y, a number or of shape (n,), at the time t."""
+        start = state(np.atleast_1d(y))
+        self._y = start.astype(complex) if self._complex or self._chosen().complex else start
+        self.t, self._code = number("t", t), None
+        self._forget()
+        return self
+
+    def set_f_params(self, *args: Any) -> Self:
+        """Set the further arguments of f and of the invariants. The method starts anew at the next call."""
+        self._calls.f_params = args
+        self._forget()
+        return self
+
+    def set_jac_params(self, *args: Any) -> Self:
+        """Set the further arguments of jac."""
+        self._calls.jac_params = args
+        return self
+
+    def set_solout(self, solout: Callable[[float, Array], Any]) -> None:
+        """Set a function that each call of `integrate` calls at its start and after each step.
+
+        Parameters
+        ----------
+        solout : callable
+            ``solout(t, y)``; returning -1 ends the call there.
+
+        Raises
+        ------
+        ValueError
+            The integrator goes beyond the requested times; explicit pairs, such as 'dopri5', do not.
+        """
+        if self._chosen().goes_on:
+            raise ValueError(
+                "selected integrator does not support solout, choose another one: 'dopri5', 'dop853', or an explicit "
+                "pair of METHODS"
+            )
+        self._solout = solout
+
+    def integrate(self, t: float, step: bool = False, relax: bool = False) -> Array:
+        """Advance to a time, and return the state there.
+
+        Parameters
+        ----------
+        t : float
+            The time, before or after the last one.
+        step : bool, default False
+            Whether to make one step in the direction of `t`, and to return the state at its end, which may lie beyond.
+            As in SciPy, explicit pairs go to `t` all the same.
+        relax : bool, default False
+            Whether to return the state at the end of the first step that reaches `t`; likewise.
+
+        Returns
+        -------
+        ndarray, (n,)
+            The state at `t`, or where the run failed: see `successful`.
+
+        Raises
+        ------
+        InvariantError
+            An invariant is not conserved at the start, or its Jacobian is wrong.
+
+        Warns
+        -----
+        UserWarning
+            The run failed: at which t, why, and what to try.
+        """
+        target = number("t", t)
+        chosen = self._chosen()
+        if target == self.t:
+            return self._y
+        try:
+            if chosen.goes_on:
+                self._go_on(target, chosen, step=bool(step), relax=bool(relax))
+            else:
+                self._start_anew(target, chosen)
+        except BaseException as error:
+            self._walk = None
+            if isinstance(error, (TypeError, ValueError)) and self._problem is not None:
+                explain(error, self._problem)
+            raise
+        return self._y
+
+    def successful(self) -> bool:
+        """Whether the last call reached its time, or was ended by solout."""
+        return self._code is None or self._code > 0
+
+    def get_return_code(self) -> int | None:
+        """How the last call ended, as a number.
+
+        Returns
+        -------
+        int or None
+            None: there was no call. 'dopri5', 'dop853' and explicit pairs: 1, success; 2, ended by solout; -1, f is not
+            defined at the start, or contradicts an invariant; -2, more than `nsteps` steps; -3, the step would be too
+            small. Other integrators: 2, success; -1, more than `nsteps` steps; -3, as -1 above; -4, the error test
+            failed at the smallest step; -5, Newton's iteration did.
+        """
+        return self._code
+
+    # What follows is how.
+
+    def _chosen(self) -> _Integrator:
+        """The integrator; SciPy's first one if none was set."""
+        if self._integrator is None:
+            self._integrator = _integrator("vode", {})
+        return self._integrator
+
+    def _forget(self) -> None:
+        """The next call makes a plan of its own, and holds the invariants where it starts."""
+        self._problem = self._plan = self._walk = None
+
+    def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
+        """A run from here to `tf`, of the plan that there is: invariants keep the values at which it holds them."""
+        calls, endless = self._calls, math.copysign(math.inf, tf - self.t)
+        if self._plan is None or self._plan.settings.forward != math.copysign(1.0, endless):
+            held = None if self._plan is None else self._plan.bound.value
+            linear = {"jac": calls.jacobian(), **chosen.bands} if chosen.implicit else {}
+            self._problem = Description(
+                calls.f, (self.t, endless), self._y, args=calls.f_params, invariants=self._invariants, **linear
+            )
+            plan = make_plan(self._problem, chosen.method, chosen.options)
+            self._plan = plan if held is None else plan.holding(held)
+        settings = self._plan.settings
+        first = min(settings.first_step, abs(tf - self.t))
+        return Walk(self._plan._replace(settings=settings._replace(t0=self.t, tf=tf, first_step=first)), self._y)
+
+    def _start_anew(self, target: float, chosen: _Integrator) -> None:
+        """From here to `target`, with solout."""
+        walk = self._walk_to(target, chosen)
+        steps, stopped = 0, self._is_stopped()
+        while walk.state == "running" and not stopped and steps != chosen.nsteps:
+            walk.step()
+            self.t, self._y = walk.t, walk.y
+            steps += 1
+            stopped = walk.state in ("running", "reached_end") and self._is_stopped()
+        self._end(walk, chosen, reached=walk.state == "reached_end", stopped=stopped)
+
+    def _is_stopped(self) -> bool:
+        """What solout says here."""
+        answer = None if self._solout is None else self._solout(self.t, self._y.copy())
+        return answer is not None and bool(answer < 0)
+
+    def _go_on(self, target: float, chosen: _Integrator, *, step: bool, relax: bool) -> None:
+        """The steps of this run until they pass `target`, or one of them."""
+        walk, ahead = self._walk, math.copysign(1.0, target - self.t)
+        if walk is None or not self._leads_to(target, walk) or (step and walk.forward != ahead):
+            walk = self._walk = self._walk_to(math.copysign(math.inf, ahead), chosen)
+            self._begun = self.t
+        forward = walk.forward
+        goal = math.nextafter(self.t, target) if step else target
+        steps = 0
+        while walk.state == "running" and forward * (goal - walk.t) > 0 and steps != chosen.nsteps:
+            self._begun = walk.t
+            walk.step()
+            steps += 1
+        reached = walk.state == "running" and forward * (goal - walk.t) <= 0
+        inside = reached and not (step or relax) and target != walk.t
+        self.t, self._y = (target, walk.over_last_step()(target)) if inside else (walk.t, walk.y)
+        self._end(walk, chosen, reached=reached, stopped=False)
+
+    def _leads_to(self, target: float, walk: Walk) -> bool:
+        """Whether a run comes to that time, or was there in its last step."""
+        return walk.forward * (target - self._begun) >= 0
+
+    def _end(self, walk: Walk, chosen: _Integrator, *, reached: bool, stopped: bool) -> None:
+        """The return code of a call, with a warning if it failed."""
+        codes = chosen.codes
+        if reached or stopped:
+            self._code = codes.stopped if stopped else codes.success
+            return
+        self._walk = None
+        if walk.state == "running":
+            self._code, why = codes.too_long, f"nsteps = {chosen.nsteps} is reached at t = {self.t:.6g}: raise it"
+        else:
+            why = walk.failure[1]
+            newton = walk.core.result().cause == "newton"
+            wrong = walk.state in ("start_undefined", "invariant_convicted")
+            self._code = codes.wrong if wrong else codes.unsolved if newton else codes.failed
+        warn(f"{chosen.name}: {why}")
+
+
+@public
+class complex_ode(ode):  # noqa: N801 - the same
+    """`ode` for complex states.
+
+    Parameters
+    ----------
+    f, jac, invariants
+        As for `ode`, with complex y; invariants return real numbers. Complex components are integrated as pairs of
+        reals, so that f need not be analytic, unless `jac` is given.
+
+    Attributes
+    ----------
+    t, y
+        As for `ode`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import invariode as iv
+    >>> run = iv.complex_ode(lambda t, y: 1j * y).set_integrator("dopri5").set_initial_value(1.0)
+    >>> bool(abs(run.integrate(np.pi)[0] + 1) < 1e-5)
+    True
+    """
+
+    _complex = True
+
+    def set_integrator(self, name: str, **integrator_params: Any) -> Self:
+        """See `ode.set_integrator`."""
+        if _scipys(name) == ("zvode", _SCIPYS["zvode"]):
+            raise ValueError("zvode must be used with ode, not complex_ode")
+        return super().set_integrator(name, **integrator_params)

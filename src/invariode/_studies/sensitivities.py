@@ -1,0 +1,152 @@
+"""The check of given derivatives with respect to parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._base.arguments import Array, number, shown, state
+from .._base.public import public
+from .._functions.derivatives import somewhere
+from .._functions.directional import Directional, Given, Point
+from .._problem.description import Description
+from .._run.variations import given_derivatives
+
+#: Differences of entries that are not errors, relative to the largest of their column: of exact derivatives, and of
+#: differences.
+_ROUNDOFF, _OF_DIFFERENCES = 1e-9, 1e-5
+#: Beside the point, in parts of the sizes of y: at the point itself an error may not show.
+_BESIDE = (0.0, 0.1)
+
+
+@public
+@dataclass(frozen=True)
+class SensitivityReport:
+    """A report on given derivatives; prints as text.
+
+    Attributes
+    ----------
+    names : list of str
+        The parameters.
+    compared : list of str
+        What was given and compared: 'jac', 'dfdp', 'dy0dp'.
+    derivatives : str
+        What it was compared with: 'graph', 'complex-step' or 'differences'.
+    findings : list of str
+        The entries that are wrong, in words; empty if all is well.
+    ok : bool
+        Nothing is wrong.
+    """
+
+    names: list[str]
+    compared: list[str]
+    derivatives: str
+    findings: list[str]
+
+    @property
+    def ok(self) -> bool:
+        return not self.findings
+
+    def __str__(self) -> str:
+        what = ", ".join(self.compared) or "nothing is given, and nothing"
+        return "\n".join([f"parameters {', '.join(self.names)}: {what} compared ({self.derivatives})", *self.findings])
+
+    __repr__ = __str__
+
+
+@public
+def check_sensitivities(
+    problem: Description, t: float | None = None, y: ArrayLike | None = None, *, y0: Callable[..., Any] | None = None
+) -> SensitivityReport:
+    """Compares the derivatives that a problem gives for its sensitivities with those computed from its functions.
+
+    Parameters
+    ----------
+    problem : Problem
+        With `sensitivities`. Its `jac` and the `dfdp` of its `Sensitivities` are compared with the derivatives of
+        `fun`: from its expressions, else by complex steps, else by differences.
+    t : float, optional
+        Where. Default: the start.
+    y : array_like of shape (n,), optional
+        Where. Default: `y0` of the problem. A point beside it is tried too.
+    y0 : callable, optional
+        ``y0(*args)``, the initial values as a function of the arguments: `dy0dp` is compared with its derivatives.
+
+    Returns
+    -------
+    SensitivityReport
+
+    Raises
+    ------
+    TypeError, ValueError
+        The problem has no `sensitivities`; a derivative has a wrong shape.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def decay(t, y, rate):
+    ...     return [-rate * y[0]]
+    >>> wrong = iv.Sensitivities(dfdp=lambda t, y, rate: [[y[0]]])
+    >>> iv.check_sensitivities(iv.Problem(decay, (0, 1), [1.0], args=(2.0,), sensitivities=wrong))
+    parameters rate: dfdp compared (graph)
+    dfdp[0, 0], of rate, is 1 at t = 0; expected -1
+    """
+    wanted = getattr(problem, "sensitivities", None)
+    if wanted is None:
+        raise ValueError(f"a Problem with sensitivities is needed, got {shown(problem)}")
+    names = problem.parameters()
+    own = [one.name for one in names if one.kind == "args"]
+    at = Point(problem.t_span[0] if t is None else number("t", t), problem.y0 if y is None else state(y))
+    n = len(problem.y0)
+    fun, given = given_derivatives(problem, names)
+    computed = Directional(fun, problem.args, names, n, at=at, m=n, called="fun")
+    findings: list[str] = []
+    compared = [what for what, one in (("jac", given.jac), ("dfdp", given.dfdp)) if one is not None]
+    for part in _BESIDE:
+        y_here = at.y + part * somewhere(at.y)
+        findings += _wrong(computed, given, Point(at.t, y_here), own)
+        if findings:
+            break
+    if y0 is not None and wanted.dy0dp is not None:
+        compared.append("dy0dp")
+        start = Directional(lambda t, y, *args: y0(*args), problem.args, names, n, at=at, called="y0")
+        found = wanted.start(names, problem.args, n)[:, [one.kind == "args" for one in names]]
+        findings += _differences("dy0dp", found, _columns(start, at, len(names), names), start.how, own)
+    return SensitivityReport([one.name for one in names], compared, computed.how, findings)
+
+
+def _columns(function: Directional, at: Point, k: int, names: Any) -> Array:
+    """∂F/∂p of the parameters in args, (m, k)."""
+    own = np.array([one.kind == "args" for one in names], dtype=bool)
+    rows: Array = function.columns(at.t, at.y, np.zeros(k), np.zeros((k, function.n)), np.eye(k))[own]
+    return rows.T
+
+
+def _wrong(computed: Directional, given: Given, at: Point, own: list[str]) -> Iterator[str]:
+    """What differs at a point."""
+    n, k, args = computed.n, computed.k, computed.args
+    if given.jac is not None:
+        matrix = given.jac(at.t, at.y.copy(), *args) if callable(given.jac) else given.jac
+        matrix = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, dtype=float)
+        right = computed.columns(at.t, at.y, np.zeros(n), np.eye(n), np.zeros((n, k))).T
+        yield from _differences("jac", matrix, right, computed.how, [f"y[{j}]" for j in range(n)], at.t)
+    if given.dfdp is not None:
+        found = np.reshape(np.asarray(given.dfdp(at.t, at.y.copy(), *args), dtype=float), (n, -1))
+        yield from _differences("dfdp", found, _columns(computed, at, k, computed.names), computed.how, own, at.t)
+
+
+def _differences(
+    what: str, found: Array, right: Array, how: str, columns: list[str], t: float | None = None
+) -> Iterator[str]:
+    if found.shape != right.shape:
+        yield f"{what} has shape {found.shape}, expected {right.shape}"
+        return
+    tolerance = _OF_DIFFERENCES if how.endswith("differences") else _ROUNDOFF
+    size = np.maximum(np.abs(right), np.abs(found)).max(axis=0, initial=0)
+    where = "" if t is None else f" at t = {t:.6g}"
+    for i, j in zip(*np.nonzero(~(np.abs(found - right) <= tolerance * size)), strict=True):
+        yield f"{what}[{i}, {j}], of {columns[j]}, is {found[i, j]:.6g}{where}; expected {right[i, j]:.6g}"
