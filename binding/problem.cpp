@@ -92,8 +92,8 @@ EventFunction make_event(const EventSpec& spec, Functions& functions) {
 }
 
 Breakpoint make_breakpoint(const BreakpointSpec& spec, Functions& functions) {
-  if (spec.action.is_none()) return {spec.t, {}};
-  return {spec.t, functions.state_valued(spec.action, "the action at a breakpoint")};
+  if (spec.action.is_none()) return {.t = spec.t, .action = {}, .jump = {}};
+  return {.t = spec.t, .action = functions.state_valued(spec.action, "the action at a breakpoint"), .jump = {}};
 }
 
 Mass::Basis read_basis(const nb::object& basis, std::size_t n) {

@@ -17,8 +17,8 @@ namespace invariode {
 /// A time at which f, g or their derivatives may jump, and what the solution does there, if it does.
 struct Breakpoint {
   double t;
-  Callback action;     ///< (t, y) -> y from there on, or empty
-  Callback jump = {};  ///< (t, Y before, y after) -> S from there on, (k, n), where there are sensitivities
+  Callback action;  ///< (t, y) -> y from there on, or empty
+  Callback jump;    ///< (t, Y before, y after) -> S from there on, (k, n), where there are sensitivities
 };
 
 /// The breakpoints that have been passed, and the piece of the interval between two of them. Breakpoints that no step
