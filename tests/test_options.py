@@ -90,7 +90,7 @@ def test_all_that_is_shown_is_accepted_and_nothing_else(way):
     shown = names_of(entry, others)
     for name in shown:
         call(way, **{name: VALUES.get(name, TABLE[name].default)})
-    for name in set(TABLE) - shown - others - {"dense_output", "refine", "on_interrupt", "checkpoint"}:
+    for name in set(TABLE) - shown - others - {"dense_output", "adjoint", "refine", "on_interrupt", "checkpoint"}:
         with pytest.raises(TypeError, match=name):
             call(way, **{name: VALUES.get(name, TABLE[name].default)})
     with pytest.raises(TypeError, match="unknown option 'rtoll'; did you mean 'rtol'"):

@@ -110,7 +110,7 @@ def _options_of_each(given: Options, t_eval: ArrayLike | None) -> Options:
     for name, value in given.items():
         if name in _OF_SINGLE_RUNS:
             if not (value is None or (np.isscalar(value) and value == TABLE[name].default)):
-                instead = "; give t_eval" if name in ("refine", "dense_output") else ""
+                instead = "; give t_eval" if name in ("refine", "dense_output", "adjoint") else ""
                 raise ValueError(f"{name} is not possible for an ensemble{instead}")
         elif name not in TABLE:
             raise refused(name)
