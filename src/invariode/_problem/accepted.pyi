@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
 from numpy.typing import ArrayLike
 from .._base.arguments import Array
-from .._base.types import BreakpointsLike, EventsLike, Fsal, Interpolation, Keep, Numbers, OnFailure, OnInterrupt
+from .._base.types import BreakpointsLike, EventsLike, Fsal, Interpolation, Keep, LargestStep, Numbers, OnFailure, OnInterrupt
 from .grouped import CheckpointLike, Limits, LinearSolver
 from .invariants import InvariantsLike
 from .sensitivities import SensitivitiesLike
@@ -17,7 +17,7 @@ def solve_options(
     Sequence[str] | None = ..., mass: Any = ..., breakpoints: BreakpointsLike | None = ..., jac: Any = ...,
     jac_sparsity: Any = ..., lband: int | None = ..., uband: int | None = ..., linear_solver: LinearSolver = ...,
     sensitivities: SensitivitiesLike | None = ..., rtol: Numbers = ..., atol: Numbers = ..., first_step: float | None =
-    ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
+    ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
     Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ...,
     fsal: Fsal = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback:
     Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits |
@@ -25,7 +25,7 @@ def solve_options(
 ) -> SolveOptions: ...
 def run_options(
     *, breakpoints: BreakpointsLike | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers
-    = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool =
+    = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool =
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
     str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output: bool = ..., interpolation:
     Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback: Callable[[float, Array], object] | None =
@@ -37,7 +37,7 @@ def suite_options(
     None = ..., bounds: Any = ..., nonnegative: bool | int | str | Sequence[int] | Sequence[str] | None = ..., mass: Any
     = ..., breakpoints: BreakpointsLike | None = ..., jac: Any = ..., jac_sparsity: Any = ..., lband: int | None = ...,
     uband: int | None = ..., linear_solver: LinearSolver = ..., sensitivities: SensitivitiesLike | None = ..., rtol:
-    Numbers = ..., atol: Numbers = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float |
+    Numbers = ..., atol: Numbers = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float |
     None = ..., calibrate: bool = ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool |
     None = ..., prefer: tuple[str, str] | None = ..., fsal: Fsal = ..., t_eval: ArrayLike | None = ..., dense_output:
     bool = ..., interpolation: Interpolation = ..., refine: int = ..., keep: Keep | None = ..., callback:
@@ -49,7 +49,7 @@ def ensemble_options(
     Sequence[str] | None = ..., mass: Any = ..., breakpoints: BreakpointsLike | None = ..., jac: Any = ...,
     jac_sparsity: Any = ..., lband: int | None = ..., uband: int | None = ..., linear_solver: LinearSolver = ...,
     sensitivities: SensitivitiesLike | None = ..., rtol: Numbers = ..., atol: Numbers = ..., first_step: float | None =
-    ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
+    ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool = ..., check: bool |
     Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str, str] | None = ...,
     fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep | None = ..., callback: Callable[[float, Array],
     object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits | None = ..., on_failure:
@@ -59,7 +59,7 @@ def ensemble_options(
 ) -> EnsembleOptions: ...
 def problem_ensemble_options(
     *, breakpoints: BreakpointsLike | None = ..., linear_solver: LinearSolver = ..., rtol: Numbers = ..., atol: Numbers
-    = ..., first_step: float | None = ..., max_step: float | None = ..., min_step: float | None = ..., calibrate: bool =
+    = ..., first_step: float | None = ..., max_step: LargestStep = ..., min_step: float | None = ..., calibrate: bool =
     ..., check: bool | Literal['strict'] = ..., max_order: int | None = ..., bdf: bool | None = ..., prefer: tuple[str,
     str] | None = ..., fsal: Fsal = ..., interpolation: Interpolation = ..., keep: Keep | None = ..., callback:
     Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps: int | None = ..., limits: Limits |
@@ -68,7 +68,7 @@ def problem_ensemble_options(
     bool = ..., seed: Any = ...
 ) -> ProblemEnsembleOptions: ...
 def extension_options(
-    *, first_step: float | None = ..., max_step: float | None = ..., check: bool | Literal['strict'] = ..., t_eval:
+    *, first_step: float | None = ..., max_step: LargestStep = ..., check: bool | Literal['strict'] = ..., t_eval:
     ArrayLike | None = ..., callback: Callable[[float, Array], object] | None = ..., progress: bool = ..., max_steps:
     int | None = ..., limits: Limits | None = ..., on_interrupt: OnInterrupt = ..., on_failure: OnFailure = ...
 ) -> ExtensionOptions: ...
