@@ -98,6 +98,17 @@ def test_a_call_is_a_solve(form: str, kept: bool, change: str, method: str) -> N
     same(solver(), problem.solve(method))
 
 
+@dealt(8, form=FORMS, kept=[False, True], change=CHANGES, scale=[None, (1.0, 0.8)])
+def test_sensitivities_too(form: str, kept: bool, change: str, scale: Any) -> None:
+    """With a scale that is given, or that follows from the values of the parameters."""
+    problem = described(form, kept).replace(sensitivities=iv.Sensitivities(["args[0]", "y0[x]"], scale=scale))
+    solver = problem.prepare("ode45")
+    for _ in range(2):
+        a, b = solver(**CHANGES[change]), problem.replace(**CHANGES[change]).solve("ode45")
+        same(a, b)
+        np.testing.assert_array_equal(a.sensitivities, b.sensitivities)
+
+
 @dealt(16, form=FORMS, options=OPTIONS, change=CHANGES)
 def test_options_hold_in_every_call(form: str, options: str, change: str) -> None:
     problem, given = described(form), OPTIONS[options]

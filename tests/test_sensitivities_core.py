@@ -270,6 +270,21 @@ def test_sensitivities_run_backwards(method):
     np.testing.assert_allclose(turned.S[-1], problem.S0, atol=1e-3)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_complex_states_have_complex_sensitivities(method):
+    """y' = i p y: dy/dp = i t y. From `integrate_anew`, as prepared solvers call it."""
+    variations = _core.Variations(1, lambda t, Y: 2j * Y[1:] + 1j * Y[:1], np.full((1, 2), 1e-5))
+    linear = _core.Linear(structure="dense", n=2, lower=0, upper=0, kind="differences", jacobian=None, mass=None,
+                          null_basis=lotka_volterra().null_basis, lapack=None)  # fmt: skip
+    described = _core.Problem(n=2, complex=True, fun=lambda t, y: 2j * y, args=(), parameters=np.zeros(0),
+                              linear=linear, variations=variations)  # fmt: skip
+    settings = _core.Settings()
+    settings.tf, settings.max_step = 1.0, 0.1
+    solver = _core.Solver(method, described, _core.Tolerances(1e-5, 1.0, None), settings)
+    _, _, _, end = solver.integrate_anew(np.array([1.0, 0, 0, 0])).take_points()
+    np.testing.assert_allclose(end, [np.exp(2j), 1j * np.exp(2j)], atol=1e-3)
+
+
 def test_robertson_costs_no_more_steps_than_promised():
     """Up to 4e10 at rtol 1e-4 with atol (1e-8, 1e-14, 1e-6), S in the error test: at most 550 steps of ode15s, and S
     closer than the 2 to 7 % of CVODES."""

@@ -98,8 +98,8 @@ Outcome TangentProjector::settle(double t, double* Y) {
 
 void clip(const Bounds& bounds, Extent extent, double* Y) {
   for (const auto& [i, lower, upper] : bounds.intervals()) {
-    if (!(Y[i] < lower || Y[i] > upper)) continue;
-    for (std::size_t j = 1; j <= extent.k; ++j) Y[j * extent.n + i] = 0;
+    const bool outside = Y[i] < lower || Y[i] > upper;
+    for (std::size_t j = 1; outside && j <= extent.k; ++j) Y[j * extent.n + i] = 0;
   }
   bounds.clip(Y);
 }

@@ -39,6 +39,13 @@ if _TYPE_CHECKING:
     from ._mechanics.system import MechanicalSystem
     from ._solve.ode import complex_ode, ode
     from ._studies.check import CheckReport, check_invariants
+    from ._studies.fit.experiment import Experiment
+    from ._studies.fit.fit import fit
+    from ._studies.fit.objective import Objective, objective
+    from ._studies.fit.parameters import Parameter
+    from ._studies.fit.prediction import Prediction
+    from ._studies.fit.profile import Profile
+    from ._studies.fit.result import Fit
     from ._studies.search import PolynomialInvariant, find_invariants
     from ._studies.sensitivities import SensitivityReport, check_sensitivities
     from ._studies.work_precision import plot_work_precision
@@ -60,7 +67,9 @@ __all__ = [
     "EnsembleStats",
     "EnsembleStore",
     "Event",
+    "Experiment",
     "FailureWarning",
+    "Fit",
     "ImposeResult",
     "Input",
     "InvariantError",
@@ -68,9 +77,13 @@ __all__ = [
     "Limits",
     "MechanicalSystem",
     "Method",
+    "Objective",
+    "Parameter",
     "PolynomialInvariant",
+    "Prediction",
     "PreparedSolver",
     "Problem",
+    "Profile",
     "RotationMatrix",
     "Sensitivities",
     "SensitivityReport",
@@ -86,8 +99,10 @@ __all__ = [
     "compile",
     "complex_ode",
     "find_invariants",
+    "fit",
     "impose",
     "load",
+    "objective",
     "ode",
     "odeint",
     "plot_work_precision",
@@ -103,6 +118,14 @@ _LATER = {
     "ode": "._solve.ode",
     "CheckReport": "._studies.check",
     "check_invariants": "._studies.check",
+    "Experiment": "._studies.fit.experiment",
+    "fit": "._studies.fit.fit",
+    "Objective": "._studies.fit.objective",
+    "objective": "._studies.fit.objective",
+    "Parameter": "._studies.fit.parameters",
+    "Prediction": "._studies.fit.prediction",
+    "Profile": "._studies.fit.profile",
+    "Fit": "._studies.fit.result",
     "PolynomialInvariant": "._studies.search",
     "find_invariants": "._studies.search",
     "SensitivityReport": "._studies.sensitivities",

@@ -72,6 +72,14 @@ def html_of_check(report: Any) -> str:
     return _titled("All is well" if report.ok else "Findings", _table(report.rows(), head) + listed)
 
 
+def html_of_fit(fit: Any) -> str:
+    """The parameters with their errors, how well the data are met, and what else must be known."""
+    head = ("parameter", "value", "standard error", "95 % interval", "")
+    rows = [(*row[:4], row[4] or "\N{NO-BREAK SPACE}") for row in fit.rows()]
+    listed = "".join(f"<li>{html.escape(remark)}</li>" for remark in fit.remarks())
+    return _titled("Fit", _table(rows, head) + html.escape(fit.summary()) + (f"<ul>{listed}</ul>" if listed else ""))
+
+
 def latex_of_polynomial(coefficients: Any, labels: Sequence[str]) -> str:
     """A polynomial as a formula; `coefficients` by exponents of the components."""
     text = ""

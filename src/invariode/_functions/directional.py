@@ -232,6 +232,25 @@ class Directional:
             found = found + (self._dfdp(t, y) @ dp[:, self._evaluate.own].T).T
         return found
 
+    def transposed(self, t: float, y: Array, w: Array) -> Array:
+        """(∂F/∂y)ᵀ w, then wᵀ ∂F/∂p_j for each parameter: of shape (n + k,)."""
+        if self._graph is not None and self._dfdp is None:
+            return self._graph.transposed(t, y, w)
+        return np.asarray(self.columns(t, y, *self._unit_directions) @ w)
+
+    @cached_property
+    def _unit_directions(self) -> tuple[Array, Array, Array]:
+        """Of each component of y, then of each parameter."""
+        both = self.n + self.k
+        return np.zeros(both), np.eye(both, self.n), np.eye(both, self.k, -self.n)
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """∂F/∂y, of shape (m, n)."""
+        if self._graph is not None:
+            return self._graph.jacobian(t, y)
+        n = self.n
+        return np.asarray(self.columns(t, y, np.zeros(n), np.eye(n), np.zeros((n, self.k))).T)
+
     def switches(self, at: Point) -> list[Switch]:
         """Where the values of its graph jump; of a function without a graph that is not known."""
         return [] if self._graph is None else self._graph.switches(at)
@@ -315,10 +334,33 @@ class _OfGraph:
     @cached_property
     def _tangent(self) -> Callable[[float, Array, Array], Array]:
         """The same for Python."""
+        k = len(self._places)
+        return self._for_python(self._exact.tangents(self._places), (1 + k) * self._n, k * self._m)
+
+    @cached_property
+    def _transposed(self) -> Callable[[float, Array, Array], Array]:
+        """Of (t, (y, w))."""
+        n = self._n
+        return self._for_python(self._exact.transposed(self._places), n + self._m, n + len(self._places))
+
+    @cached_property
+    def _jacobian(self) -> Callable[[float, Array, Array], Array]:
+        return self._for_python(self._exact.dense(), self._n, self._m * self._n)
+
+    def _for_python(self, made: GraphFunction, n: int, size: int) -> Callable[[float, Array, Array], Array]:
+        """A function of the graph, of n numbers beside t and the parameters, with so many values."""
         if has_llvm():
-            return as_python(self.native, len(self._places) * self._m)
-        formula = self._exact.tangents(self._places).fun
+            return as_python(native(made, self._fun, n, size, len(self._p)), size)
+        formula = made.fun
         return lambda t, y, p: np.array(formula(t, y, p))
+
+    def transposed(self, t: float, y: Array, w: Array) -> Array:
+        """See `Directional.transposed`."""
+        return self._transposed(t, np.concatenate([y, w]), self._numbers(t))
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """See `Directional.jacobian`."""
+        return self._jacobian(t, y, self._numbers(t)).reshape(self._m, self._n)
 
     def switches(self, at: Point) -> list[Switch]:
         """See `Directional.switches`."""

@@ -379,6 +379,16 @@ class OutputOptions(TypedDict, total=False):
         ),
     ]
     dense_output: Annotated[bool, Option(False, "bool", "Whether ``Solution.sol`` is computed.", flag)]
+    adjoint: Annotated[
+        bool,
+        Option(
+            False,
+            "bool",
+            "Keep what ``Solution.gradient`` needs, the gradient of a scalar with respect to many parameters: the "
+            "continuous solution, as `dense_output` does.",
+            flag,
+        ),
+    ]
 
 
 class DescribingOptions(TypedDict, total=False):
@@ -635,7 +645,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
     "its parameters": ("sensitivities",),
     "accuracy and steps": ("rtol", "atol", "first_step", "max_step", "min_step", "calibrate", "check"),
     "the method": ("max_order", "bdf", "prefer", "fsal"),
-    "output": ("t_eval", "dense_output", "interpolation", "refine", "keep"),
+    "output": ("t_eval", "dense_output", "adjoint", "interpolation", "refine", "keep"),
     "the course of the run": (
         "callback",
         "progress",

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+from numpy.typing import ArrayLike
 
 from .._base.arguments import Array, choice, flag, warn
 from .._base.notebook import html_of_solution
 from .._problem.accepted import extension_options
 from .._problem.invariants import InvariantsLike
 from .._problem.options import TABLE, ExtensionOptions, unknown_option
+from .._problem.sensitivities import SensitivitiesLike
 from .export import Exports
 from .pictures import drift, over_time, phase, steps
 from .pictures.canvas import require_matplotlib
@@ -164,6 +167,69 @@ class Solution(Exports):
             )
         extended: Solution = self._origin.extend(self, t_end, extension_options(**options))
         return extended
+
+    def gradient(
+        self,
+        dG_dy: ArrayLike | None = None,
+        dG_dp: ArrayLike | None = None,
+        wrt: SensitivitiesLike | None = None,
+        *,
+        t: ArrayLike | None = None,
+        integrand: Callable[..., Any] | None = None,
+    ) -> Array:
+        """The gradient of a scalar that depends on the solution, with respect to its parameters.
+
+        It takes one run backwards, whatever the number of parameters, by the adjoint equations; `sensitivities`, the
+        other way, takes one more equation of the size of y for each of them. The run must have `adjoint` or
+        `dense_output`.
+
+        Parameters
+        ----------
+        dG_dy : array_like of shape (n,) or (n, m), optional
+            The derivatives of G(y(t_1), y(t_2), ...) with respect to the solution at m times. Of shape (n,): at the
+            end.
+        dG_dp : array_like of shape (k,), optional
+            The derivatives of G with respect to the parameters with y fixed. Default: 0.
+        wrt : bool, str, int, list of these, or Sensitivities, optional
+            The parameters, as for `sensitivities`. Default: those of the problem's `sensitivities`, else all numbers in
+            `args`.
+        t : array_like of shape (m,), optional
+            The times of G. Default: those of the solution.
+        integrand : callable, optional
+            ``g(t, y, *args)``, a number: ∫ g dt from the start to the end is added to G.
+
+        Returns
+        -------
+        ndarray of shape (k,)
+            As accurate as the solution: within some tolerances of what `sensitivities` gives.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A wrong shape; a run without continuous solution; actions that make the solution jump, jumps of f at
+            conditions, a singular mass matrix or one that is a function, mechanisms, complex y0.
+
+        Notes
+        -----
+        Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
+        the derivatives of G enter by their part along the manifold, as the solution and its sensitivities stay on it
+        and its tangent.
+
+        Examples
+        --------
+        >>> import invariode as iv
+        >>> def decay(t, y, rate):
+        ...     return [-rate * y[0]]
+        >>> sol = iv.solve_ivp(decay, (0, 1), [1.0], args=(2.0,), rtol=1e-8, atol=1e-10, adjoint=True)
+        >>> bool(np.allclose(sol.gradient([1.0], wrt=["rate", "y0"]), [-np.exp(-2), np.exp(-2)], rtol=1e-6))
+        True
+        """
+        if self._origin is None:
+            raise ValueError(
+                "this solution comes from a file or a pickle, without the functions of its problem: solve it again"
+            )
+        found: Array = self._origin.gradient(self, dG_dy, dG_dp, wrt, t, integrand)
+        return found
 
     def plot(
         self, *, ax: Axes | None = None, components: Any = None, log: Literal["x", ""] | None = None, **line: Any

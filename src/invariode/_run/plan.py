@@ -293,8 +293,10 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
     t_eval = options["t_eval"]
     times = None if t_eval is None else output_times(t_eval, t0, tf)
     keep = options["keep"] or ("all" if times is None else "outputs")  # with t_eval no record, unless it is requested
-    if keep == "end" and (times is not None or options["dense_output"]):
-        raise ValueError('keep="end" keeps only the final state: t_eval and dense_output need keep="outputs" or "all"')
+    dense = options["dense_output"] or options["adjoint"]
+    if keep == "end" and (times is not None or dense):
+        other = "t_eval, dense_output and adjoint need"
+        raise ValueError(f'keep="end" keeps only the final state: {other} keep="outputs" or "all"')
     if options["refine"] > 1 and (times is not None or keep == "end"):
         other = "t_eval" if times is not None else 'keep="end"'
         warn(f"refine has no effect together with {other}")
@@ -310,7 +312,7 @@ def _settings(problem: Description, method: Method, options: Options) -> Setting
         refine=options["refine"],
         times=times,
         interpolation=options["interpolation"],
-        dense=options["dense_output"],
+        dense=dense,
         save_all=keep != "end",
         record=keep == "all",
         check=bool(options["check"]),

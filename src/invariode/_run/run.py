@@ -104,6 +104,12 @@ class RunOrigin:
         """See `Solution.extend`."""
         return _extended(self, sol, t_end, options)
 
+    def gradient(self, sol: Solution, *given: Any) -> Array:
+        """See `Solution.gradient`."""
+        from .adjoint import gradient
+
+        return gradient(self, sol, *given)
+
     def identity(self) -> Identity:
         """What tells its run from another."""
         return identity_of_run(self.source.problem, self.source.method, self.source.options)

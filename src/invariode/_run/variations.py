@@ -132,7 +132,7 @@ def make_variations(
     """
     wanted, names = problem.sensitivities, problem.parameters()
     assert wanted is not None
-    _require_possible(problem, names)
+    require_possible(problem, names)
     t0, args, n = problem.t_span[0], problem.args, len(y0)
     at = Point(t0, y0)
     about = _Derivatives(args, names, n, at)
@@ -150,10 +150,9 @@ def make_variations(
         else _Jump(about.of(event.action, f"the action of event {event.__name__}", m=n, moves_t=True), time, rate)
         for event, time in zip(problem.events, times, strict=True)
     ]
-    doses = [
-        None if point.action is None else _Dose(about.of(point.action, "the action in breakpoints", m=n))
-        for point in points
-    ]
+    actions = {id(one.action): one.action for one in points if one.action is not None}
+    made = {key: _Dose(about.of(one, "the action in breakpoints", m=n)) for key, one in actions.items()}
+    doses = [made.get(id(point.action)) for point in points]
     switches = _switches(slope, about, problem)
     sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
     tangents = [law.for_core for law in laws]
@@ -423,8 +422,8 @@ def _sign_of(slope: Directional, difference: Node) -> Callable[..., float]:
 # What is known, and what is possible
 
 
-def _require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
-    """What there are no sensitivities for is refused by name."""
+def require_possible(problem: Description, names: Sequence[ParameterName]) -> None:
+    """That there are sensitivities. What there are none for is refused by name."""
     if isinstance(problem.fun, CoreFunction):
         raise ValueError(
             "sensitivities are not possible for a MechanicalSystem, whose accelerations the core computes: write its "

@@ -100,11 +100,14 @@ class PreparedSolver:
         known = self._any_y0 and (args is None or self._any_args) and (t_span is None or self._any_span)
         start = self._plan.y0 if y0 is None else _as_state(y0, self._plan.y0)
         if known and start is not None:
+            beginning = start if self._plan.varied is None else self._plan.varied.augmented(start)
             cover = None if t_span is None else self._covering(t_span)
-            run = self._run(start, args, cover)
+            run = self._run(beginning, args, cover)
             if run is not None and (run.state in MESSAGES or run.counts[0] > 0):
                 source = Solved(
-                    lambda: _changed(self.problem, run.take_start(), args, t_span), self.method, self._options
+                    lambda: _changed(self.problem, run.take_start()[: len(start)], args, t_span),
+                    self.method,
+                    self._options,
                 )
                 sol = presented(run, self._as_run(run, args, cover), source, self._members)
                 return concluded(sol, self._plan.on_failure)
@@ -156,12 +159,22 @@ def _of_any_y0(problem: Description, plan: Plan, native: bool) -> bool:
     """Whether the plan holds for every y0. The core can hold native invariants at their values there; the motion of a
     mechanical system counts its work, and algebraic equations and events at the start need work before the run."""
     alone = plan.progress or plan.on_interrupt != "raise" or plan.checkpoint is not None
-    if alone or isinstance(problem.fun, CoreFunction) or problem.sensitivities is not None:
-        return False  # tolerances of sensitivities depend on the values of the parameters
+    if alone or isinstance(problem.fun, CoreFunction) or not _of_any_parameters(problem, plan, native):
+        return False
     if any(event.at_start for event in problem.events):
         return False
     linear = plan.functions.linear
     return linear is None or not linear.algebraic if native else linear is None and not plan.bound.specs
+
+
+def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
+    """Whether the sensitivities, if there are any, are computed alike for all values of the parameters: their
+    tolerances if their scale is given. Python has derivatives of events, and of what is not native, at one value."""
+    wanted = problem.sensitivities
+    if wanted is None:
+        return True
+    absolute = bool(np.all(np.asarray(plan.atol) > 0))
+    return native and absolute and wanted.scale is not None and wanted.dy0dp is None and not problem.events
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:

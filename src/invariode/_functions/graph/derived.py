@@ -127,6 +127,23 @@ class Derived:
 
         return self._function(("tangents", *places), values)
 
+    def transposed(self, places: Sequence[int | None]) -> GraphFunction:
+        """(∂/∂y)ᵀ w, then wᵀ ∂/∂p for each parameter in these places, of (t, (y, w)): backwards through the graph, so
+        that many parameters cost little more than one."""
+        graph, n = self._graph, self._n
+
+        def values() -> list[Node]:
+            weighted = graph.node(0.0)
+            for i, one in enumerate(self.outputs):
+                weighted = weighted + graph.y(n + i) * one
+            variables = [*self._y, *(graph.p(at) for at in places if at is not None)]
+            row, zero = gradient(weighted, variables), graph.node(0.0)
+            own = iter(range(n, len(variables)))
+            by_parameter = [zero if at is None else row.get(next(own), zero) for at in places]
+            return [*(row.get(i, zero) for i in range(n)), *by_parameter]
+
+        return self._function(("transposed", *places), values)
+
     def along(self, places: Sequence[int | None]) -> GraphFunction:
         """d/ds of the function at (t + s dt, y + s dy, p + s dp), s = 0, of (t, (y, dt, dy, dp)), with the parameters
         in these places."""

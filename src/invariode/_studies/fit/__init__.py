@@ -1,0 +1,1 @@
+"""Fits: the parameters with which a problem agrees best with data, and how well the data determine them."""

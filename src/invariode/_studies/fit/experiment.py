@@ -1,0 +1,357 @@
+"""One experiment: a problem, what was measured of it, and how exactly."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..._base.arguments import Array, call_name, choice, items, real_numbers, shown
+from ..._base.public import public
+from ..._base.suggestions import meant
+from ..._functions.compiled import CompiledFunction, is_native
+from ..._problem.options import Options
+from ..._problem.parameters import ParameterName, parameter_names, values_of
+from ..._solve.problem import Problem
+from .data import Data, read
+
+#: What `observe` may be: components by label or index, or a function.
+Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
+
+#: Noise levels: numbers, names of parameters, or one of these for each quantity.
+Sigma = float | str | Sequence[float | str] | Mapping[str, Any] | ArrayLike | None
+
+
+@public
+class Experiment:
+    """A problem with data, for `fit`.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, with the conditions of this experiment: y0, args, t_span, inputs, events.
+    t : array_like of shape (n_t,), str, or None
+        The times of the data, in any order, within the problem's t_span; several data may have the same time. None: the
+        index of a DataFrame or the coordinate `t` of a labelled array; a str: the name of a column.
+    data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
+        The measured values, a row for each observed quantity, as in `sol.y`; (n_t,) for a single one. Transposed arrays
+        are recognised if their shape says so, and refused if it could be either. Names of columns are labels of
+        components, or just names with an `observe` function. NaN where nothing was measured.
+    observe : callable, or labels or indices of components, optional
+        What was measured: components, all by default; or a function ``observe(t, y, *args)`` that returns a number or
+        shape (m,). Its keyword-only arguments are parameters of the fit too, such as scales and offsets:
+        ``def observe(t, y, k, *, scale=1.0)``.
+    sigma : float, str, array_like or dict, optional
+        The standard deviation of the data: of all, of each quantity (m,), or of each datum (m, n_t). The name of a
+        parameter makes it a noise level that is estimated. In a list or dict each quantity has its own. Default:
+        unknown and equal for all, estimated from the residuals.
+    noise : {"normal", "lognormal"}, default "normal"
+        Which distribution the data have about the model. "lognormal": their logarithms are normal with `sigma`, which
+        is then a relative error.
+    event_times : dict, optional
+        Measured times of events by their name: the first value is that of the first occurrence, NaN is not measured.
+    event_sigma : float, str or dict, optional
+        The standard deviation of these times, as `sigma`.
+    y0 : {"steady"}, optional
+        "steady": runs start at the steady state of f(t0, y) to which the problem's y0 leads for the parameters of each
+        trial, with the same linear totals, of which ``y0[label]`` can be parameters. Default: the problem's y0.
+    **options
+        Of the runs of this experiment, such as `breakpoints` for its doses; they come before those of `fit`.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 5), [1.0], args=(1.0,), labels=["drug"])
+    >>> iv.Experiment(problem, [0, 1, 2], {"drug": [1.0, 0.6, 0.4]}, sigma=0.05)
+    Experiment('problem', 3 data of drug)
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        t: ArrayLike | str | None = None,
+        data: Any = None,
+        *,
+        observe: Observed = None,
+        sigma: Sigma = None,
+        noise: Literal["normal", "lognormal"] = "normal",
+        event_times: Mapping[str, ArrayLike] | None = None,
+        event_sigma: float | str | Mapping[str, Any] | None = None,
+        y0: Literal["steady"] | None = None,
+        **options: Unpack[Options],
+    ) -> None:
+        if not isinstance(problem, Problem):
+            raise TypeError(f"an experiment needs an invariode.Problem, got {shown(problem)}")
+        if np.iscomplexobj(problem.y0):
+            raise ValueError("fits take problems with real y0")
+        if data is None and event_times is None:
+            raise TypeError("an experiment needs data, or event_times")
+        if data is None and t is not None:
+            raise TypeError("t was given without data")
+        self.problem, self.options = problem, options
+        self.steady = y0 is not None and choice("y0", y0, ("steady",)) == "steady"
+        self.observation = Observation(problem, observe)
+        self.noise = choice("noise", noise, ("normal", "lognormal"))
+        empty = Data(np.zeros(0), np.zeros((self.observation.size, 0)), None)
+        self.data = empty if data is None else self._matched(read(t, data, self.observation.size))
+        self.events = _event_series(problem, event_times)
+        self.sigma, self.event_sigma = sigma, event_sigma
+        self._dynamic: dict[str, ParameterName | None] = {}
+        self._within_span()
+        if self.noise == "lognormal" and not (self.data.values[~np.isnan(self.data.values)] > 0).all():
+            raise ValueError('noise="lognormal" needs positive data')
+        self.series = [*self._series()]
+
+    def _matched(self, data: Data) -> Data:
+        """The data with the quantities that are observed; names of columns choose components."""
+        observation = self.observation
+        if observation.function is None and data.names is not None:
+            self.observation = observation = observation.chosen(data.names)
+        if observation.size != len(data.values):
+            raise ValueError(f"data have {len(data.values)} quantities, and {observation.size} are observed")
+        return data
+
+    def _within_span(self) -> None:
+        t0, tf = self.problem.t_span
+        outside = (self.data.t < min(t0, tf)) | (self.data.t > max(t0, tf))
+        if outside.any():
+            raise ValueError(
+                f"the time {self.data.t[outside][0]:g} of the data is outside the problem's t_span = {(t0, tf)}"
+            )
+
+    def _series(self) -> Iterator[Series]:
+        """A series for each quantity and each event that has data."""
+        rows = len(self.data.values)
+        for j, (name, sigma) in enumerate(zip(self.names, _rows(self.sigma, self.names, self.data), strict=True)):
+            there = np.flatnonzero(~np.isnan(self.data.values[j]))
+            yield _made(name, j, there, self.data.values[j], sigma, self.noise == "lognormal", "sigma")
+        for k, (place, times) in enumerate(self.events.items()):
+            name = self.problem.events[place].__name__
+            sigma = self.event_sigma.get(name) if isinstance(self.event_sigma, Mapping) else self.event_sigma
+            there = np.flatnonzero(~np.isnan(times))
+            yield _made(name, rows + k, there, times, sigma, False, "event_sigma")
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Of the observed quantities."""
+        return (
+            self.data.names
+            if self.observation.function is not None and self.data.names is not None
+            else self.observation.names(len(self.data.values))
+        )
+
+    # What the parameters need to know
+
+    def dynamic(self, name: str) -> ParameterName | None:
+        """The parameter of f, or the initial value, of this name."""
+        if name not in self._dynamic:
+            try:
+                found = self.found(name)
+            except (TypeError, ValueError):
+                found = ()
+            if len(found) > 1:
+                those = ", ".join(one.name for one in found)
+                raise ValueError(f"{name!r} stands for {len(found)} parameters: name them, {those}")
+            self._dynamic[name] = found[0] if found else None
+        return self._dynamic[name]
+
+    def found(self, wanted: Any) -> tuple[ParameterName, ...]:
+        """The parameters of f and initial values that a name stands for, or several names."""
+        problem = self.problem
+        first = 2 + len(problem.inputs)
+        return parameter_names(
+            problem.fun, problem.args, problem._labels, len(problem.y0), wanted, first=first, option="parameters"
+        )
+
+    def takes(self, name: str) -> bool:
+        """Whether a parameter of this name is one of its own."""
+        return name in self.observation.extras or self.is_level(name) or self.dynamic(name) is not None
+
+    def is_level(self, name: str) -> bool:
+        """Whether it is a noise level."""
+        return any(one.level == name for one in self.series)
+
+    def value(self, name: str) -> float | None:
+        """Its value in the problem, or its default in `observe`."""
+        if (one := self.dynamic(name)) is not None:
+            return float(values_of(self.problem.args, self.problem.y0, [one])[0])
+        return self.observation.extras.get(name)
+
+    def known(self) -> list[str]:
+        """Names that it takes, for messages."""
+        try:
+            of_args = [one.name for one in self.found(True)]
+        except ValueError:
+            of_args = []
+        levels = [one.level for one in self.series if one.level is not None]
+        return [*of_args, *(one.name for one in self.found("y0")), *self.observation.extras, *dict.fromkeys(levels)]
+
+    def __repr__(self) -> str:
+        counts = f"{sum(len(one.values) for one in self.series)} data of {', '.join(one.name for one in self.series)}"
+        return f"Experiment({self.problem.name!r}, {counts})"
+
+
+class Observation:
+    """What is measured of a state: components, or a function.
+
+    Attributes
+    ----------
+    function : callable or None
+        ``observe(t, y, *args, **extras)``.
+    components : list of int
+        Without a function.
+    size : int
+        The number of quantities.
+    extras : dict
+        The keyword-only arguments of the function with their defaults.
+    """
+
+    def __init__(self, problem: Problem, observe: Observed) -> None:
+        self._problem = problem
+        self.function: Any = None
+        self.extras: dict[str, float | None] = {}
+        self.components = list(range(len(problem.y0)))
+        if callable(observe) or is_native(observe):
+            self.function = _python_function(observe)
+            self.extras = _extras(self.function)
+        elif observe is not None:
+            single = isinstance(observe, (str, int, np.integer))
+            listed = [observe] if single else items(observe)
+            if not listed:
+                raise TypeError(f"observe must be a function, or labels or indices of components, got {shown(observe)}")
+            self.components = [self._component(one) for one in listed]
+        self.size = len(self.components) if self.function is None else self._count()
+
+    def chosen(self, names: Sequence[str]) -> Observation:
+        """The components of these labels; those that were chosen before stay if they are as many."""
+        if self.size == len(names) and self.components != list(range(len(self._problem.y0))):
+            return self
+        return Observation(self._problem, list(names))
+
+    def names(self, size: int) -> list[str]:
+        """Of the quantities."""
+        if self.function is None:
+            return [self._problem.labels[i] for i in self.components]
+        name = call_name(self.function, "observed")
+        return [name] if size == 1 else [f"{name}[{j}]" for j in range(size)]
+
+    def _component(self, one: Any) -> int:
+        labels = self._problem.labels
+        if isinstance(one, str) and one in labels:
+            return labels.index(one)
+        if isinstance(one, (int, np.integer)) and not isinstance(one, bool) and 0 <= one < len(labels):
+            return int(one)
+        raise ValueError(
+            f"there is no component {shown(one)} to observe: there are {', '.join(labels)}{meant(one, labels)}"
+        )
+
+    def _count(self) -> int:
+        """Of the values of the function, at the start."""
+        extras = {name: 1.0 if value is None else value for name, value in self.extras.items()}
+        return len(self.at(self._problem.t_span[0], self._problem.y0, self._problem.args, extras))
+
+    def at(self, t: float, y: Array, args: tuple[Any, ...], extras: Mapping[str, Any]) -> Array:
+        """The values of the function, (m,)."""
+        values = np.asarray(self.function(t, y, *args, **extras))
+        if values.ndim > 1 or values.dtype.kind not in "biufc":
+            raise ValueError(f"observe must return a number or shape (m,), got {shown(values)} at t = {t:g}")
+        return np.atleast_1d(values)
+
+
+def _python_function(observe: Any) -> Any:
+    if isinstance(observe, CompiledFunction):
+        if observe.inplace:
+            raise TypeError("observe must return its values: compile it without inplace")
+        return observe.fun
+    if not callable(observe):
+        raise TypeError(f"observe must be a Python function or one of invariode.compile, got {shown(observe)}")
+    return observe
+
+
+def _extras(function: Any) -> dict[str, float | None]:
+    """The keyword-only arguments."""
+    try:
+        listed = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return {}
+    extras = [one for one in listed if one.kind is one.KEYWORD_ONLY]
+    return {one.name: None if one.default is one.empty else float(one.default) for one in extras}
+
+
+class Series(NamedTuple):
+    """The data of one quantity, or of the times of one event."""
+
+    name: str
+    row: int  # among the quantities, the events behind them
+    places: Array  # of the times, or of the occurrences
+    values: Array  # there, (k,)
+    sigma: Array | None  # their standard deviations, up to the level; None: unknown
+    level: str | None  # the parameter that multiplies sigma
+    lognormal: bool
+
+
+def _made(name: str, row: int, there: Array, values: Array, sigma: Any, lognormal: bool, what: str) -> Series:
+    """A series; `sigma` is None, a name, a number, or a value for each datum."""
+    if sigma is None:
+        return Series(name, row, there, values[there], None, None, lognormal)
+    if isinstance(sigma, str):
+        return Series(name, row, there, values[there], np.ones(len(there)), sigma, lognormal)
+    each = real_numbers(f"{what} of {name}", sigma)
+    if each.shape not in ((), values.shape):
+        raise ValueError(f"{what} of {name} must be a number or have shape {values.shape}, got {each.shape}")
+    each = np.broadcast_to(each, values.shape)[there]
+    if not ((each > 0) & np.isfinite(each)).all():
+        raise ValueError(f"{what} of {name} must be positive and finite, got {shown(each)}")
+    return Series(name, row, there, values[there], each, None, lognormal)
+
+
+def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
+    """`sigma` for each quantity."""
+    m, count = data.values.shape
+    if sigma is None or isinstance(sigma, str):
+        return [sigma] * m
+    if isinstance(sigma, Mapping):
+        if unknown := [one for one in sigma if one not in names]:
+            raise ValueError(f"sigma names {unknown[0]!r}{meant(unknown[0], names)}: there are {', '.join(names)}")
+        if missing := [one for one in names if one not in sigma]:
+            raise ValueError(f"sigma is missing for {missing[0]}: give it for all quantities")
+        return [sigma[name] for name in names]
+    listed = items(sigma)
+    if listed is None:
+        return [sigma] * m
+    if any(isinstance(one, str) for one in listed):
+        if len(listed) != m:
+            raise ValueError(f"sigma must have a value for each of the {m} quantities, got {shown(sigma)}")
+        return listed
+    each = real_numbers("sigma", sigma)
+    if each.shape in ((m,), (m, count)):
+        return [*each]
+    if m == 1 and each.shape == (count,):
+        return [each]
+    raise ValueError(
+        f"sigma must be a number or have shape ({m},), one for each quantity, or ({m}, {count}), one for each datum, "
+        f"got shape {each.shape}"
+    )
+
+
+def _event_series(problem: Problem, event_times: Mapping[str, ArrayLike] | None) -> dict[int, Array]:
+    """The measured times by the place of their event."""
+    if event_times is None:
+        return {}
+    if not isinstance(event_times, Mapping):
+        raise TypeError(f"event_times must be a dict of times by the name of their event, got {shown(event_times)}")
+    names = [one.__name__ for one in problem.events]
+    series = {}
+    for name, times in event_times.items():
+        if names.count(name) != 1:
+            listed = ", ".join(names) or "no events"
+            raise ValueError(f"event_times names {name!r}{meant(name, names)}: the problem has {listed}")
+        values = real_numbers(f"event_times of {name}", times)
+        if values.ndim != 1 or np.isinf(values).any() or np.isnan(values).all():
+            raise ValueError(f"event_times of {name} must be times of its occurrences, got {shown(times)}")
+        series[names.index(name)] = values
+    return series

@@ -1,0 +1,143 @@
+"""`fit`: the parameters with which a problem agrees best with data."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, Unpack
+
+from ..._base.arguments import choice, flag, positive_integer, warn
+from ..._base.public import public
+from ..._base.types import MethodName
+from ..._problem.options import Options
+from .likelihood import Model, to_model
+from .result import Fit
+from .search import LOSSES, Found, NoStartError, search, start_points
+from .uncertainty import uncertainty
+
+
+@public
+def fit(
+    problem: Any,
+    t: Any = None,
+    data: Any = None,
+    parameters: Any = None,
+    *,
+    observe: Any = None,
+    sigma: Any = None,
+    noise: Literal["normal", "lognormal"] = "normal",
+    event_times: Any = None,
+    event_sigma: Any = None,
+    y0: Literal["steady"] | None = None,
+    absolute_sigma: bool = True,
+    starts: int = 1,
+    seed: int = 0,
+    loss: Literal["linear", "soft_l1", "huber", "cauchy", "arctan"] = "linear",
+    method: MethodName = "ode45",
+    **options: Unpack[Options],
+) -> Fit:
+    """Fits parameters of a problem to data.
+
+    The best parameters are found by `scipy.optimize.least_squares` with exact Jacobians from the sensitivities of the
+    runs. Invariants hold in every trial.
+
+    Parameters
+    ----------
+    problem : Problem or list of Experiment
+        The problem; or several experiments, ``fit(experiments, parameters)``, each with its data.
+    t, data, observe, sigma, noise, event_times, event_sigma, y0
+        The data, and what is known about them: as in `Experiment`.
+    parameters : dict
+        The parameters by name, each a `Parameter` or a pair of bounds. Names are those of the arguments of f, such as
+        ``k``, ``p[2]`` in an array, ``args[0]``; ``y0[label]`` is an initial value; keyword-only arguments of `observe`
+        and noise levels named in `sigma` are parameters too.
+    absolute_sigma : bool, default True
+        Whether `sigma` are standard deviations. False: only their ratios count, and the residuals give the scale.
+    starts : int, default 1
+        The number of searches: the first from the start of each parameter, the others from points that fill the
+        bounds (a Latin hypercube).
+    seed : int, default 0
+        Of these points.
+    loss : {"linear", "soft_l1", "huber", "cauchy", "arctan"}, default "linear"
+        Anything but "linear" makes outliers count less, from a residual of one `sigma` on, as in SciPy.
+    method : str, default 'ode45'
+        Of the runs, a name in `METHODS`.
+    **options
+        Of the runs, as in `Problem.solve`; rtol is 1e-6 and atol 1e-9 unless they are given.
+
+    Returns
+    -------
+    Fit
+        Prints as a table.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Data of a wrong shape, a parameter that no experiment takes, a start outside its bounds, runs that fail at the
+        start, and so on: each named.
+
+    Warns
+    -----
+    UserWarning
+        The data do not determine all parameters; a parameter is at a bound; the search did not arrive.
+
+    Notes
+    -----
+    If the run fails at a trial point, the step to it is not taken: `Fit.failures` counts the reasons. Noise levels are
+    estimated by maximum likelihood together with the other parameters; standard errors take the degrees of freedom into
+    account that the parameters use up.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def decay(t, y, k):
+    ...     return [-k * y[0]]
+    >>> problem = iv.Problem(decay, (0, 4), [1.0], args=(1.0,))
+    >>> fit = iv.fit(problem, [1, 2, 4], [[0.61, 0.37, 0.13]], {"k": (0, 5)}, sigma=0.01)
+    >>> round(fit.parameters["k"], 2)
+    0.5
+    """
+    described = {
+        "observe": observe,
+        "sigma": sigma,
+        "noise": noise,
+        "event_times": event_times,
+        "event_sigma": event_sigma,
+        "y0": y0,
+    }
+    choice("loss", loss, LOSSES)
+    model = to_model(problem, t, data, parameters, described, flag("absolute_sigma", absolute_sigma), method, options)
+    if loss != "linear" and (model.relative or any(one.level for one in model.space.free)):
+        raise ValueError(f'loss="{loss}" needs a known sigma: residuals count less from one sigma on')
+    count = positive_integer("starts", starts)
+    best, ends = _searched(model, count, seed, loss)
+    known = uncertainty(model, best)
+    found = Fit(model, best, known, loss, ends)
+    _tell(found)
+    return found
+
+
+def _searched(model: Model, count: int, seed: int, loss: str) -> tuple[Found, list[tuple[float, bool]]]:
+    """The best end of the searches, and the ends of all."""
+    best: Found | None = None
+    ends: list[tuple[float, bool]] = []
+    first: NoStartError | None = None
+    for start in start_points(model, count, seed):
+        try:
+            found = search(model, start, loss)
+        except NoStartError as error:
+            ends.append((math.inf, False))
+            first = first or error
+            continue
+        ends.append((found.cost, found.success))
+        if best is None or (found.cost, not found.success) < (best.cost, not best.success):
+            best = found
+    if best is None:
+        raise ValueError(str(first)) from None
+    return best, ends
+
+
+def _tell(found: Fit) -> None:
+    """Warns of what users must know."""
+    remarks = found.remarks()[: len(found.remarks()) - bool(found.failures)]
+    if remarks:
+        warn("fit: " + "; ".join(remarks))

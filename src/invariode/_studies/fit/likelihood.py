@@ -1,0 +1,229 @@
+"""Residuals, their derivatives, and the log-likelihood of parameters."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import Array, shown
+from ..._base.types import MethodName
+from ..._problem.options import Options
+from .experiment import Experiment
+from .outcomes import Failed
+from .parameters import Parameter, Space, to_parameters
+from .simulation import Simulation
+
+#: Options of runs that a fit sets itself.
+_OWN = ("t_eval", "keep", "sensitivities", "dense_output", "refine", "on_failure", "callback", "checkpoint", "events")
+
+#: Tolerances of the runs: residuals must be smoother than the data are noisy, for which the defaults of runs are large.
+RTOL, ATOL = 1e-6, 1e-9
+
+_HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+
+
+class Level(NamedTuple):
+    """A noise level in one experiment: its data, its value and how it follows from the free parameters."""
+
+    data: Array  # which, of all
+    value: float
+    slope: Array  # (k,)
+
+
+class Evaluation(NamedTuple):
+    """The model at values of the free parameters.
+
+    Attributes
+    ----------
+    free : ndarray, (k,)
+        The values.
+    model, difference : ndarray, (N,)
+        The model's values of all data; model minus data, of logarithms where the noise is log-normal.
+    slopes : ndarray, (N, k)
+        The derivatives of the differences.
+    sigma : ndarray, (N,)
+        Standard deviations; in units of the unknown one if they are relative.
+    levels : list of Level
+        Noise levels among the parameters.
+    """
+
+    free: Array
+    model: Array
+    difference: Array
+    slopes: Array
+    sigma: Array
+    levels: list[Level]
+
+    @property
+    def residuals(self) -> Array:
+        """Differences in units of sigma, (N,)."""
+        return self.difference / self.sigma
+
+    @property
+    def jacobian(self) -> Array:
+        """The derivatives of `residuals` for the free parameters except through the noise levels, (N, k)."""
+        return self.slopes / self.sigma[:, None]
+
+    def with_levels(self, rows: Array) -> Array:
+        """A Jacobian of residuals, with their derivatives through the noise levels added."""
+        found = rows.copy()
+        for one in self.levels:
+            found[one.data] -= np.outer(self.residuals[one.data], one.slope / one.value)
+        return found
+
+
+class Model:
+    """Experiments with parameters: everything that a fit evaluates.
+
+    Attributes
+    ----------
+    space : Space
+        The parameters.
+    relative : bool
+        Whether sigma is known only up to a factor, which the residuals give.
+    rtol : float
+        The smallest relative tolerance of the runs.
+    failures : Counter
+        Why runs failed, with their number.
+    runs : int
+        The number of evaluations.
+    """
+
+    def __init__(
+        self,
+        experiments: Sequence[Experiment],
+        parameters: Mapping[str, Parameter],
+        absolute_sigma: bool,
+        method: MethodName,
+        options: Options,
+    ) -> None:
+        for name in _OWN:
+            if name in options or any(name in one.options for one in experiments):
+                raise TypeError(f"{name} is no option of fit, which sets it itself")
+        tolerant: Options = {"rtol": RTOL, "atol": ATOL, **options}
+        self.rtol = float(np.min(tolerant["rtol"]))
+        self.experiments = experiments
+        self.space = Space(parameters, experiments)
+        unnamed = {one.level for each in experiments for one in each.series if one.level is not None} - {*parameters}
+        if unnamed:
+            name = min(unnamed)
+            raise ValueError(f'sigma names {name!r}, which is not among the parameters: add "{name}": (lower, upper)')
+        start = np.array([1.0 if one.start is None else one.start for one in self.space.free])
+        self.simulations = [
+            Simulation(one, names, self.space.local(e, start).values, method, {**tolerant, **one.options})
+            for e, (one, names) in enumerate(zip(experiments, self.space.names, strict=True))
+        ]
+        series = [one for each in experiments for one in each.series]
+        self.measured = np.concatenate([one.values for one in series])
+        self.lognormal = np.concatenate([np.full(len(one.values), one.lognormal) for one in series])
+        self._compared = np.where(self.lognormal, np.log(np.where(self.lognormal, self.measured, 1.0)), self.measured)
+        self.relative = _is_relative(series, absolute_sigma)
+        #: A unit for data of unknown noise, so that the search sees numbers of size 1.
+        unknown = any(one.sigma is None for one in series)
+        self.unit = float(np.sqrt(np.mean(self._compared**2))) or 1.0 if unknown else 1.0
+        known = [np.full(len(one.values), self.unit) if one.sigma is None else one.sigma for one in series]
+        self._factors = np.concatenate(known)
+        self.size = len(self.measured)
+        self.failures: Counter[str] = Counter()
+        self.runs = 0
+        self._last: Evaluation | None = None
+
+    def evaluate(self, free: Array) -> Evaluation | Failed:
+        """The model at these values. The last one is kept: searches ask for residuals and Jacobian one after the
+        other."""
+        if self._last is not None and np.array_equal(self._last.free, free):
+            return self._last
+        self.runs += 1
+        found = self._evaluated(free)
+        if isinstance(found, Failed):
+            self.failures[found.reason] += 1
+            return found
+        self._last = found
+        return found
+
+    def _evaluated(self, free: Array) -> Evaluation | Failed:
+        values, slopes, levels, place = [], [], [], 0
+        sigma = self._factors.copy()
+        for e, simulation in enumerate(self.simulations):
+            local = self.space.local(e, free)
+            ran = simulation.run(local.values)
+            if isinstance(ran, Failed):
+                return ran
+            values.append(ran.values)
+            slopes.append(ran.tangent @ local.slopes)
+            for one in simulation.experiment.series:
+                data = np.arange(place, place + len(one.values))
+                place += len(one.values)
+                if one.level is None:
+                    continue
+                i = self.space.names[e].index(one.level)
+                sigma[data] *= local.values[i]
+                levels.append(Level(data, float(local.values[i]), local.slopes[i]))
+        model, rows = np.concatenate(values), np.concatenate(slopes)
+        if (model[self.lognormal] <= 0).any():
+            return Failed("the model is not positive, where the noise is log-normal")
+        compared = np.where(self.lognormal, np.log(np.where(self.lognormal, model, 1.0)), model)
+        rows = np.where(self.lognormal[:, None], rows / np.where(self.lognormal, model, 1.0)[:, None], rows)
+        return Evaluation(free.copy(), model, compared - self._compared, rows, sigma, levels)
+
+    def log_likelihood(self, at: Evaluation, sigma: Array) -> float:
+        """Of the data with these standard deviations, without priors."""
+        squares = 0.5 * float(np.sum((at.difference / sigma) ** 2))
+        logs = float(np.sum(np.log(sigma)) + np.sum(self._compared[self.lognormal]))
+        return -squares - logs - self.size * _HALF_LOG_2PI
+
+    def variance(self, at: Evaluation, unknowns: int = 0) -> float:
+        """The factor of sigma² that the residuals give, of which so many degrees of freedom are spent; 1 if sigma is
+        known."""
+        if not self.relative:
+            return 1.0
+        return float(np.sum(at.residuals**2)) / max(self.size - unknowns, 1)
+
+
+def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:
+    """Whether sigma is known only up to a factor."""
+    unknown = [one.name for one in series if one.sigma is None]
+    if unknown and len(unknown) < len(series):
+        raise ValueError(f"sigma is missing for {unknown[0]}: give it for all data or for none")
+    levels = [one.level for one in series if one.level is not None]
+    if levels and not absolute_sigma:
+        raise ValueError(f"absolute_sigma=False, and sigma names the parameter {levels[0]}: choose one of them")
+    if len(unknown) > 1 and len({one.lognormal for one in series}) > 1:
+        raise ValueError("sigma must be given where times of events are measured beside log-normal data")
+    return bool(unknown) or not absolute_sigma
+
+
+def to_experiments(problem: Any, given: Mapping[str, Any]) -> list[Experiment]:
+    """A list of experiments, or a problem with data as one."""
+    if isinstance(problem, Experiment):
+        problem = [problem]
+    if isinstance(problem, (list, tuple)):
+        if not problem or not all(isinstance(one, Experiment) for one in problem):
+            raise TypeError(f"several experiments are a list of invariode.Experiment, got {shown(problem)}")
+        if said := [
+            name for name, value in given.items() if value is not None and (name, value) != ("noise", "normal")
+        ]:
+            raise TypeError(f"{said[0]} belongs to each Experiment when these are given")
+        return list(problem)
+    return [Experiment(problem, **given)]
+
+
+def to_model(
+    problem: Any,
+    t: Any,
+    data: Any,
+    parameters: Any,
+    described: Mapping[str, Any],
+    absolute_sigma: bool,
+    method: MethodName,
+    options: Options,
+) -> Model:
+    """What the arguments of `fit` and `objective` describe."""
+    if parameters is None and data is None:  # several experiments: fit(experiments, parameters)
+        t, parameters = None, t
+    experiments = to_experiments(problem, {"t": t, "data": data, **described})
+    return Model(experiments, to_parameters(parameters), absolute_sigma, method, options)

@@ -1,0 +1,143 @@
+"""The log-likelihood of parameters with its gradient, for samplers and optimisers."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..._base.arguments import Array, real_numbers
+from ..._base.public import public
+from ..._base.types import MethodName
+from ..._problem.options import Options
+from .likelihood import Evaluation, Model, to_model
+from .search import start_points
+
+
+@public
+class Objective:
+    """The log-likelihood of data as a function of the parameters: what `objective` returns.
+
+    ``objective(x)`` is its value at x of shape (k,), -inf outside the bounds and where the run fails;
+    ``objective.gradient(x)`` its gradient; ``objective.both(x)`` both of them. The last point is kept: value and
+    gradient at one point take one run.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters, in the order of x.
+    start : ndarray, (k,)
+        Where a search would start.
+    bounds : list of (float, float)
+        Their bounds, infinite if there are none.
+    failures : dict
+        Why runs failed, with their number.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self.names = tuple(one.name for one in model.space.free)
+        self.start: Array = start_points(model, 1, None)[0]
+        self.bounds = [one.parameter.limits for one in model.space.free]
+
+    @property
+    def failures(self) -> dict[str, int]:
+        return dict(self._model.failures)
+
+    def __call__(self, x: ArrayLike) -> float:
+        return self.both(x)[0]
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """The gradient, (k,); NaN where the value is -inf."""
+        return self.both(x)[1]
+
+    def both(self, x: ArrayLike) -> tuple[float, Array]:
+        """Value and gradient."""
+        free = real_numbers("x", x)
+        if free.shape != (len(self.names),):
+            raise ValueError(f"x must hold the {len(self.names)} parameters {', '.join(self.names)}, got {free.shape}")
+        nothing = -np.inf, np.full(len(free), np.nan)
+        inside = all(low <= one <= high for one, (low, high) in zip(free, self.bounds, strict=True))
+        if not inside or any(one.log and value <= 0 for one, value in zip(self._model.space.free, free, strict=True)):
+            return nothing
+        at = self._model.evaluate(free)
+        if not isinstance(at, Evaluation):
+            return nothing
+        return self._value(at), self._gradient(at)
+
+    def _value(self, at: Evaluation) -> float:
+        model = self._model
+        residuals, _, factors = model.space.priors(at.free)
+        priors = float(np.sum(factors - 0.5 * residuals**2) - 0.5 * len(factors) * np.log(2 * np.pi))
+        sigma = at.sigma * np.sqrt(model.variance(at))
+        return model.log_likelihood(at, sigma) + priors
+
+    def _gradient(self, at: Evaluation) -> Array:
+        model = self._model
+        found: Array = -at.with_levels(at.jacobian).T @ at.residuals / model.variance(at)
+        for one in at.levels:
+            found -= len(one.data) / one.value * one.slope
+        residuals, slopes, _ = model.space.priors(at.free)
+        found -= slopes.T @ residuals
+        logs = [one.parameter.prior is not None and one.log for one in model.space.free]
+        return found - np.where(logs, 1 / at.free, 0.0)
+
+    def __repr__(self) -> str:
+        return f"Objective({', '.join(self.names)}; {self._model.size} data)"
+
+
+@public
+def objective(
+    problem: Any,
+    t: Any = None,
+    data: Any = None,
+    parameters: Any = None,
+    *,
+    observe: Any = None,
+    sigma: Any = None,
+    noise: Literal["normal", "lognormal"] = "normal",
+    event_times: Any = None,
+    event_sigma: Any = None,
+    y0: Literal["steady"] | None = None,
+    absolute_sigma: bool = True,
+    method: MethodName = "ode45",
+    **options: Unpack[Options],
+) -> Objective:
+    """The log-likelihood of data and its gradient as functions of the parameters.
+
+    For samplers, such as those of PyMC and emcee, and other optimisers. Log densities of priors are added; without
+    them, and with flat ones within the bounds, it is the log-likelihood. If sigma is unknown, or relative, it is that
+    with the sigma that fits best.
+
+    Parameters
+    ----------
+    problem, t, data, parameters, observe, sigma, noise, event_times, event_sigma, y0, absolute_sigma, method, **options
+        As in `fit`.
+
+    Returns
+    -------
+    Objective
+        Called with an array of the free parameters, in the order of its `names`.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> def decay(t, y, k):
+    ...     return [-k * y[0]]
+    >>> problem = iv.Problem(decay, (0, 4), [1.0], args=(1.0,))
+    >>> log_likelihood = iv.objective(problem, [1, 2, 4], [[0.6, 0.37, 0.13]], {"k": (0, 5)}, sigma=0.01)
+    >>> log_likelihood([0.5]) > log_likelihood([0.6])
+    True
+    >>> log_likelihood.gradient([0.6]).shape
+    (1,)
+    """
+    described = {
+        "observe": observe,
+        "sigma": sigma,
+        "noise": noise,
+        "event_times": event_times,
+        "event_sigma": event_sigma,
+        "y0": y0,
+    }
+    return Objective(to_model(problem, t, data, parameters, described, absolute_sigma, method, options))

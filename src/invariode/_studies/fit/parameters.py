@@ -1,0 +1,414 @@
+"""The parameters of a fit: what users say of them, and the values that each experiment takes from the free ones."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from ..._base.arguments import Array, choice, flag, items, number, shown
+from ..._base.public import public
+from ..._base.suggestions import meant
+from ..._functions.derivatives import compared
+
+#: Complex increment of the derivatives of ties: its square vanishes against 1.
+_TINY = 1e-40
+
+ParameterLike: TypeAlias = "Parameter | tuple[float | None, float | None]"
+
+
+@public
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a fit, with what is known about it.
+
+    Parameters
+    ----------
+    start : float, optional
+        Where the search starts. Default: the value in the problem if it is within the bounds, otherwise their middle.
+    bounds : (float, float), optional
+        Smallest and largest value; None or an infinity for no bound. The search stays between them.
+    scale : {"linear", "log"}, optional
+        "log" searches in ln p, for positive parameters of unknown size; `Fit.confidence` is symmetric there. Default:
+        "linear", for noise levels "log".
+    prior : (float, float), optional
+        Knowledge from elsewhere: a normal distribution with this mean and standard deviation. With ``scale="log"`` ln p
+        is normal about the logarithm of the first, with the second as its standard deviation.
+    shared : bool, default True
+        Whether all experiments have one value. Otherwise each has its own, called ``name[0]``, ``name[1]`` and so on.
+    equals : float, str or callable, optional
+        A value at which the parameter is fixed; or another parameter whose value it has; or a function of other
+        parameters, called as its arguments are: ``lambda k1, k2: k1 / k2``.
+
+    Examples
+    --------
+    >>> import invariode as iv
+    >>> iv.Parameter(bounds=(1e-3, 10), scale="log")
+    Parameter(bounds=(0.001, 10.0), scale='log')
+    """
+
+    start: float | None = None
+    bounds: tuple[float | None, float | None] = (None, None)
+    scale: Literal["linear", "log"] | None = None
+    prior: tuple[float, float] | None = None
+    shared: bool = True
+    equals: float | str | Callable[..., float] | None = None
+
+    def __post_init__(self) -> None:
+        def own(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if self.scale is not None:
+            choice("scale of a Parameter", self.scale, ("linear", "log"))
+        own("shared", flag("shared of a Parameter", self.shared))
+        own("bounds", _bounds(self.bounds))
+        if self.scale == "log" and not self.limits[1] > 0:
+            raise ValueError(f'bounds of a Parameter with scale="log" must be positive, got {shown(self.bounds)}')
+        if self.start is not None:
+            own("start", number("start of a Parameter", self.start))
+            self.check_start(self.start, "start of a Parameter")
+        if self.prior is not None:
+            own("prior", self._prior(self.prior))
+        if self.equals is not None:
+            self._tie(self.equals)
+
+    def _prior(self, given: Any) -> tuple[float, float]:
+        pair = items(given)
+        if pair is None or isinstance(given, str) or len(pair) != 2:
+            raise TypeError(f"prior of a Parameter must be (mean, standard deviation), got {shown(given)}")
+        mean, width = (number("prior of a Parameter", one) for one in pair)
+        if not (math.isfinite(mean) and 0 < width < math.inf):
+            raise ValueError(f"prior of a Parameter needs a positive standard deviation, got {shown(given)}")
+        if self.scale == "log" and mean <= 0:
+            raise ValueError(
+                f'prior of a Parameter with scale="log" must be about a positive value, got {shown(given)}'
+            )
+        return mean, width
+
+    def _tie(self, equals: Any) -> None:
+        others: dict[str, Any] = {"start": self.start, "scale": self.scale, "prior": self.prior}
+        others["bounds"] = None if self.bounds == (None, None) else self.bounds
+        if given := [name for name, value in others.items() if value is not None]:
+            raise ValueError(f"a Parameter with equals has no {' and no '.join(given)}: it is not searched for")
+        if not isinstance(equals, str) and not callable(equals):
+            value = number("equals of a Parameter", equals)
+            if not math.isfinite(value):
+                raise ValueError(f"equals of a Parameter must be finite, got {shown(equals)}")
+            object.__setattr__(self, "equals", value)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The bounds as numbers."""
+        lower, upper = self.bounds
+        return -math.inf if lower is None else lower, math.inf if upper is None else upper
+
+    def check_start(self, value: float, what: str) -> None:
+        """That a search can start there."""
+        lower, upper = self.limits
+        if not lower <= value <= upper or not math.isfinite(value):
+            raise ValueError(f"{what} is {value:g}, which is not within its bounds ({lower:g}, {upper:g})")
+        if self.scale == "log" and value <= 0:
+            raise ValueError(f'{what} is {value:g}: with scale="log" it must be positive')
+
+    def __repr__(self) -> str:
+        """Only what differs from the defaults."""
+        said = [(one.name, getattr(self, one.name)) for one in fields(self)]
+        changed = [
+            f"{name}={value!r}" for (name, value), one in zip(said, fields(self), strict=True) if value != one.default
+        ]
+        return f"Parameter({', '.join(changed)})"
+
+
+def _bounds(given: Any) -> tuple[float | None, float | None]:
+    pair = items(given)
+    if pair is None or isinstance(given, str) or len(pair) != 2:
+        raise TypeError(f"bounds of a Parameter must be (lower, upper), got {shown(given)}")
+    lower, upper = (None if one is None else number("bounds of a Parameter", one) for one in pair)
+    if lower is not None and upper is not None and not lower < upper:
+        raise ValueError(f"bounds of a Parameter must be (lower, upper) with lower < upper, got {shown(given)}")
+    return (None if lower == -math.inf else lower), (None if upper == math.inf else upper)
+
+
+def to_parameters(given: Any) -> dict[str, Parameter]:
+    """The parameters by name; a pair is a Parameter with these bounds."""
+    if not isinstance(given, Mapping) or not given:
+        raise TypeError(
+            'parameters must be a dict of names, such as {"k": (0, 1), "y0[x]": invariode.Parameter(start=1)}, got '
+            f"{shown(given)}"
+        )
+    made = {}
+    for name, one in given.items():
+        if not isinstance(name, str):
+            raise TypeError(f"parameters are called by names, got {shown(name)}")
+        if isinstance(one, (int, float, np.number)):
+            raise TypeError(
+                f"parameter {name!r} is {shown(one)}: give Parameter(start={shown(one)}) to start there, or "
+                f"Parameter(equals={shown(one)}) to keep it there"
+            )
+        if not isinstance(one, Parameter):
+            try:
+                one = Parameter(bounds=one)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"parameter {name!r}: {error}") from None
+        made[name] = one
+    return made
+
+
+class Taker(Protocol):
+    """What the parameters need to know of an experiment."""
+
+    def takes(self, name: str) -> bool:
+        """Whether a parameter of this name is one of its own."""
+
+    def value(self, name: str) -> float | None:
+        """Its value in the problem; None: it has none there."""
+
+    def is_level(self, name: str) -> bool:
+        """Whether it is a noise level."""
+
+    def known(self) -> list[str]:
+        """Names that it takes, for messages."""
+
+
+class Free(NamedTuple):
+    """A parameter that is searched for."""
+
+    name: str  # k, or k[0] if it is not shared
+    parameter: Parameter
+    start: float | None  # None: a noise level that the first residuals give
+    level: bool
+
+    @property
+    def log(self) -> bool:
+        return self.level or self.parameter.scale == "log"
+
+    @property
+    def size(self) -> float:
+        """Of its values, of which the search has multiples; that of logarithms is 1."""
+        of = [self.start or 0.0, *self.parameter.limits, *(self.parameter.prior or ())]
+        return 1.0 if self.log else next((abs(one) for one in of if one != 0 and math.isfinite(one)), 1.0)
+
+
+class _Fixed(NamedTuple):
+    value: float
+
+
+class _Tied:
+    """A function of other parameters, each of them the place of a free one or fixed."""
+
+    def __init__(self, name: str, function: Callable[..., float], sources: Sequence[int | _Fixed]) -> None:
+        self.name, self._function, self._sources = name, function, sources
+        self._checked = False
+
+    def value_and_slope(self, free: Array) -> tuple[float, Array]:
+        """Its value, and its derivatives with respect to the free ones by complex steps."""
+        at = np.array([one.value if isinstance(one, _Fixed) else free[one] for one in self._sources])
+        value = number(f"the value of {self.name}", self._function(*at))
+        if not self._checked:
+            self._check(at)
+        slope = np.zeros(len(free))
+        for place, step in zip(self._sources, np.eye(len(at)) * _TINY * 1j, strict=True):
+            if not isinstance(place, _Fixed):
+                slope[place] += complex(self._function(*(at + step))).imag / _TINY
+        return value, slope
+
+    def _check(self, at: Array) -> None:
+        """That complex steps give derivatives, which differences show."""
+        found = compared(lambda z: np.array([self._function(*z)]), at, np.where(at == 0, 1.0, np.abs(at)))
+        if found is None:
+            return  # not defined around this point
+        if isinstance(found.stepped, Exception) or not found.agree(_TOLERANT).all():
+            raise ValueError(
+                f"equals of {self.name} must take complex numbers, for its derivatives: use NumPy's functions in place "
+                "of math's, and no abs"
+            )
+        self._checked = True
+
+
+#: By how much complex steps and differences may disagree, in units of the error of the differences.
+_TOLERANT = 10
+
+
+class Local(NamedTuple):
+    """The parameters of an experiment, in its order."""
+
+    values: Array  # (k,)
+    slopes: Array  # their derivatives with respect to the free ones, (k, free)
+
+
+class Space:
+    """All parameters of a fit.
+
+    Attributes
+    ----------
+    free : list of Free
+        Those that are searched for, in the order given.
+    names : list of list of str
+        The parameters that each experiment takes.
+    """
+
+    def __init__(self, parameters: Mapping[str, Parameter], experiments: Sequence[Taker]) -> None:
+        self._parameters = parameters
+        for name in parameters:
+            if not any(taker.takes(name) for taker in experiments):
+                known = [*dict.fromkeys(other for taker in experiments for other in taker.known())]
+                others = [*known, *(other for other in parameters if other != name)]
+                raise ValueError(
+                    f"no experiment takes a parameter {name!r}: there are {', '.join(known)}{meant(name, others)}"
+                )
+        self.names = [[name for name in parameters if taker.takes(name)] for taker in experiments]
+        self.free: list[Free] = []
+        places: dict[tuple[str, int | None], int] = {}
+        for name, one in parameters.items():
+            if one.equals is not None:
+                continue
+            own = [e for e, names in enumerate(self.names) if name in names]
+            groups: list[tuple[int | None, list[int]]] = [(None, own)] if one.shared else [(e, [e]) for e in own]
+            for e, of in groups:
+                places[name, e] = len(self.free)
+                called = name if e is None else f"{name}[{e}]"
+                self.free.append(_free(called, name, one, [experiments[i] for i in of]))
+        self._rows: list[list[int | _Fixed | _Tied]] = [
+            [self._row(name, e, places) for name in names] for e, names in enumerate(self.names)
+        ]
+        if not self.free:
+            raise ValueError("all parameters are fixed by equals: there is nothing to fit")
+
+    def _row(self, name: str, e: int, places: Mapping[tuple[str, int | None], int]) -> int | _Fixed | _Tied:
+        one = self._parameters[name]
+        if one.equals is None:
+            return places[name, None if one.shared else e]
+        if isinstance(one.equals, float):
+            return _Fixed(one.equals)
+        of = [one.equals] if isinstance(one.equals, str) else _arguments(name, one.equals)
+        for other in of:
+            if other not in self._parameters:
+                raise ValueError(
+                    f"equals of {name} names {other!r}, which is not among the parameters: "
+                    f"{', '.join(self._parameters)}{meant(other, self._parameters)}"
+                )
+            if self._parameters[other].equals is not None and not isinstance(self._parameters[other].equals, float):
+                raise ValueError(f"equals of {name} names {other}, which has equals itself: name those it depends on")
+            if other not in self.names[e] and not self._parameters[other].shared:
+                raise ValueError(f"equals of {name} names {other}, which experiment {e} does not have")
+        sources = [self._source(other, e, places) for other in of]
+        return _Tied(name, _same if isinstance(one.equals, str) else one.equals, sources)
+
+    def _source(self, name: str, e: int, places: Mapping[tuple[str, int | None], int]) -> int | _Fixed:
+        one = self._parameters[name]
+        return _Fixed(one.equals) if isinstance(one.equals, float) else places[name, None if one.shared else e]
+
+    def local(self, e: int, free: Array) -> Local:
+        """The parameters of an experiment, of the values of the free ones."""
+        rows = self._rows[e]
+        values, slopes = np.zeros(len(rows)), np.zeros((len(rows), len(free)))
+        for i, row in enumerate(rows):
+            if isinstance(row, _Fixed):
+                values[i] = row.value
+            elif isinstance(row, _Tied):
+                values[i], slopes[i] = row.value_and_slope(free)
+            else:
+                values[i], slopes[i, row] = free[row], 1.0
+        return Local(values, slopes)
+
+    def all(self, free: Array) -> dict[str, tuple[float, Array]]:
+        """Every parameter with its value and derivatives: the free ones, then those that are fixed or tied; such a one
+        that differs between the experiments is called as one that is not shared."""
+        unit = np.eye(len(free))
+        found = {one.name: (float(free[i]), unit[i]) for i, one in enumerate(self.free)}
+        locals_ = [self.local(e, free) for e in range(len(self.names))]
+        for name, one in self._parameters.items():
+            if one.equals is None:
+                continue
+            those = [(e, names.index(name)) for e, names in enumerate(self.names) if name in names]
+            of = [(f"{name}[{e}]", float(locals_[e].values[i]), locals_[e].slopes[i]) for e, i in those]
+            if all(value == of[0][1] and (slope == of[0][2]).all() for _, value, slope in of):
+                of = [(name, *of[0][1:])]
+            found.update((own, (value, slope)) for own, value, slope in of)
+        return found
+
+    # The search's own coordinates: multiples of sizes, or logarithms.
+
+    @cached_property
+    def log(self) -> Array:
+        return np.array([one.log for one in self.free])
+
+    @cached_property
+    def sizes(self) -> Array:
+        return np.array([one.size for one in self.free])
+
+    def natural(self, u: Array) -> Array:
+        """The values of coordinates."""
+        return np.where(self.log, np.exp(np.where(self.log, u, 0.0)), u * self.sizes)
+
+    def coordinates(self, free: Array) -> Array:
+        """The coordinates of values."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.log, np.log(np.where(self.log, free, 1.0)), free / self.sizes)
+
+    def slope(self, free: Array) -> Array:
+        """The derivatives of values with respect to their coordinates."""
+        return np.where(self.log, free, self.sizes)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """In coordinates."""
+        limits = np.array([one.parameter.limits for one in self.free])
+        limits[self.log] = np.maximum(limits[self.log], 0.0)
+        lower, upper = self.coordinates(limits[:, 0]), self.coordinates(limits[:, 1])
+        return lower, upper
+
+    def priors(self, free: Array) -> tuple[Array, Array, Array]:
+        """Residuals of the priors, their derivatives, and the logarithms of the densities' factors."""
+        residuals, slopes, factors = [], [], []
+        for i, one in enumerate(self.free):
+            if one.parameter.prior is None:
+                continue
+            mean, width = one.parameter.prior
+            row = np.zeros(len(free))
+            row[i] = 1 / (width * free[i]) if one.log else 1 / width
+            residuals.append((math.log(free[i] / mean) if one.log else free[i] - mean) / width)
+            slopes.append(row)
+            factors.append(-math.log(width) - (math.log(free[i]) if one.log else 0.0))
+        return np.array(residuals), np.reshape(slopes, (-1, len(free))), np.array(factors)
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _arguments(name: str, function: Callable[..., float]) -> list[str]:
+    try:
+        listed = list(inspect.signature(function).parameters.values())
+    except (TypeError, ValueError):
+        listed = []
+    if not listed or any(one.kind is not one.POSITIONAL_OR_KEYWORD for one in listed):
+        raise TypeError(f"equals of {name} must be a function whose arguments are parameters, got {shown(function)}")
+    return [one.name for one in listed]
+
+
+def _free(name: str, short: str, one: Parameter, takers: Sequence[Taker]) -> Free:
+    """A parameter with its start."""
+    level = any(taker.is_level(short) for taker in takers)
+    if level and (one.limits[1] <= 0 or (one.start is not None and one.start <= 0) or one.scale == "linear"):
+        raise ValueError(f'{name} is a noise level, which is positive, and searched for with scale="log": {one!r}')
+    if one.start is not None:
+        return Free(name, one, one.start, level)
+    values = {value for taker in takers if (value := taker.value(short)) is not None}
+    if len(values) > 1:
+        differ = ", ".join(f"{value:g}" for value in sorted(values))
+        raise ValueError(f"{name} is {differ} in the problems: give it a start, or shared=False")
+    lower, upper = one.limits
+    if values and lower <= (value := float(values.pop())) <= upper and (one.scale != "log" or value > 0):
+        return Free(name, one, value, level)
+    if level:
+        return Free(name, one, None, level)
+    if one.scale == "log" and lower > 0 and math.isfinite(upper):
+        return Free(name, one, math.sqrt(lower) * math.sqrt(upper), level)
+    if math.isfinite(lower) and math.isfinite(upper) and one.scale != "log":
+        return Free(name, one, lower + (upper - lower) / 2, level)
+    raise ValueError(f"{name} has neither a value in the problem nor two bounds: give it a start")

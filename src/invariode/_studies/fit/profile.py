@@ -1,0 +1,185 @@
+"""Profiles: the best fits with one parameter held at other values, and the interval that they give."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import Array
+from ..._base.public import public
+from .likelihood import Evaluation, Model
+from .search import Found, NoStartError, search
+
+#: An end of an interval is found when its statistic is this close to the quantile, relatively.
+_CLOSE = 1e-3
+
+#: Attempts for each end. A statistic that is linear needs one, smooth ones three or four.
+_ATTEMPTS = 24
+
+#: A parameter that the data do not determine is followed from this step on, relative to its size, by factors of four at
+#: most; an end that is this many first steps away is not there.
+_FIRST_STEP, _FASTER, _FAR = 0.1, 4.0, 1e4
+
+
+@public
+@dataclass(frozen=True, eq=False, repr=False)
+class Profile:
+    """The profile of the likelihood along one parameter: all others are fitted anew at each of its values.
+
+    Attributes
+    ----------
+    name : str
+        The parameter.
+    values : ndarray, (p,)
+        Its values, rising.
+    statistic : ndarray, (p,)
+        The signed root of the likelihood ratio there, in standard errors: a straight line if the model is linear.
+    lower, upper : float
+        The interval; at a bound if the profile ends there, infinite if the data give no end.
+    level : float
+        Its level.
+    fits : int
+        How many fits it took.
+    """
+
+    name: str
+    values: Array
+    statistic: Array
+    lower: float
+    upper: float
+    level: float
+    fits: int
+
+    def __repr__(self) -> str:
+        ends = f"{self.lower:.6g} to {self.upper:.6g}"
+        return f"Profile of {self.name}: {ends} with {100 * self.level:g} %, {self.fits} fits"
+
+
+class Scale(NamedTuple):
+    """How costs become standard errors."""
+
+    quantile: float
+    variance: float  # of which half the cost is in units
+
+
+class _Point(NamedTuple):
+    u: float
+    z: float  # of the other sign than at the minimum if the end is passed: |z| − quantile is looked for
+    at: Array
+
+
+class Walk:
+    """From the best fit towards one end of the interval.
+
+    Parameters
+    ----------
+    model, found : Model, Found
+        The fit.
+    place : int
+        The parameter.
+    direction : ndarray, (k,)
+        How all of them move along the profile, in coordinates, for a unit step of this one.
+    step : float
+        The first step, with its sign.
+    scale : Scale
+        The quantile to reach.
+    """
+
+    def __init__(self, model: Model, found: Found, place: int, direction: Array, step: float, scale: Scale) -> None:
+        self._model, self._found, self._place, self._scale = model, found, place, scale
+        self._direction = direction
+        self._start = model.space.coordinates(found.at.free)
+        lower, upper = model.space.bounds()
+        self._lower, self._upper = lower, upper
+        self._bound = float(upper[place] if step > 0 else lower[place])
+        self._step = step
+        self.points: list[_Point] = []
+
+    def end(self) -> float:
+        """The end of the interval, in the parameter's values."""
+        inside = _Point(float(self._start[self._place]), 0.0, self._start)
+        outside: _Point | None = None
+        u = self._within(inside.u + self._step)
+        for _ in range(_ATTEMPTS):
+            point = self._refit(u, inside)
+            if point is None:  # there is no solution: closer
+                u = inside.u + (u - inside.u) / 4
+                continue
+            self.points.append(point)
+            if abs(point.z / self._scale.quantile - 1) <= _CLOSE:
+                return self._value(point.u)
+            if point.z < self._scale.quantile:
+                if point.u == self._bound:
+                    return self._value(point.u)
+                if abs(point.u - float(self._start[self._place])) > _FAR * abs(self._step):
+                    break
+                inside = point
+            else:
+                outside = point
+            u = self._within(self._next(inside, outside))
+        return self._value(u) if outside is not None else math.copysign(math.inf, self._step)
+
+    def _next(self, inside: _Point, outside: _Point | None) -> float:
+        """Where the statistic reaches the quantile if it is a straight line; without limits farther by a factor."""
+        start = float(self._start[self._place])
+        if outside is None:
+            far = inside.u - start
+            part = self._scale.quantile / inside.z if inside.z > 0 else math.inf
+            return start + far * min(part * (1 + _CLOSE / 2), _FASTER)
+        part = (self._scale.quantile - inside.z) / (outside.z - inside.z)
+        return inside.u + min(max(part, 0.05), 0.95) * (outside.u - inside.u)
+
+    def _within(self, u: float) -> float:
+        return min(u, self._bound) if self._step > 0 else max(u, self._bound)
+
+    def _refit(self, u: float, near: _Point) -> _Point | None:
+        """The best fit with the parameter at u, from that of the nearest point."""
+        coordinates = near.at + (u - near.u) * self._direction
+        inner = np.clip(coordinates, self._lower, self._upper)
+        inner[self._place] = u
+        for start in (inner, np.where(np.arange(len(inner)) == self._place, u, near.at)):
+            try:
+                found = search(self._model, self._model.space.natural(start), held=[self._place])
+            except NoStartError:
+                continue
+            gained = 2 * (found.cost - self._found.cost) / self._scale.variance
+            return _Point(u, math.sqrt(max(gained, 0.0)), self._model.space.coordinates(found.at.free))
+        return None
+
+    def _value(self, u: float) -> float:
+        free = self._start.copy()
+        free[self._place] = u
+        return float(self._model.space.natural(free)[self._place])
+
+
+def profile(model: Model, found: Found, place: int, covariance: Array, scale: Scale, level: float) -> Profile:
+    """The profile of a parameter; `covariance` of all in coordinates."""
+    assert isinstance(found.at, Evaluation)
+    own = covariance[place, place]
+    determined = bool(np.isfinite(own) and own > 0)
+    k = len(covariance)
+    direction = np.eye(k)[place]
+    if determined:
+        with np.errstate(invalid="ignore"):
+            direction = covariance[place] / own
+        direction = np.where(np.isfinite(direction), direction, 0.0)
+    u = float(model.space.coordinates(found.at.free)[place])
+    step = scale.quantile * math.sqrt(own) if determined else _FIRST_STEP * max(abs(u), 1.0)
+    ends, points = [], [_Point(u, 0.0, np.zeros(k))]
+    for sign in (-1.0, 1.0):
+        walk = Walk(model, found, place, direction, sign * step, scale)
+        ends.append(walk.end())
+        points += [one._replace(z=sign * one.z) for one in walk.points]
+    points.sort(key=lambda one: one.u)
+    free = found.at.free.copy()
+    values = []
+    for one in points:
+        moved = model.space.coordinates(free)
+        moved[place] = one.u
+        values.append(float(model.space.natural(moved)[place]))
+    statistic = np.array([one.z for one in points])
+    name = model.space.free[place].name
+    return Profile(name, np.array(values), statistic, ends[0], ends[1], level, len(points) - 1)

@@ -1,0 +1,384 @@
+"""The result of a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..._base.arguments import Array, number, real_numbers, shown
+from ..._base.notebook import html_of_fit
+from ..._base.public import public
+from ..._base.suggestions import meant
+from ..._results.solution import Solution
+from . import picture
+from .likelihood import Model
+from .outcomes import Failed
+from .prediction import Prediction
+from .profile import Profile, Scale, profile
+from .search import Found
+from .uncertainty import Uncertainty, degrees_of_freedom, unit_of_variance
+
+if TYPE_CHECKING:  # an extra, imported when a picture is drawn
+    from matplotlib.axes import Axes
+
+
+@public
+class Fit:
+    """The parameters with which a problem agrees best with data, and how well they are known.
+
+    Prints as a table.
+
+    Attributes
+    ----------
+    parameters : dict
+        All parameters with their values, those that are fixed or tied at the end.
+    standard_errors : dict
+        Their standard errors: 0 if fixed, NaN at a bound, infinite if the data do not determine the parameter.
+    names : tuple of str
+        The free parameters, in the order of the matrices.
+    covariance, correlation, fisher : ndarray, (k, k)
+        Of the free parameters: their covariance, its correlation, and the Fisher information, whose inverse it is.
+    undetermined : list of list of str
+        Parameters of which the data leave a combination open, a list for each such combination.
+    at_bound : list of (str, str, float)
+        Parameters that ended at a bound: name, "lower" or "upper", and its value. The errors of the others are those
+        with these held fixed.
+    log_likelihood : float or None
+        Of the data at the fit; None for a `loss` that is not that of a distribution.
+    aic : float or None
+        Akaike's criterion, 2 k − 2 log L; an unknown sigma is one of the k parameters.
+    degrees_of_freedom : int
+        The number of data minus that of the parameters, noise levels excepted; at least 1.
+    reduced_chi_squared : float
+        The sum of squares of the residuals in units of sigma, for each degree of freedom: about 1 if sigma is right.
+    sigma : float or None
+        What the residuals say of an unknown sigma, or of the factor of a relative one; None if it is known.
+    success : bool
+        Whether the search arrived.
+    message : str
+        How it ended.
+    runs : int
+        How often the model was solved, failed runs included.
+    failures : dict
+        Why runs failed, with their number: each is a step that was not taken.
+    starts : list of (float, bool)
+        For each start half the sum of squares at its end, or −log L, and whether the search arrived; infinite if the
+        model could not be evaluated.
+    """
+
+    def __init__(self, model: Model, found: Found, known: Uncertainty, loss: str, starts: list[tuple[float, bool]]):
+        self._model, self._found, self._known, self._loss = model, found, known, loss
+        self.starts = starts
+        self.success, self.message = found.success, found.message
+        self.runs, self.failures = model.runs, dict(model.failures)
+        self.names = tuple(one.name for one in model.space.free)
+        self.covariance, self.fisher = known.covariance, known.fisher
+        self.undetermined, self.at_bound = known.undetermined, known.at_bound
+        every = model.space.all(found.at.free)
+        self.parameters = {name: value for name, (value, _) in every.items()}
+        self.standard_errors = {name: self._error(slope) for name, (_, slope) in every.items()}
+
+    def _error(self, slope: Array) -> float:
+        moving = slope != 0
+        part = self.covariance[np.ix_(moving, moving)]
+        if not moving.any():
+            return 0.0
+        if np.isinf(np.diag(part)).any():
+            return math.inf
+        return math.sqrt(float(slope[moving] @ part @ slope[moving]))
+
+    @cached_property
+    def correlation(self) -> Array:
+        errors = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            return self.covariance / np.outer(errors, errors)
+
+    @property
+    def _inner(self) -> int:
+        return len(self.names) - len(self.at_bound)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        return degrees_of_freedom(self._model, self._inner)
+
+    @property
+    def reduced_chi_squared(self) -> float:
+        return float(np.sum(self._found.at.residuals**2)) / self.degrees_of_freedom
+
+    @property
+    def sigma(self) -> float | None:
+        model = self._model
+        return model.unit * math.sqrt(model.variance(self._found.at, self._inner)) if model.relative else None
+
+    @property
+    def log_likelihood(self) -> float | None:
+        if self._loss != "linear":
+            return None
+        at = self._found.at
+        return self._model.log_likelihood(at, at.sigma * math.sqrt(self._model.variance(at)))
+
+    @property
+    def aic(self) -> float | None:
+        log = self.log_likelihood
+        return None if log is None else 2 * (len(self.names) + self._model.relative) - 2 * log
+
+    def confidence(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of all parameters from their standard errors.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            The probability with which an interval contains the true value.
+
+        Returns
+        -------
+        dict
+            (lower, upper) by name, with quantiles of Student's t, or of the normal distribution if sigma is known. For
+            a parameter with ``scale="log"`` they are symmetric in its logarithm. They may reach beyond the bounds, and
+            are approximate if the model is not linear: see `profile`.
+        """
+        q = self._quantile(level)
+        log = {one.name for one in self._model.space.free if one.log}
+        found = {}
+        for name, value in self.parameters.items():
+            error = self.standard_errors[name]
+            if name in log:
+                ratio = math.exp(min(q * error / value, 700.0))  # the largest exponent of doubles
+                found[name] = (value / ratio, value * ratio) if math.isfinite(error) else (0.0, math.inf)
+            else:
+                found[name] = (value - q * error, value + q * error)
+        return {name: ends if self.standard_errors[name] == self.standard_errors[name] else (math.nan, math.nan)
+                for name, ends in found.items()}  # fmt: skip
+
+    def _quantile(self, level: float) -> float:
+        level = number("level", level)
+        if not 0 < level < 1:
+            raise ValueError(f"level must be between 0 and 1, got {level:g}")
+        from scipy import stats  # takes longer to import than everything else
+
+        upper = 0.5 + level / 2
+        degrees = self._known.degrees
+        return float(stats.norm.ppf(upper) if math.isinf(degrees) else stats.t.ppf(upper, degrees))
+
+    def profile(self, name: str, level: float = 0.95) -> Profile:
+        """The profile of the likelihood along a parameter, and the interval that it gives.
+
+        All other parameters are fitted anew at each value, so that the interval is right also where the model is far
+        from linear. It takes some 6 to 10 fits, each of a few runs.
+
+        Parameters
+        ----------
+        name : str
+            A free parameter.
+        level : float, default 0.95
+            Of the interval.
+
+        Returns
+        -------
+        Profile
+            With `lower`, `upper`, and the values at which it was fitted.
+        """
+        if name not in self.names:
+            raise ValueError(
+                f"there is no free parameter {shown(name)}: {', '.join(self.names)}{meant(name, self.names)}"
+            )
+        if self._loss != "linear":
+            raise ValueError(f'profiles need a likelihood, and loss="{self._loss}" is of none')
+        place = self.names.index(name)
+        model, at = self._model, self._found.at
+        slope = model.space.slope(at.free)
+        scale = Scale(self._quantile(level), unit_of_variance(model, at, self._inner))
+        return profile(model, self._found, place, self.covariance / np.outer(slope, slope), scale, level)
+
+    @cached_property
+    def _solutions(self) -> list[Solution]:
+        model, free = self._model, self._found.at.free
+        return [one.solution(model.space.local(e, free).values) for e, one in enumerate(model.simulations)]
+
+    @property
+    def solution(self) -> Any:
+        """The `Solution` of the problem with these parameters; a list of them for several experiments."""
+        return self._solutions[0] if len(self._solutions) == 1 else self._solutions
+
+    @property
+    def residuals(self) -> Any:
+        """(Model - data) / sigma, shaped like the data, with NaN where nothing was measured; with the sigma of the
+        residuals if it is unknown, and of logarithms if the noise is log-normal. A list of them for several
+        experiments."""
+        every = [self._residuals(e)[0] for e in range(len(self._model.experiments))]
+        return every[0] if len(every) == 1 else every
+
+    @property
+    def event_residuals(self) -> Any:
+        """The same for times of events, by their names."""
+        every = [self._residuals(e)[1] for e in range(len(self._model.experiments))]
+        return every[0] if len(every) == 1 else every
+
+    def _residuals(self, e: int) -> tuple[Array, dict[str, Array]]:
+        experiments, at = self._model.experiments, self._found.at
+        place = sum(len(one.values) for each in experiments[:e] for one in each.series)
+        found = np.full(experiments[e].data.values.shape, np.nan)
+        events = {}
+        scale = math.sqrt(self._model.variance(at, self._inner))
+        for one in experiments[e].series:
+            values = at.residuals[place : place + len(one.values)] / scale
+            place += len(one.values)
+            if one.row < len(found):
+                found[one.row, one.places] = values
+            else:
+                events[one.name] = np.full(one.places[-1] + 1, np.nan)
+                events[one.name][one.places] = values
+        return found, events
+
+    def predict(self, t: ArrayLike, *, experiment: int = 0, level: float = 0.95, noise: bool = False) -> Prediction:
+        """What the model says at other times, with bands.
+
+        Parameters
+        ----------
+        t : array_like of shape (n_t,)
+            The times, within the problem's t_span.
+        experiment : int, default 0
+            Which experiment.
+        level : float, default 0.95
+            The probability of the bands.
+        noise : bool, default False
+            Whether they are those of new data, with their noise. False: those of the model, from the errors of the
+            parameters.
+
+        Returns
+        -------
+        Prediction
+        """
+        model = self._model
+        one = self._experiment(experiment)
+        times = real_numbers("t", t)
+        t0, tf = one.problem.t_span
+        if times.ndim != 1 or not ((times >= min(t0, tf)) & (times <= max(t0, tf))).all():
+            raise ValueError(f"t must be times within the problem's t_span = {(t0, tf)}, got {shown(t)}")
+        local = model.space.local(experiment, self._found.at.free)
+        curves = model.simulations[experiment].curves(times, local.values)
+        if isinstance(curves, Failed):
+            raise ValueError(f"the model cannot be evaluated at these times: {curves.reason}")
+        q = self._quantile(level)
+        slopes = curves.tangent @ local.slopes
+        errors = self._errors_of(slopes)
+        lognormal = one.noise == "lognormal"
+        scale = errors / np.abs(curves.values) if lognormal else errors
+        if noise:
+            scale = np.hypot(scale, self._sigmas(experiment)[:, None])
+        if lognormal:
+            lower, upper = curves.values * np.exp(-q * scale), curves.values * np.exp(q * scale)
+        else:
+            lower, upper = curves.values - q * scale, curves.values + q * scale
+        return Prediction(times, curves.values, errors, lower, upper, list(one.names))
+
+    def _errors_of(self, slopes: Array) -> Array:
+        """Standard errors of quantities with these derivatives: parameters at a bound stay there."""
+        covariance = np.where(np.isnan(self.covariance), 0.0, self.covariance)
+        open_ = np.isinf(np.diag(covariance))
+        finite = np.where(np.isinf(covariance), 0.0, covariance)
+        errors = np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", slopes, finite, slopes), 0.0))
+        return np.where((slopes[..., open_] != 0).any(axis=-1), np.inf, errors)
+
+    def _sigmas(self, e: int) -> Array:
+        """The standard deviation of each quantity, which must be one for all times."""
+        one = self._model.experiments[e]
+        local = self._model.space.local(e, self._found.at.free)
+        names = self._model.space.names[e]
+        found = np.zeros(len(one.names))
+        for series in one.series:
+            if series.row >= len(found):
+                continue
+            known = np.unique(np.ones(1) if series.sigma is None else series.sigma)
+            if len(known) != 1:
+                raise ValueError(f"noise=True needs one sigma of {series.name}, and its data have different ones")
+            level = 1.0 if series.level is None else float(local.values[names.index(series.level)])
+            factor = math.sqrt(self._model.variance(self._found.at, self._inner))
+            unit = self._model.unit if series.sigma is None else 1.0
+            found[series.row] = known[0] * level * factor * unit
+        return found
+
+    def _experiment(self, e: Any) -> Any:
+        experiments = self._model.experiments
+        if not isinstance(e, (int, np.integer)) or not 0 <= e < len(experiments):
+            raise ValueError(f"experiment must be an index below {len(experiments)}, got {shown(e)}")
+        return experiments[int(e)]
+
+    def plot(self, *, experiment: int = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
+        """Draws the data, the model and its band over time.
+
+        Parameters
+        ----------
+        experiment : int, default 0
+            Which experiment.
+        level : float, default 0.95
+            The probability of the band.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw everything. Default: a new figure, with a panel for each scale.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The first panel.
+        """
+        one = self._experiment(experiment)
+        band = self.predict(picture.times(one), experiment=experiment, level=level)
+        return picture.draw(one, band, self._errors_of_data(experiment), ax)
+
+    def _errors_of_data(self, e: int) -> list[Array]:
+        """The standard deviations of the data, series by series."""
+        model, at = self._model, self._found.at
+        place = sum(len(one.values) for each in model.experiments[:e] for one in each.series)
+        sigma = at.sigma[place:] * math.sqrt(model.variance(at, self._inner))
+        ends = np.cumsum([len(one.values) for one in model.experiments[e].series])
+        return np.split(sigma[: ends[-1]], ends[:-1])
+
+    def rows(self) -> list[Sequence[str]]:
+        """Name, value, standard error and interval of each parameter, and a remark, as text."""
+        intervals = self.confidence()
+        bounds = {name: f"at its {side} bound" for name, side, _ in self.at_bound}
+        open_ = {name for group in self.undetermined for name in group}
+        found: list[Sequence[str]] = []
+        for name, value in self.parameters.items():
+            error = self.standard_errors[name]
+            remark = bounds.get(name, "not determined" if name in open_ or math.isinf(error) else "")
+            remark = remark or ("" if name in self.names else "fixed" if error == 0 else "tied")
+            plain = not math.isfinite(error) or error == 0
+            ends = "" if plain else "{:.6g} to {:.6g}".format(*intervals[name])
+            found.append((name, f"{value:.6g}", "" if plain else f"{error:.2g}", ends, remark))
+        return found
+
+    def remarks(self) -> list[str]:
+        """What a reader must know besides the values."""
+        found = [] if self.success else [self.message]
+        for group in self.undetermined:
+            what = f"{group[0]}" if len(group) == 1 else f"a combination of {' and '.join(group)}"
+            found.append(f"the data do not determine {what}")
+        found += [f"{name} is at its {side} bound, {value:g}" for name, side, value in self.at_bound]
+        if self.failures:
+            found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
+        return found
+
+    def __repr__(self) -> str:
+        head = ("parameter", "value", "standard error", "95 % interval", "")
+        rows = [head, *self.rows()]
+        widths = [max(len(row[i]) for row in rows) for i in range(5)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        return "\n".join([*lines, self.summary(), *self.remarks()])
+
+    def summary(self) -> str:
+        """How many data, how well they are met."""
+        log = self.log_likelihood
+        scale = f", sigma {self.sigma:.4g}" if self.sigma is not None else f", χ²/ν {self.reduced_chi_squared:.4g}"
+        if self._found.at.levels:
+            scale = ""  # noise levels are in the table
+        likelihood = "" if log is None else f", log-likelihood {log:.6g}, AIC {self.aic:.6g}"
+        return f"{self._model.size} data, {self.degrees_of_freedom} degrees of freedom{scale}{likelihood}"
+
+    def _repr_html_(self) -> str:
+        return html_of_fit(self)

@@ -1,0 +1,131 @@
+"""How well the data determine the parameters: Fisher information, covariance, and what they leave open."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._base.arguments import Array
+from .likelihood import Evaluation, Model
+from .search import Found
+
+#: Singular values of the Jacobian, its columns scaled to length 1, below this part of the largest are zero: derivatives
+#: from runs are accurate to their tolerance, and a factor of safety.
+_NOISE = 100
+
+#: Parameters with at least this part of the largest entry of a null vector are named.
+_INVOLVED = 0.1
+
+
+class Uncertainty(NamedTuple):
+    """In values of the free parameters.
+
+    Attributes
+    ----------
+    covariance, fisher : ndarray, (k, k)
+        NaN rows of the covariance: parameters at a bound; infinite variances: parameters that are not determined.
+    at_bound : list of (str, str, float)
+        Parameters at their bounds: name, "lower" or "upper", value.
+    undetermined : list of list of str
+        Names of parameters of which the data leave a combination open, a list for each.
+    degrees : float
+        Degrees of freedom of the noise level; infinite if it is known.
+    """
+
+    covariance: Array
+    fisher: Array
+    at_bound: list[tuple[str, str, float]]
+    undetermined: list[list[str]]
+    degrees: float
+
+
+def uncertainty(model: Model, found: Found) -> Uncertainty:
+    """That of the best parameters."""
+    space, at = model.space, found.at
+    information = _information(model, found)
+    at_bound = _at_bounds(model, at)
+    inner = [i for i in range(len(space.free)) if i not in {place for place, _ in at_bound}]
+    k = len(space.free)
+    degrees = _degrees(model, at, len(inner))
+    covariance = np.full((k, k), np.nan)
+    undetermined: list[list[str]] = []
+    if inner:
+        rows = information[:, inner]
+        covariance[np.ix_(inner, inner)], groups = _inverse(rows, max(_NOISE * model.rtol, 1e-10))
+        undetermined = [[space.free[inner[i]].name for i in group] for group in groups]
+    variance = unit_of_variance(model, at, len(inner))
+    slope = space.slope(at.free)
+    named = [(space.free[i].name, side, float(at.free[i])) for i, side in at_bound]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fisher = information.T @ information / variance
+        scaled = covariance * variance * np.outer(slope, slope)
+    return Uncertainty(scaled, fisher / np.outer(slope, slope), named, undetermined, degrees)
+
+
+def _information(model: Model, found: Found) -> Array:
+    """A matrix A with AᵀA the expected information in coordinates: of the data, of the noise levels (c data determine
+    ln s with 2 c), and of the priors."""
+    at, slope = found.at, model.space.slope(found.at.free)
+    rows = [at.jacobian * slope]
+    if len(found.jacobian) >= model.size and found.jacobian.shape[1] == len(slope) and not at.levels:
+        rows = [found.jacobian[: model.size]]  # weighted by the loss
+    rows += [np.sqrt(2 * len(one.data)) * (one.slope * slope / one.value)[None] for one in at.levels]
+    return np.concatenate([*rows, model.space.priors(at.free)[1] * slope])
+
+
+def degrees_of_freedom(model: Model, k: int) -> int:
+    """What k parameters leave, of which the noise levels take none."""
+    return max(model.size - k + sum(one.level for one in model.space.free), 1)
+
+
+def _degrees(model: Model, at: Evaluation, k: int) -> float:
+    return degrees_of_freedom(model, k) if model.relative or at.levels else np.inf
+
+
+def unit_of_variance(model: Model, at: Evaluation, k: int) -> float:
+    """The factor of σ² that the residuals give with k parameters. Noise levels by maximum likelihood are too small by
+    the degrees of freedom that the parameters take."""
+    if model.relative:
+        return model.variance(at, k)
+    return model.size / degrees_of_freedom(model, k) if at.levels else 1.0
+
+
+def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
+    """Parameters at their bounds, where the search has put them."""
+    limits = [one.parameter.limits for one in model.space.free]
+    sides = ("lower", "upper")
+    return [
+        (i, side) for i, ends in enumerate(limits) for side, end in zip(sides, ends, strict=True) if at.free[i] == end
+    ]
+
+
+def _inverse(rows: Array, part: float) -> tuple[Array, list[list[int]]]:
+    """(AᵀA)⁻¹, and groups of columns of which a combination is not determined; their variances are infinite."""
+    lengths = np.linalg.norm(rows, axis=0)
+    zero = lengths == 0
+    scaled = rows / np.where(zero, 1.0, lengths)
+    _, sizes, directions = np.linalg.svd(scaled, full_matrices=True)
+    sizes = np.concatenate([sizes, np.zeros(len(directions) - len(sizes))])
+    open_ = sizes <= part * sizes.max(initial=0.0)
+    kept = directions[~open_] / sizes[~open_, None]
+    covariance = (kept.T @ kept) / np.outer(np.where(zero, 1.0, lengths), np.where(zero, 1.0, lengths))
+    groups = []
+    for vector in _plain(directions[open_]):
+        size = np.abs(vector)
+        involved = np.flatnonzero(size >= _INVOLVED * size.max())
+        groups.append([int(i) for i in involved])
+        covariance[involved, involved] = np.inf
+    return covariance, groups
+
+
+def _plain(vectors: Array) -> Array:
+    """A basis of the same space that involves few parameters each, by elimination with the largest pivots."""
+    basis = vectors.copy()
+    for row in range(len(basis)):
+        column = int(np.argmax(np.abs(basis[row])))
+        basis[row] /= basis[row, column]
+        for other in range(len(basis)):
+            if other != row:
+                basis[other] -= basis[other, column] * basis[row]
+    return basis
