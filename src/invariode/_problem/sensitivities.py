@@ -56,6 +56,7 @@ class Sensitivities:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import invariode as iv
     >>> def decay(t, y, rate):
     ...     return [-rate * y[0]]
@@ -122,6 +123,10 @@ class Sensitivities:
         if not (np.isfinite(size) & (size > 0)).all():
             raise ValueError(f"scale of Sensitivities must be positive, got {shown(self.scale)}")
         return size
+
+    def scales_all(self, names: Sequence[ParameterName]) -> bool:
+        """Whether the sizes of all parameters are given."""
+        return len(self.scale) == len(names) if isinstance(self.scale, Mapping) else self.scale is not None
 
     def start(self, names: Sequence[ParameterName], args: tuple[Any, ...], n: int) -> Array:
         """S at the start, of shape (n, k)."""
