@@ -500,6 +500,15 @@ def test_a_prepared_solver_has_the_values_of_its_call():
     assert np.array_equal(solver(args=other).sensitivities, problem.replace(args=other).solve("ode45").sensitivities)
 
 
+@pytest.mark.parametrize("scale", [None, {"rate": 1.0}, {"rate": 1.0, "source": 1.0}, 1.0])
+def test_a_prepared_solver_takes_the_sizes_of_its_call(scale):
+    """Those that are not given are the values of the parameters."""
+    grown = iv.compile(lambda t, y, rate, source: [-rate * y[0] + source])
+    problem = iv.Problem(grown, (0, 3), [1.0], args=(1.0, 1e-6), sensitivities=iv.Sensitivities(scale=scale))
+    solver, other = problem.prepare("ode45"), (2.0, 1e3)
+    assert np.array_equal(solver(args=other).sensitivities, problem.replace(args=other).solve("ode45").sensitivities)
+
+
 # ----------------------------------------------------------------------------------------------------------------------
 # What is given, and what is refused
 
@@ -617,3 +626,15 @@ def test_problems_from_formulas_name_their_parameters(compiled):
     sol = problem.replace(sensitivities=["k", "y0[x]"]).solve("ode45", **TOLERANCES)
     assert sol.stats.sensitivities == "graph"
     np.testing.assert_allclose(sol.sensitivities[0, :, -1], [-np.sin(1.5) / 3, np.cos(1.5)], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("y0", "error", "message"),
+    [
+        ([1.5], TypeError, "y0 of Sensitivities must be True, labels or indices, got 1.5"),
+        (1, ValueError, "y0 of Sensitivities has components 0 to 0, got 1"),
+    ],
+)
+def test_components_are_labels_or_indices(y0, error, message):
+    with pytest.raises(error, match=message):
+        iv.Problem(decay, (0, 1), [1.0], args=(2.0,), sensitivities=iv.Sensitivities(y0=y0))

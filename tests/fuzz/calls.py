@@ -135,6 +135,7 @@ def _object(random: Random) -> Any:
         lambda: iv.Invariants(energy, **_some(random, ("level", "moves", "metric", "direction"))),
         lambda: iv.Event(lambda t, y: y[0], **_some(random, ("terminal", "direction", "action", "rehold"))),
         lambda: iv.Event(lambda t, y: y[0], **_some(random, ("at_start", "samples"))),
+        lambda: iv.Sensitivities(**{"y0": True, **_some(random, ("args", "y0", "dfdp", "dy0dp", "scale"))}),
         lambda: iv.UnitVector(**{"indices": [0, 1], **_some(random, ("indices", "name", "when"))}),
         lambda: random.choice([iv.UnitQuaternion, iv.RotationMatrix])(_anything(random, depth=1)),
         lambda: [iv.Invariants(energy), _simple(random)],
@@ -153,7 +154,10 @@ def _some(random: Random, names: tuple[str, ...]) -> dict[str, Any]:
 
 RUN: Mapping[str, Any] = {"fun": oscillator, "t_span": (0, 1), "y0": [1.0, 0.0], "method": "ode45"}
 OPTIONS = tuple(sorted(iv.Problem.solve.__signature__.parameters.keys() - {"self", "method"}))  # type: ignore[attr-defined]  # ours
-DESCRIBING = ("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass", "nonnegative", "bounds")
+DESCRIBING = (
+    *("args", "invariants", "events", "jac", "jac_sparsity", "lband", "uband", "mass", "nonnegative", "bounds"),
+    "sensitivities",
+)
 CALLS: dict[str, tuple[Callable[..., Any], Mapping[str, Any], tuple[str, ...]]] = {
     "solve_ivp": (iv.solve_ivp, RUN, (*OPTIONS, *DESCRIBING, "vectorized")),
     "ode15s": (iv.ode15s, {k: v for k, v in RUN.items() if k != "method"}, (*OPTIONS, *DESCRIBING, "vectorized")),

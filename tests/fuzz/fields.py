@@ -76,6 +76,7 @@ PROBLEMS: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"fun": turn, "y0": [1.0, 0.0], "invariants": radius, "events": iv.Event(crossing, terminal=9)}, {}),
     ({"fun": rates, "y0": [1.0, 0.0, 0.0], "invariants": total, "nonnegative": True}, {}),
     ({"fun": rates, "y0": [1.0, 0.0, 0.0], "jac": sparse_jac}, {}),
+    ({"fun": turn, "y0": [1.0, 0.0], "invariants": radius, "events": crossing, "sensitivities": "y0"}, {}),
     ({"fun": chain, "y0": np.linspace(0, 1, 40)}, {}),
     ({"fun": wave, "y0": [1.0, 0.0]}, {"breakpoints": [(0.5, kick), (2.5, kick)]}),
     ({"fun": rates, "y0": [1.0, 0.0, 0.0], "invariants": iv.Dissipated(lambda t, y: y[0] + y[1])}, {}),

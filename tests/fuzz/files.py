@@ -28,6 +28,7 @@ def _saved(kind: int) -> tuple[bytes, iv.Solution]:
         {"dense_output": True},
         {"t_eval": [0.0, 1.0]},
         {"dense_output": True, "invariants": lambda t, y: y[0] ** 2 + y[1] ** 2, "events": lambda t, y: y[0]},
+        {"dense_output": True, "sensitivities": "y0", "events": lambda t, y: y[0]},
     ][kind]
     sol = iv.solve_ivp(lambda t, y: [y[1], -y[0]], (0, 2), [1.0, 0.0], **options)
     with TemporaryDirectory() as folder:
@@ -74,7 +75,7 @@ def _rebuilt(random: Random, whole: bytes) -> bytes:
 
 def damaged_file(random: Random) -> str | None:
     """Loads one. What is wrong with what came back, or None."""
-    whole, sol = _saved(random.randrange(4))
+    whole, sol = _saved(random.randrange(5))
     damage = random.choice([_damaged, _rebuilt])
     data = damage(random, whole)
     with TemporaryDirectory() as folder, warnings.catch_warnings():

@@ -162,7 +162,7 @@ class _Known:
             raise TypeError(f"{self._option} must be True, names or indices of arguments, got {shown(given)}")
         if not 0 <= index < len(self._args):
             raise ValueError(
-                f"{self._option}: there is no argument {index}, args has {len(self._args)}: {self._listed()}"
+                f"{self._option}: there is no argument {shown(given)}, args has {len(self._args)}: {self._listed()}"
             )
         return self._all_of(index)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -76,7 +77,7 @@ class Sensitivities:
     error_test: bool = True
 
     def __post_init__(self) -> None:
-        flag("error_test of Sensitivities", self.error_test)
+        object.__setattr__(self, "error_test", flag("error_test of Sensitivities", self.error_test))
         if self.dfdp is not None and not callable(self.dfdp):
             raise TypeError(f"dfdp of Sensitivities must be a function dfdp(t, y, *args), got {shown(self.dfdp)}")
         if self.dy0dp is not None and not callable(self.dy0dp):
@@ -94,7 +95,7 @@ class Sensitivities:
         if self.y0 is True:
             wanted.append(Y0)
         elif self.y0 is not None and self.y0 is not False:
-            wanted += [f"{Y0}[{one}]" for one in _listed(self.y0)]
+            wanted += [f"{Y0}[{_component(one, n)}]" for one in _listed(self.y0)]
         return parameter_names(fun, args, labels, n, wanted, first=first)
 
     def sizes(self, names: Sequence[ParameterName], default: Array) -> Array:
@@ -122,6 +123,10 @@ class Sensitivities:
         if not (np.isfinite(size) & (size > 0)).all():
             raise ValueError(f"scale of Sensitivities must be positive, got {shown(self.scale)}")
         return size
+
+    def scales_all(self, names: Sequence[ParameterName]) -> bool:
+        """Whether the sizes of all parameters are given."""
+        return len(self.scale) == len(names) if isinstance(self.scale, Mapping) else self.scale is not None
 
     def start(self, names: Sequence[ParameterName], args: tuple[Any, ...], n: int) -> Array:
         """S at the start, of shape (n, k)."""
@@ -154,6 +159,21 @@ def to_sensitivities(given: SensitivitiesLike | None) -> Sensitivities | None:
     if given is None or given is False:
         return None
     return given if isinstance(given, Sensitivities) else Sensitivities(args=given)
+
+
+def _component(given: Any, n: int) -> str | int:
+    """A label or an index."""
+    if isinstance(given, str):
+        return given
+    try:
+        if isinstance(given, (bool, np.bool_)):
+            raise TypeError
+        index = operator.index(given)
+    except TypeError:
+        raise TypeError(f"y0 of Sensitivities must be True, labels or indices, got {shown(given)}") from None
+    if not 0 <= index < n:
+        raise ValueError(f"y0 of Sensitivities has components 0 to {n - 1}, got {shown(given)}")
+    return index
 
 
 def _listed(given: Any) -> list[Any]:

@@ -174,7 +174,9 @@ def _of_any_parameters(problem: Description, plan: Plan, native: bool) -> bool:
     if wanted is None:
         return True
     absolute = bool(np.all(np.asarray(plan.atol) > 0))
-    return native and absolute and wanted.scale is not None and wanted.dy0dp is None and not problem.events
+    return (
+        native and absolute and wanted.scales_all(problem.parameters()) and wanted.dy0dp is None and not problem.events
+    )
 
 
 def _as_state(y0: ArrayLike, like: Array) -> Array | None:
