@@ -99,7 +99,7 @@ def test_pictures_have_the_quantiles_of_the_trajectories(kind):
         kind, starts.ravel().round(9).tolist()
     )
     if kind == "bands":
-        extents = [area.get_paths()[0].vertices[:, 1] for area in ax.collections]
+        extents = [area.get_paths()[0].vertices[:, 1] for area in ax.collections if area.get_paths()]
         np.testing.assert_allclose([(y.min(), y.max()) for y in extents], [(0.05, 0.95), (0.25, 0.75)])
     assert ax.get_ylabel() == "y0"
     assert len(plt.get_fignums()) == 0
@@ -147,7 +147,8 @@ def test_imaginary_parts_are_drawn_too(kind):
     times = np.linspace(0, 3, 7)
     m = iv.solve_ensemble(lambda t, y: 1j * y, (0, 3), [[1 + 0j], [1 + 0j]], t_eval=times, workers=1, rtol=1e-6)
     ax = m.plot(kind, ax=Figure().add_subplot())
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["Re y0", "Im y0"]
+    bands = ["90% of the trajectories", "50% of the trajectories"] if kind == "bands" else []
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["Re y0", "Im y0", *bands]
     drawn = [(line.get_linestyle(), line.get_ydata()) for line in ax.lines if len(line.get_ydata())]
     for dashes, expected in (("-", np.cos(times)), ("--", np.sin(times))):
         curves = [values for look, values in drawn if look == dashes]

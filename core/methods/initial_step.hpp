@@ -11,16 +11,15 @@ namespace invariode {
 
 /// On an infinite interval with f = 0 at the start nothing sets a scale: h is this part of max(1, |t|).
 inline constexpr double step_without_scale = 1e-3;
-/// Where f at the start sets no scale below the interval, h is at most this part of it: the default hmax of the suite.
-/// (A longer step may see f where t₀ and t_f are alike, as at the ends of a period, and nowhere else.)
-inline constexpr double unscaled_part = 0.1;
+/// The first step is at most this part of the interval, the default hmax of the suite: a longer one may see f where t₀
+/// and t_f are alike, as at the ends of a period, and nowhere else.
+inline constexpr double first_part = 0.1;
 
-/// 1 / reciprocal, at most hmax and, if it is that of the interval from t to tf or longer, a part of it; at least hmin.
+/// 1 / reciprocal, at most hmax and that part of the interval from t to tf, and at least hmin.
 template <class Real>
 Real initial_step(const Real& reciprocal, const Real& t, double tf, double hmax, const Real& hmin) {
-  const Real interval = absolute(Real(tf) - t);
-  const Real h =
-      smaller(Real(hmax), choose(Real(1) < interval * reciprocal, Real(1) / reciprocal, unscaled_part * interval));
+  const Real longest = smaller(Real(hmax), first_part * absolute(Real(tf) - t));
+  const Real h = choose(Real(1) < longest * reciprocal, Real(1) / reciprocal, longest);
   const Real instead = step_without_scale * larger(Real(1), absolute(t));
   return larger(choose(h < Real(std::numeric_limits<double>::infinity()), h, instead), hmin);
 }
