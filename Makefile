@@ -145,6 +145,7 @@ bench: $(VENV)/.installed-bench  ## measure, and write the tables of docs/benchm
 	$(BIN)/python benchmarks/limits.py --write
 	$(BIN)/python benchmarks/directions.py --write
 	$(BIN)/python benchmarks/fits.py --write
+	$(BIN)/python benchmarks/sensitivities.py --write
 
 dist: $(VENV)/bin/python  ## a source distribution, and a wheel that is built from it
 	rm -rf dist

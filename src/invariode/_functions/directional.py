@@ -32,7 +32,7 @@ from .graph.function import GraphFunction, OnGraph, TracedFunction
 from .graph.nodes import Node, in_order
 from .graph.python import Formula
 from .graph.switches import Switch, evaluated, has_steps, switches
-from .layout import Arguments, Parameters, count_of, numbers_in, place_of, with_numbers
+from .layout import Arguments, Parameters, count_of, numbers_at_places, place_of, with_numbers
 
 #: What functions raise for complex numbers that they are not made for.
 _NOT_COMPLEX = (TypeError, ValueError, ArithmeticError)
@@ -292,11 +292,10 @@ def _constant(fun: Any, shape: Shape, places: Sequence[int | None]) -> bool:
 
 
 def _as_floats(args: tuple[Any, ...], names: Sequence[Parameter]) -> dict[int, dict[int, float]]:
+    places = [(one.index, one.item) for one in names if one.kind == "args"]
     changes: dict[int, dict[int, float]] = {}
-    for one in names:
-        if one.kind == "args":
-            number = [*numbers_in(args[one.index])][one.item or 0][1]
-            changes.setdefault(one.index, {})[one.item or 0] = float(number)
+    for (index, item), number in zip(places, numbers_at_places(args, places), strict=True):
+        changes.setdefault(index, {})[item or 0] = float(number)
     return changes
 
 
@@ -437,7 +436,8 @@ class _Evaluation:
 
     def given(self, names: Sequence[Parameter]) -> list[Any]:
         """The numbers of the parameters as they were given; 0.0 for initial values."""
-        return [[*numbers_in(self.args[one.index])][one.item or 0][1] if one.kind == "args" else 0.0 for one in names]
+        own = iter(numbers_at_places(self.args, ((one.index, one.item) for one in names if one.kind == "args")))
+        return [next(own) if one.kind == "args" else 0.0 for one in names]
 
     def _with(self, p: Array) -> tuple[Any, ...]:
         changes: dict[int, dict[int, Any]] = {}

@@ -272,6 +272,17 @@ def numbers_in(value: Any) -> Iterator[tuple[str, Any]]:
                 yield f"[{i}]{suffix}", one
 
 
+def numbers_at_places(args: Sequence[Any], places: Iterable[tuple[int, int | None]]) -> list[Any]:
+    """The numbers in these arguments at these places among the argument's numbers, as they were given."""
+    inside: dict[int, list[Any]] = {}
+    found = []
+    for index, item in places:
+        if index not in inside:
+            inside[index] = [one for _, one in numbers_in(args[index])]
+        found.append(inside[index][item or 0])
+    return found
+
+
 def place_of(args: Sequence[Any], index: int, item: int | None) -> int:
     """The place of a number of an argument among those of all arguments."""
     return int(arguments_of(args[:index])) + (item or 0)

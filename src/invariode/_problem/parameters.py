@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import inspect
 import operator
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +20,7 @@ from .._base.arguments import Array, call_name, items, shown
 from .._base.suggestions import meant
 from .._functions.compiled import CompiledFunction
 from .._functions.graph.python import Formula
-from .._functions.layout import numbers_in, with_numbers
+from .._functions.layout import numbers_at_places, numbers_in, with_numbers
 
 #: All initial values.
 Y0 = "y0"
@@ -98,8 +100,8 @@ def parameter_names(
         return tuple(found)
     single = isinstance(wanted, (str, ParameterName)) or (listed := items(wanted)) is None
     chosen = [one for each in ([wanted] if single else listed or []) for one in known.found(each)]
-    for i, one in enumerate(chosen):
-        if one in chosen[:i]:
+    for one, times in Counter(chosen).items():
+        if times > 1:
             raise ValueError(f"{option}: {one.name} is given twice")
     if not chosen:
         raise ValueError(f"{option} must name a parameter, got {shown(wanted)}")
@@ -108,11 +110,9 @@ def parameter_names(
 
 def values_of(args: tuple[Any, ...], y0: Array, names: Iterable[ParameterName]) -> Array:
     """The values of the parameters, of shape (k,)."""
-
-    def value(one: ParameterName) -> Any:
-        return y0[one.index] if one.kind == Y0 else [*numbers_in(args[one.index])][one.item or 0][1]
-
-    return np.array([value(one) for one in names], dtype=float)
+    names = [*names]
+    own = iter(numbers_at_places(args, ((one.index, one.item) for one in names if one.kind != Y0)))
+    return np.array([y0[one.index] if one.kind == Y0 else next(own) for one in names], dtype=float)
 
 
 def with_values(
@@ -137,12 +137,27 @@ class _Known:
     ) -> None:
         self._fun, self._args, self._labels, self._n, self._option = fun, args, labels, n, option
         self._names = _names_of_arguments(fun, len(args), first)
+        self._inside: dict[int, list[ParameterName]] = {}
 
     def of_argument(self, index: int) -> list[ParameterName]:
         """The numbers of an argument."""
-        name = self._names[index]
-        found = [(i, suffix) for i, (suffix, value) in enumerate(numbers_in(self._args[index])) if _is_real(value)]
-        return [ParameterName(name + suffix, "args", index, i if suffix else None) for i, suffix in found]
+        if index not in self._inside:
+            name = self._names[index]
+            found = [(i, suffix) for i, (suffix, value) in enumerate(numbers_in(self._args[index])) if _is_real(value)]
+            self._inside[index] = [
+                ParameterName(name + suffix, "args", index, i if suffix else None) for i, suffix in found
+            ]
+        return self._inside[index]
+
+    @cached_property
+    def _by_name(self) -> dict[str, ParameterName]:
+        """All numbers in `args`, by both of their names; the first of a name."""
+        found: dict[str, ParameterName] = {}
+        for index, argument in enumerate(self._names):
+            for one in self.of_argument(index):
+                found.setdefault(one.name, one)
+                found.setdefault(f"args[{index}]{one.name[len(argument) :]}", one)
+        return found
 
     def of_y0(self, index: int) -> ParameterName:
         """An initial value."""
@@ -173,13 +188,10 @@ class _Known:
             return [self.of_y0(i) for i in range(self._n)]
         if together := [i for i, one in enumerate(self._names) if one.startswith(f"{name}[")]:
             return [one for i in together for one in self._all_of(i)]
-        for index in range(len(self._args)):
-            for one in self.of_argument(index):
-                if name in (one.name, f"args[{index}]{one.name[len(self._names[index]) :]}"):
-                    return [one]
-            if name == f"args[{index}]":
-                return self._all_of(index)
-        return [self.of_y0(self._component(name))]
+        if name in self._by_name:
+            return [self._by_name[name]]
+        plain = [f"args[{i}]" for i in range(len(self._args))]
+        return self._all_of(plain.index(name)) if name in plain else [self.of_y0(self._component(name))]
 
     def _all_of(self, index: int) -> list[ParameterName]:
         found = self.of_argument(index)
