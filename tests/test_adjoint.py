@@ -113,6 +113,8 @@ def test_what_the_adjoint_does_not_follow_is_refused_by_name():
         (solved(events=hit), "jumps by actions"),
         (solved(adjoint=False), "adjoint=True"),
         (solved(breakpoints={1.0: lambda t, y, *p: y}), "at t = 1.0"),
+        (solved(t_span=(0, 1), nonnegative=True), "bounds"),
+        (iv.solve_ivp(lambda t, y, k: [k * y[0] ** 2], (0, 2), [1.0], args=(1.0,), adjoint=True), "without success"),
         (
             iv.solve_ivp(lambda t, y, k: [-k if y[0] > 0.5 else -2 * k], (0, 1), [1.0], args=(0.3,), adjoint=True),
             "fun jumps",

@@ -638,3 +638,100 @@ def test_problems_from_formulas_name_their_parameters(compiled):
 def test_components_are_labels_or_indices(y0, error, message):
     with pytest.raises(error, match=message):
         iv.Problem(decay, (0, 1), [1.0], args=(2.0,), sensitivities=iv.Sensitivities(y0=y0))
+
+
+# ----------------------------------------------------------------------------------------------------------------------
+# What is not followed is said
+
+
+def switching(t, y, p):
+    """−1 above p, −3 below: y(2) from 2 has the derivative −2."""
+    return [np.where(y[0] > p, -1.0, -3.0)]
+
+
+@pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
+def test_conditions_of_f_are_no_events_of_the_user(tmp_path):
+    problem = iv.Problem(switching, (0, 2), [2.0], args=(1.2,), events=[lambda t, y, p: y[0] - 1.6], sensitivities=True)
+    for sol in (problem.solve(), problem.replace(t_span=(0, 0.1)).solve().extend(2.0)):
+        assert len(sol.t_events) == len(sol.y_events) == len(sol.sensitivities_t_events) == 1
+        assert sol.sensitivities[0, 0, -1] == pytest.approx(-2)
+    sol.save(tmp_path / "sol.npz")
+    assert sol.to_dataframe().shape[0] == len(sol.t)
+
+
+@pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
+def test_jumps_far_from_the_start_are_followed():
+    sol = iv.solve_ivp(
+        lambda t, y, p: [(t > 50) * switching(t, y, p)[0]],
+        (0, 52),
+        [2.0],
+        args=(1.2,),
+        breakpoints=[50],
+        sensitivities=True,
+    )
+    assert sol.sensitivities[0, 0, -1] == pytest.approx(-2)
+
+
+@pytest.mark.filterwarnings("ignore:.* fun looks discontinuous:invariode.DiscontinuityWarning")
+def test_one_condition_written_in_two_ways():
+    """As a difference it is known to be the same; times 2 it is not, which is said."""
+    for other, same in ((lambda d: np.sign(d), True), (lambda d: np.where(2 * d > 0, 1.0, -1.0), False)):
+
+        def fun(t, y, p, other=other):
+            return [-4 + other(y[0] - p) + np.where(y[0] > p, 1.0, -1.0)]
+
+        options = {"args": (1.2,), "sensitivities": True}
+        if same:
+            assert iv.solve_ivp(fun, (0, 2), [2.0], **options).sensitivities[0, 0, -1] == pytest.approx(-2)
+            continue
+        with pytest.warns(iv.AccuracyWarning, match="several conditions of fun change together at t = 0.4|0.3"):
+            iv.solve_ivp(fun, (0, 2), [2.0], **options)
+
+
+def test_an_input_that_is_compared_with_a_parameter_is_a_warning():
+    problem = iv.Problem(
+        lambda t, y, u, p: [np.where(u > p, -3.0, -1.0)],
+        (0, 2),
+        [2.0],
+        args=(0.7,),
+        inputs=[iv.Input([0, 2], [0.0, 2.0], "linear")],
+        sensitivities=True,
+    )
+    with pytest.warns(iv.AccuracyWarning, match="if an input is compared"):
+        problem.solve()
+
+
+def test_complex_steps_that_fail_later_are_a_warning():
+    ways = [abs, lambda x: x]
+
+    def fun(t, y, p):
+        return [-p * ways[int(t < 1)](y[0])]
+
+    with pytest.warns(iv.AccuracyWarning, match="complex steps through fun do not give its derivatives"):
+        iv.solve_ivp(fun, (0, 2), [1.0], args=(1.0,), breakpoints=[1.0], sensitivities=True)
+
+
+def test_events_of_fast_problems_do_not_leave_where_f_is_defined():
+    def fun(t, y, k):
+        return [-k * math.sqrt(y[0])]
+
+    sol = iv.solve_ivp(
+        fun, (0, 1e-9), [1.0], args=(1e9,), events=lambda t, y, k: y[0] - 0.5, sensitivities=True, rtol=1e-8
+    )
+    assert sol.sensitivities[0, 0, -1] == pytest.approx(-5e-10, rel=1e-6)  # of (1 − k t / 2)²
+
+
+def test_what_has_no_sensitivities_is_refused_by_name():
+    with pytest.raises(ValueError, match="both events and a singular mass matrix"):
+        iv.solve_ivp(
+            lambda t, y, p: [y[1] - y[0], y[0] + p * y[1] - 3],
+            (0, 1),
+            [1.0, 2.0],
+            "ode15s",
+            args=(1.0,),
+            mass=np.diag([1.0, 0.0]),
+            events=lambda t, y, p: y[1] - 1.9,
+            sensitivities=True,
+        )
+    with pytest.raises(ValueError, match="has an argument 'y0'"):
+        iv.solve_ivp(lambda t, y, y0: [y0 - y[0]], (0, 1), [2.0], args=(0.5,), sensitivities="y0")

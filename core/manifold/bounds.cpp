@@ -127,7 +127,8 @@ void BoundedSlope::hold_what_rests(double* slope) {
   for (std::size_t k = 0; k < rests_.size(); ++k) {
     const auto& [i, lower, upper] = bounds_.intervals()[k];
     const double s = forward_ * slope[i] * mass(i);
-    if (rests_[k] == 0 || mass(i) == 0 || !(rests_[k] * s > 0 || lower == upper)) continue;
+    const bool leads_out = rests_[k] * s > 0 || lower == upper;
+    if (rests_[k] == 0 || mass(i) == 0 || !leads_out) continue;
     slope[i] = 0;
     if (notes_held_) held_.push_back(i);
   }

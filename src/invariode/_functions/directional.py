@@ -124,8 +124,9 @@ class Directional:
         event: bool = False,
     ) -> None:
         self.n, self.k, self.args, self.names = n, len(names), args, names
-        self._called = call_name(fun, "fun") if called is None else called
-        self._evaluate = _Evaluation(fun, args, names, m, self._called, event)
+        self.called = call_name(fun, "fun") if called is None else called
+        self._moves_t = moves_t
+        self._evaluate = _Evaluation(fun, args, names, m, self.called, event)
         self.m = len(self._evaluate(at.t, at.y)) if m is None else m
         self._evaluate.m = self.m
         given = given or Given()
@@ -168,7 +169,7 @@ class Directional:
                 self._evaluate.called(at.t, at.y, with_numbers(self._evaluate.args, alone))
             except (TypeError, IndexError) as error:
                 raise TypeError(
-                    f"{self._called} has no derivative with respect to {one.name} = {number}, which has to be an "
+                    f"{self.called} has no derivative with respect to {one.name} = {number}, which has to be an "
                     f"integer ({error}): name the other parameters"
                 ) from error
 
@@ -183,11 +184,20 @@ class Directional:
                 found = found.reshape(shape)
             if found.shape != shape:
                 raise ValueError(
-                    f"{what} of {self._called} must have shape {shape}, got {found.shape} at t = {t}: {shown(found)}"
+                    f"{what} of {self.called} must have shape {shape}, got {found.shape} at t = {t}: {shown(found)}"
                 )
             return found
 
         return matrix
+
+    def takes_complex_at(self, at: Point) -> bool:
+        """Whether complex steps, if they are how derivatives are formed, give those of F there too."""
+        if self._steps is None or self._steps.how != "complex-step":
+            return True
+        try:
+            return _Steps(self._evaluate, at, self._moves_t).how == "complex-step"
+        except _NOT_COMPLEX:
+            return True  # F is not defined there at all, which is not for this to say
 
     @cached_property
     def native(self) -> _core.Native | None:
@@ -363,7 +373,7 @@ class _OfGraph:
 
     def switches(self, at: Point) -> list[Switch]:
         """See `Directional.switches`."""
-        return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t))
+        return switches(self._exact.outputs, at.t, at.y, self._numbers(at.t), self._before)
 
     def of_inputs(self, node: Node) -> bool:
         """See `Directional.of_inputs`."""

@@ -185,6 +185,12 @@ class _Known:
         if name in self._names:
             return self._all_of(self._names.index(name))
         if name == Y0:
+            if Y0 in _parameters_of(self._fun):
+                called = call_name(self._fun, "fun")
+                raise ValueError(
+                    f"{self._option}: {called} has an argument {Y0!r}, which is also the word for the initial values: "
+                    f"name {Y0}[...] of single components, or args[...] for the argument"
+                )
             return [self.of_y0(i) for i in range(self._n)]
         if together := [i for i, one in enumerate(self._names) if one.startswith(f"{name}[")]:
             return [one for i in together for one in self._all_of(i)]
@@ -221,6 +227,14 @@ class _Known:
         more = ["..."] if len(names) > _MOST_LISTED else []
         label = self.of_y0(0).name if self._n else Y0
         return ", ".join([*names[:_MOST_LISTED], *more, f"{label} and so on" if self._n > 1 else label])
+
+
+def _parameters_of(fun: Any) -> list[str]:
+    python = fun.fun if isinstance(fun, CompiledFunction) else fun
+    try:
+        return list(inspect.signature(python).parameters)[2:]
+    except (TypeError, ValueError):  # machine code, or a formula
+        return []
 
 
 def _names_of_arguments(fun: Any, size: int, first: int) -> list[str]:

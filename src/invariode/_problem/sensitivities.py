@@ -1,4 +1,4 @@
-"""Which derivatives of the solution with respect to parameters a run computes, and what is known for them."""
+"""The option `sensitivities`: which derivatives with respect to parameters a run computes, and how."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .._base.arguments import Array, flag, items, real_numbers, shown
 from .._base.suggestions import meant
 from .parameters import Y0, ParameterName, parameter_names
 
-#: What a list of initial values holds: labels or indices.
+#: A selection of initial values: labels or indices.
 _Components: TypeAlias = bool | int | str | Sequence[int | str]
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """The derivatives of the solution with respect to parameters: ``sensitivities=Sensitivities(...)``.
+    """Derivatives of the solution with respect to parameters: ``sensitivities=Sensitivities(...)``.
 
-    With S = ∂y/∂p, of shape (n, k), the run solves M S' = (∂f/∂y) S + ∂f/∂p beside M y' = f.
+    With S = ∂y/∂p, of shape (n, k), the run solves M S' = (∂f/∂y) S + ∂f/∂p together with M y' = f.
 
     Parameters
     ----------
@@ -30,25 +30,26 @@ class Sensitivities:
         Numbers in `args`: True for all, names of f's arguments (``"k1"``; ``"p[2]"`` in an array p; ``"args[0]"`` if f
         takes ``*args``), or indices of arguments. Default: all, unless `y0` is given.
     y0 : bool, str, int, or list of these, optional
-        Initial values: True for all, labels or indices of components. They follow those of `args`.
+        Initial values: True for all, or labels or indices of components. In the results they come after `args`.
     dfdp : callable, optional
-        ``dfdp(t, y, *args)``, ∂f/∂p, of shape (n, k): a column for each parameter in `args`. Default: from the
-        expressions of f if it can be traced, else by complex steps if f takes them, else by differences, with a
-        warning.
+        ``dfdp(t, y, *args)`` returns ∂f/∂p, of shape (n, k): a column for each selected parameter in `args`. Default:
+        from the expressions of f if it can be traced, otherwise by complex steps if f accepts complex numbers,
+        otherwise by finite differences, with a warning.
     dy0dp : array_like of shape (n, k) or callable, optional
-        ∂y0/∂p of the parameters in `args` on which `y0` depends, or ``dy0dp(*args)``, which returns it. Default: 0.
+        ∂y0/∂p, if `y0` depends on parameters: a column for each selected parameter in `args`; or a function
+        ``dy0dp(*args)`` that returns it. Default: 0.
     scale : array_like or dict, optional
-        The sizes of the parameters, one number for each, or numbers by name: the error of ∂y_i/∂p_j is kept below
-        ``max(rtol_i |∂y_i/∂p_j|, atol_i / scale_j)``. Default: the absolute value of the parameter, 1 for a parameter
-        that is zero; of an initial value at least atol / rtol.
+        The sizes of the parameters, one number for each, or numbers by name: the error of ∂y_i/∂p_j is controlled with
+        the tolerance ``max(rtol_i |∂y_i/∂p_j|, atol_i / scale_j)``. Default: the absolute value of the parameter, or 1
+        for a parameter that is zero; for an initial value at least atol / rtol.
     error_test : bool, default True
         Whether the errors of the sensitivities limit the steps, as those of y do. False: the steps are those of a run
-        without them, and the errors are not known.
+        without sensitivities, and the errors of the sensitivities are not controlled.
 
     Raises
     ------
     TypeError, ValueError
-        A field of a wrong type. The problem checks names and shapes.
+        A field has a wrong type. Names and shapes are checked by the problem.
 
     Notes
     -----
@@ -86,7 +87,7 @@ class Sensitivities:
     def names(
         self, fun: Any, args: tuple[Any, ...], labels: Sequence[str] | None, n: int, first: int = 2
     ) -> tuple[ParameterName, ...]:
-        """The parameters of a problem."""
+        """Names of the selected parameters of a problem."""
         wanted: list[Any] = []
         if self.args is True or (self.args is None and (self.y0 is None or self.y0 is False)):
             wanted += parameter_names(fun, args, labels, n, wanted=True, first=first)
@@ -99,7 +100,7 @@ class Sensitivities:
         return parameter_names(fun, args, labels, n, wanted, first=first)
 
     def sizes(self, names: Sequence[ParameterName], default: Array) -> Array:
-        """p̄ of the parameters, of shape (k,), with a default for those that are not given."""
+        """Sizes p̄ of the parameters, of shape (k,), with defaults for those that `scale` does not specify."""
         scale, size = self.scale, default
         if scale is None:
             return size
@@ -125,7 +126,7 @@ class Sensitivities:
         return size
 
     def scales_all(self, names: Sequence[ParameterName]) -> bool:
-        """Whether the sizes of all parameters are given."""
+        """Whether `scale` specifies the sizes of all parameters."""
         return len(self.scale) == len(names) if isinstance(self.scale, Mapping) else self.scale is not None
 
     def start(self, names: Sequence[ParameterName], args: tuple[Any, ...], n: int) -> Array:
@@ -155,14 +156,14 @@ SensitivitiesLike: TypeAlias = bool | str | int | Sequence[str | int] | Sensitiv
 
 
 def to_sensitivities(given: SensitivitiesLike | None) -> Sensitivities | None:
-    """What is wanted; None: nothing."""
+    """Convert the option; None if no sensitivities are requested."""
     if given is None or given is False:
         return None
     return given if isinstance(given, Sensitivities) else Sensitivities(args=given)
 
 
 def _component(given: Any, n: int) -> str | int:
-    """A label or an index."""
+    """Check a label or an index."""
     if isinstance(given, str):
         return given
     try:

@@ -177,43 +177,43 @@ class Solution(Exports):
         t: ArrayLike | None = None,
         integrand: Callable[..., Any] | None = None,
     ) -> Array:
-        """The gradient of a scalar that depends on the solution, with respect to its parameters.
+        """Compute the gradient of a scalar function of the solution with respect to parameters.
 
-        It takes one run backwards, whatever the number of parameters, by the adjoint equations; `sensitivities`, the
-        other way, takes one more equation of the size of y for each of them. The run must have `adjoint` or
-        `dense_output`.
+        It takes one backward run of the adjoint equations, whatever the number of parameters; `sensitivities`, the
+        alternative, adds a system of the size of y for each parameter. The run must have `adjoint` or `dense_output`.
 
         Parameters
         ----------
         dG_dy : array_like of shape (n,) or (n, m), optional
-            The derivatives of G(y(t_1), y(t_2), ...) with respect to the solution at m times. Of shape (n,): at the
-            end.
+            The derivatives of G(y(t_1), y(t_2), ...) with respect to the solution at m times; shape (n,) is for one
+            time. Default: 0.
         dG_dp : array_like of shape (k,), optional
             The derivatives of G with respect to the parameters with y fixed. Default: 0.
         wrt : bool, str, int, list of these, or Sensitivities, optional
-            The parameters, as for `sensitivities`. Default: those of the problem's `sensitivities`, else all numbers in
-            `args`.
+            The parameters, specified as for `sensitivities`. Default: those of the problem's `sensitivities`, or else
+            all numbers in `args`.
         t : array_like of shape (m,), optional
-            The times of G. Default: those of the solution.
+            The times at which G depends on y. Default: the end if m is 1, otherwise the times ``sol.t``.
         integrand : callable, optional
-            ``g(t, y, *args)``, a number: ∫ g dt from the start to the end is added to G.
+            ``g(t, y, *args)`` returns a number: ∫ g dt from the start to the end is added to G.
 
         Returns
         -------
         ndarray of shape (k,)
-            As accurate as the solution: within some tolerances of what `sensitivities` gives.
+            About as accurate as the solution: it agrees with `sensitivities` to within a few tolerances.
 
         Raises
         ------
         TypeError, ValueError
-            A wrong shape; a run without continuous solution; actions that make the solution jump, jumps of f at
-            conditions, a singular mass matrix or one that is a function, mechanisms, complex y0.
+            A shape is wrong; or the run has no continuous solution, no functions since it was loaded or unpickled,
+            actions, discontinuities of f that depend on y or parameters, a singular or variable mass matrix, a
+            `MechanicalSystem`, `Dissipated` or complex y0.
 
         Notes
         -----
         Y. Cao, S. Li, L. Petzold and R. Serban, SIAM J. Sci. Comput. 24 (2003) 1076-1089. Where invariants are imposed,
-        the derivatives of G enter by their part along the manifold, as the solution and its sensitivities stay on it
-        and its tangent.
+        the solution stays on the manifold and its sensitivities in the tangent space, so that only the tangential part
+        of ∂G/∂y enters the adjoint.
 
         Examples
         --------

@@ -22,12 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._base.arguments import Array, real_numbers, shown
+from .._base.arguments import Array, real_numbers, shown, warn
 from .._base.types import MethodName
 from .._functions.directional import Directional, Given, Point
-from .._functions.graph.nodes import Node, in_order
 from .._problem.breakpoints import Breakpoint, to_breakpoints
 from .._problem.description import Description
+from .._problem.invariants import AccuracyWarning
 from .._problem.matrices import is_sparse
 from .._problem.methods import find_method
 from .._problem.options import Options
@@ -100,6 +100,11 @@ def gradient(
         problem = problem.replace(sensitivities=wrt)
     elif problem.sensitivities is None:
         problem = problem.replace(sensitivities=Sensitivities())
+    if not run.solution.success and t is None:
+        raise ValueError(
+            f"gradient: the run ended at t = {run.t} without success ({run.solution.message}); give times that it has "
+            "reached as t="
+        )
     adjoint = _Adjoint(run, problem)
     return adjoint.gradient(_objective(run.solution, run.t, dG_dy, dG_dp, t, integrand, adjoint.k))
 
@@ -117,8 +122,8 @@ class _Adjoint:
         self._require_possible()
         fun, given = given_derivatives(problem, self._names)
         self._slope = self._derivatives(fun, "fun", self.n, given)
-        moving = [one for one in self._slope.switches(self._at) if _depends_on_state(one.difference)]
-        if moving:
+        self._tell_of_jumps()
+        if self._slope.switches(self._at):
             raise ValueError(
                 "gradient: fun jumps where its conditions change, and the adjoint does not follow that: use "
                 "sensitivities=, which does"
@@ -129,12 +134,27 @@ class _Adjoint:
         require_possible(problem, self._names)
         if callable(problem.matrices.mass):
             raise ValueError("gradient: the mass matrix must be constant: use sensitivities=, or solve for y' in fun")
+        if problem.bounds is not None:
+            raise ValueError(
+                "gradient: the adjoint does not follow components that rest at bounds (nonnegative=, bounds=): use "
+                "sensitivities=, which does"
+            )
         acting = [event.__name__ for event in problem.events if event.action is not None]
         acting += [f"at t = {point.t}" for point in self._breakpoints if point.action is not None]
         if acting:
             raise ValueError(
                 f"gradient: the solution jumps by actions ({', '.join(acting)}), which the adjoint does not follow: "
                 "use sensitivities=, which does"
+            )
+
+    def _tell_of_jumps(self) -> None:
+        """A warning if f has jumped where there is no breakpoint."""
+        jumps = [t for t in self._sol.stats.discontinuities if t not in {point.t for point in self._breakpoints}]
+        if jumps:
+            warn(
+                f"gradient: fun looks discontinuous at t = {jumps[0]:.6g}. If that time depends on y or on parameters, "
+                "the gradient is wrong; if not, give it as a breakpoint",
+                AccuracyWarning,
             )
 
     @cached_property
@@ -279,11 +299,6 @@ class _Adjoint:
             if g is not None:
                 total += part * g.transposed(t, y, np.ones(1))[self.n :]
         return total
-
-
-def _depends_on_state(condition: Node) -> bool:
-    """Whether a condition changes at a time that depends on y or on parameters."""
-    return any(node.op in ("y", "p") for node in in_order([condition]))
 
 
 def _objective(

@@ -286,13 +286,8 @@ def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
     for text in about_jumps(run, plan.event_names):
         warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
-    if plan.varied is not None and run.discontinuities and not plan.varied.follows_jumps:
-        warn(
-            f"sensitivities: fun looks discontinuous at t = {run.discontinuities[0]:.6g}, and not all of its "
-            "conditions are known. Sensitivities jump there too, and may be wrong behind: write fun with comparisons, "
-            "without floor and %, so that invariode.compile(fun, by='trace') takes it",
-            AccuracyWarning,
-        )
+    if plan.varied is not None:
+        plan.varied.tell_of_jumps(run.discontinuities)
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:
@@ -349,6 +344,7 @@ def _solution(
     sensitivities = None
     if plan.varied is not None:
         y, y_end, happened, sensitivities = _parted(plan, plan.varied, y, y_end, happened or [])
+        plan.varied.tell_of_steps(t, y)
     stats = _stats(run, plan)
     next_h = run.next_h if plan.method.fixed_order and stats.steps else None
     return Solution(
@@ -383,9 +379,9 @@ def _parted(
     n, k = len(plan.y0), len(varied.names)
     y, S = states_and_sensitivities(Y, n, k)
     y_end, S_end = states_and_sensitivities(end[:, None], n, k)
-    recorded = plan.records_events
-    at_events = varied.at_events(happened, n)
-    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in happened] if recorded else None
+    recorded, own = plan.records_events, happened[: len(varied.times)]  # then the conditions of f
+    at_events = varied.at_events(own, n)
+    states = [(t, np.ascontiguousarray(rows[:, :n])) for t, rows in own] if recorded else None
     found = SensitivityData(varied.names, S, S_end[:, :, 0], at_events if recorded else None)
     return y, y_end[:, 0], states, found
 

@@ -36,8 +36,12 @@ from .._results.sensitivities import AtEvents
 
 #: A change of a parameter that a mass matrix which depends on it shows.
 _CHANGE = 1e-3
-#: Relative distance at which the slope of an event is evaluated again, to see how it bends.
+#: Part of the time scale of y after which the slope of an event is evaluated again, to see how it bends.
 _AHEAD = 1e-6
+#: Part of the interval within which a discontinuity, which is located by steps that fail, is that of a condition.
+_NEAR = 0.02
+#: Relative distance within which two conditions change together.
+_TOGETHER = 1e-9
 
 
 class Weights(NamedTuple):
@@ -73,8 +77,14 @@ class Variations:
         What happens to S at the action of each event, with its log.
     switches : list of EventSpec
         Conditions at which f jumps: further events, which change S alone.
+    log : list of tuple
+        When conditions of f have changed, and which.
+    near : float
+        Within which distance a discontinuity is that of a condition.
     follows_jumps : bool
         Whether the conditions of f are known.
+    derivatives_of : list of Directional
+        Of all functions.
     """
 
     names: list[str]
@@ -85,7 +95,10 @@ class Variations:
     times: list[EventTime]
     actions: list[_Jump | None]
     switches: list[EventSpec]
+    log: list[tuple[float, str]]
+    near: float
     follows_jumps: bool
+    derivatives_of: list[Directional]
 
     def augmented(self, y: Array) -> Array:
         """Y for the core."""
@@ -96,6 +109,34 @@ class Variations:
         """How they are formed, in words."""
         ways = set(self.how.values())
         return ways.pop() if len(ways) == 1 else "; ".join(f"{called}: {way}" for called, way in self.how.items())
+
+    def tell_of_jumps(self, discontinuities: Sequence[float]) -> None:
+        """A warning if f has jumped where no condition that is followed has changed."""
+        times = np.array([t for t, _ in self.log])
+        self.log.clear()
+        for t in discontinuities:
+            if self.follows_jumps and (np.abs(times - t) <= self.near).any():
+                continue
+            warn(
+                f"sensitivities: fun looks discontinuous at t = {t:.6g}, and not all of its conditions are known. "
+                "Sensitivities may jump there too, and be wrong from there on: write fun with comparisons, "
+                "without floor and %, so that invariode.compile(fun, by='trace') takes it; give jumps at fixed times "
+                "as breakpoints",
+                AccuracyWarning,
+            )
+            return
+
+    def tell_of_steps(self, t: Array, y: Array) -> None:
+        """A warning if complex steps, which were tested at the start, are wrong in the middle or at the last output."""
+        points = [Point(float(t[i]), y[:, i]) for i in sorted({len(t) // 2, len(t) - 1}) if len(t)]
+        wrong = [one.called for one in self.derivatives_of if not all(map(one.takes_complex_at, points))]
+        if wrong:
+            warn(
+                f"sensitivities: complex steps through {', '.join(wrong)} do not give its derivatives everywhere in "
+                "this run, as with abs of a complex number: sensitivities may be wrong. Write it so that it can be "
+                "traced, or give jac and Sensitivities(dfdp=...)",
+                AccuracyWarning,
+            )
 
     def in_words(self, message: str, component: int) -> str:
         """A message about a component of Y behind y."""
@@ -153,7 +194,8 @@ def make_variations(
     actions = {id(one.action): one.action for one in points if one.action is not None}
     made = {key: _Dose(about.of(one, "the action in breakpoints", m=n)) for key, one in actions.items()}
     doses = [made.get(id(point.action)) for point in points]
-    switches = _switches(slope, about, problem)
+    log: list[tuple[float, str]] = []
+    switches = _switches(slope, about, problem, log)
     sizes = wanted.sizes(names, _default_sizes(names, problem, y0, weights))
     tangents = [law.for_core for law in laws]
     for_core = _core.Variations(
@@ -176,7 +218,10 @@ def make_variations(
         times=times,
         actions=jumps,
         switches=[event for event, _ in switches],
+        log=log,
+        near=_NEAR * abs(problem.t_span[1] - t0),
         follows_jumps=slope.knows_jumps,
+        derivatives_of=about.made,
     )
 
 
@@ -186,11 +231,13 @@ class _Derivatives:
     def __init__(self, args: tuple[Any, ...], names: Sequence[ParameterName], n: int, at: Point) -> None:
         self._args, self._names, self._n, self.at = args, names, n, at
         self.how: dict[str, str] = {}
+        self.made: list[Directional] = []
 
     def of(self, fun: Any, called: str, **more: Any) -> Directional:
         """Those of a function."""
         made = Directional(fun, self._args, self._names, self._n, at=self.at, called=called, **more)
         self.how[called] = made.how
+        self.made.append(made)
         return made
 
     def tell(self) -> None:
@@ -249,9 +296,14 @@ class EventTime:
         """Whether a change of y within the tolerance could do away with the root: that of e + e' s + e'' s² / 2."""
         w, none = self._weights.of(y), np.zeros((2, k))
         moved = self._function.columns(t, y, np.zeros(2), np.stack([w, w * (-1.0) ** np.arange(len(w))]), none)
-        ahead = _AHEAD * max(abs(t), 1.0)
-        then = self._function.along(t + ahead, y + ahead * f, 1.0, self._rate(t + ahead, y + ahead * f), np.zeros(k))
-        bend = abs(then[0] - rate) / ahead
+        with np.errstate(all="ignore"):
+            ahead = _AHEAD * np.min(np.maximum(np.abs(y), w) / np.abs(f), initial=max(abs(t), 1.0))
+            try:
+                there = y + ahead * f
+                then = self._function.along(t + ahead, there, 1.0, self._rate(t + ahead, there), np.zeros(k))
+            except (ValueError, ArithmeticError):  # f is not defined there
+                return rate == 0
+            bend = abs(then[0] - rate) / ahead
         return bool(rate**2 <= 2 * bend * np.abs(moved).max())
 
     def tell(self) -> None:
@@ -328,6 +380,8 @@ class _Switching:
     _below: Callable[[float, Array], Array]
     _above: Callable[[float, Array], Array]
     _forward: float
+    _name: str
+    _log: list[tuple[float, str]]  # of all conditions
     _warned: bool = False
 
     def _crossing(self, t: float, y: Array) -> _Crossing | None:
@@ -358,6 +412,7 @@ class _Switching:
         found = self._crossing(t, y)
         if found is None:
             return S
+        self._tell_of_others(t)
         if found.leads_back and not self._warned:
             self._warned = True
             warn(
@@ -370,9 +425,20 @@ class _Switching:
         moved: Array = S + np.outer(times, found.before - found.behind)
         return moved
 
+    def _tell_of_others(self, t: float) -> None:
+        """A warning if another condition has changed at the same time."""
+        together = [name for time, name in self._log if abs(time - t) <= _TOGETHER * max(abs(t), 1.0)]
+        self._log.append((t, self._name))
+        if together and self._name not in together:
+            warn(
+                f"sensitivities: several conditions of fun change together at t = {t:.6g}, and each is followed alone. "
+                "Sensitivities are not reliable from there on: write the same condition in one way",
+                AccuracyWarning,
+            )
+
 
 def _switches(
-    slope: Directional, about: _Derivatives, problem: Description
+    slope: Directional, about: _Derivatives, problem: Description, log: list[tuple[float, str]]
 ) -> list[tuple[EventSpec, Callable[..., Array]]]:
     """The conditions of f at which it jumps, as events, and what happens to S there."""
     found = slope.switches(about.at)
@@ -398,7 +464,7 @@ def _switches(
         function = slope.on_graph([switch.difference], "condition")
         difference = about.of(function, name, m=1, moves_t=True)
         values = [slope.branch(one) for one in ([switch.difference], switch.below, switch.above)]
-        switching = _Switching(values[0], difference, values[1], values[2], forward)
+        switching = _Switching(values[0], difference, values[1], values[2], forward, name, log)
         event = EventSpec(
             fun=to_native(name, function, n, 1, p, event=True) if has_llvm() else _sign_of(slope, switch.difference),
             terminal=0,
@@ -435,9 +501,17 @@ def require_possible(problem: Description, names: Sequence[ParameterName]) -> No
                 "sensitivities are not possible with Dissipated, which holds in one direction only: leave it out"
             )
     mass = problem.matrices.mass
+    t0, args = problem.t_span[0], problem.args
+    if mass is not None and problem.events:
+        given = as_matrix("mass", mass(t0, *args) if callable(mass) else mass, False)
+        if np.linalg.matrix_rank(given.toarray() if is_sparse(given) else given) < len(problem.y0):
+            raise ValueError(
+                "sensitivities are not possible with both events and a singular mass matrix, since y' of its algebraic "
+                "components is not known where an event occurs: leave out the events, or solve the algebraic equations "
+                "in fun"
+            )
     if not callable(mass):
         return
-    t0, args = problem.t_span[0], problem.args
     own = [one for one in names if one.kind == "args"]
     values = values_of(args, problem.y0, own)
     for one, value in zip(own, values.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""`ode` and `complex_ode`: SciPy's classes of these names, on the methods of this package."""
+"""`ode` and `complex_ode`: the interface of SciPy's classes, with the methods of this package."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ __all__ = ["complex_ode", "ode"]
 # ----------------------------------------------------------------------------------------------------------------------
 # Integrators
 
-#: SciPy's tolerances in these classes.
+#: SciPy's default tolerances in these classes.
 _TOLERANCES: Options = {"rtol": 1e-6, "atol": 1e-12}
 
 _COMMON = ("rtol", "atol", "first_step", "max_step", "nsteps")
 _BANDS = ("lband", "uband")
-#: What our integrators take.
+#: Parameters of invariode's integrators.
 _OURS = (*StepSizeOptions.__annotations__, *MethodOptions.__annotations__, "nsteps", *_BANDS)
-#: Parameters of SciPy's that have no effect here, and that scripts give to every integrator.
+#: SciPy's parameters that have no effect here, and that scripts pass to every integrator.
 _HINTS = ("method", "with_jacobian", "verbosity")
 
 
 class _Theirs(NamedTuple):
-    """An integrator of SciPy's."""
+    """One of SciPy's integrators."""
 
-    methods: Mapping[str, MethodName]  # what stands for it here, by the value of its parameter `method`, if it has one
+    methods: Mapping[str, MethodName]  # the equivalents here, by the value of its parameter `method`, if any
     takes: tuple[str, ...]
-    idle: tuple[str, ...]  # parameters that control only SciPy's: a warning says so
+    idle: tuple[str, ...]  # parameters that only SciPy's uses: a warning says so
     complex: bool = False
 
 
@@ -67,7 +67,7 @@ _SCIPYS: Mapping[str, _Theirs] = MappingProxyType(
 
 
 class _Codes(NamedTuple):
-    """The return codes of a family of SciPy's integrators."""
+    """Return codes of a family of SciPy's integrators."""
 
     success: int
     wrong: int  # f is not defined at the start, or contradicts an invariant
@@ -82,17 +82,17 @@ _ODEPACK = _Codes(success=2, wrong=-3, too_long=-1, failed=-4, unsolved=-5)
 
 
 class _Integrator(NamedTuple):
-    """What `set_integrator` has chosen."""
+    """The choice made by `set_integrator`."""
 
     name: str
     method: MethodName
     options: Options
     bands: Mapping[str, Any]
-    nsteps: int | None  # the most in one call; None: any number
-    complex: bool  # the state is complex, whatever it starts from
+    nsteps: int | None  # the maximum in one call; None: no limit
+    complex: bool  # the state is complex, whatever the initial value
     implicit: bool
-    #: Steps lead beyond the requested times, as in ODEPACK. Explicit pairs end there, and start anew in the next call,
-    #: as DOPRI5 does.
+    #: Steps go beyond the requested times, as in ODEPACK. Explicit pairs end exactly there, and restart in the next
+    #: call, as DOPRI5 does.
     goes_on: bool
 
     @property
@@ -101,7 +101,7 @@ class _Integrator(NamedTuple):
 
 
 def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
-    """The integrator of that name, SciPy's or ours, with its parameters."""
+    """The integrator with this name, SciPy's or invariode's, with its parameters."""
     parameters = dict(given)
     found = _scipys(name)
     if found is None:
@@ -134,7 +134,7 @@ def _integrator(name: str, given: Mapping[str, Any]) -> _Integrator:
 
 
 def _scipys(name: object) -> tuple[str, _Theirs] | None:
-    """SciPy's integrator of that name or of one that begins so, as SciPy looks for it; None: it is not one."""
+    """SciPy's integrator whose name begins with `name`, as SciPy looks it up; None if there is none."""
     if not isinstance(name, str) or (name in METHODS and name not in _SCIPYS):
         return None
     return next(((full, about) for full, about in _SCIPYS.items() if full.startswith(name.lower())), None)
@@ -153,7 +153,7 @@ def _ours(name: Any) -> MethodName:
 
 
 def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
-    """The method that stands for an integrator; of what vode's `method` may be, SciPy takes the beginning."""
+    """The method that replaces an integrator; like SciPy, abbreviations of vode's `method` are accepted."""
     hints = {one: parameters.pop(one, None) for one in _HINTS}
     kind = hints["method"]
     if kind is None or "" in theirs.methods:
@@ -163,7 +163,7 @@ def _method(theirs: _Theirs, parameters: dict[str, Any]) -> MethodName:
 
 
 def _is_zero(value: object) -> bool:
-    """SciPy's way to say: no limit, or whatever the method chooses."""
+    """Whether the value is zero, SciPy's notation for no limit, or for the method's own choice."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
 
 
@@ -172,8 +172,8 @@ def _is_zero(value: object) -> bool:
 
 
 class _Calls:
-    """The user's functions with the parameters set last. The core holds on to this, and not to the object of `ode`,
-    which could not be freed otherwise."""
+    """The user's functions with the parameters set last. The core refers to this and not to the `ode` object, which
+    otherwise could not be freed."""
 
     def __init__(self, f: Function, jac: Function | None) -> None:
         self.f = f
@@ -197,34 +197,34 @@ class _Calls:
 
 @public
 class ode:  # noqa: N801 - SciPy's name
-    """Advances y' = f(t, y) to one time after the other, with the calls of `scipy.integrate.ode`.
+    """Integrate y' = f(t, y) from one time to the next, with the interface of `scipy.integrate.ode`.
 
     Parameters
     ----------
     f : callable
         ``f(t, y, *f_params)``: the derivative, of shape (n,).
     jac : callable, optional
-        Its Jacobian, ``jac(t, y, *jac_params)``, of shape (n, n), or its bands. Explicit methods do not use it.
+        ``jac(t, y, *jac_params)``: the Jacobian of f, of shape (n, n), or its bands. Explicit methods do not use it.
     invariants : callable, Invariants, or list of these, optional
-        What the solution keeps, ``g(t, y, *f_params)``: see `solve_ivp`. They are held at their values at the initial
-        value, or where the parameters of f were set last.
+        Invariants of the solution, ``g(t, y, *f_params)``: see `solve_ivp`. They are fixed at their values at the
+        initial value, or, if the parameters of f were changed later, at the state where they were set last.
 
     Attributes
     ----------
     t : float
-        The time that the last call has reached.
+        The time reached by the last call.
     y : ndarray
-        The state there, of shape (n,).
+        The state at t, of shape (n,).
 
     See Also
     --------
-    solve_ivp : One call for the whole interval, with output, events and a record of the run.
+    solve_ivp : Solve over the whole interval in one call, with output, events and statistics.
 
     Notes
     -----
-    Which method stands for an integrator of SciPy's is shown by `set_integrator`. Methods of several steps, and the
-    implicit ones, go on across calls: their steps lead beyond the requested time, where the solution is interpolated.
-    The explicit pairs end exactly there, and start anew in the next call. Both do so in SciPy.
+    `set_integrator` lists the methods that replace SciPy's integrators. As in SciPy, multistep and implicit methods
+    continue across calls: their steps go beyond the requested time, at which the solution is interpolated. Explicit
+    Runge-Kutta pairs end exactly at the requested time, and restart in the next call.
 
     Examples
     --------
@@ -255,8 +255,8 @@ class ode:  # noqa: N801 - SciPy's name
         self._code: int | None = None  # None: nothing was integrated
         self._problem: Description | None = None
         self._plan: Plan | None = None
-        self._walk: Walk | None = None  # the steps of a run that goes on from call to call
-        self._begun = 0.0  # where the last one of them began
+        self._walk: Walk | None = None  # the run that continues from call to call
+        self._begun = 0.0  # where its last step began
 
     def __repr__(self) -> str:
         return f"<invariode.{type(self).__name__}, {self._chosen().name}, at t = {self.t}>"
@@ -271,22 +271,23 @@ class ode:  # noqa: N801 - SciPy's name
         Parameters
         ----------
         name : str
-            SciPy's 'vode' (ode113, or with ``method='bdf'`` ode15s with ``bdf=True``), 'zvode' (the same for complex
-            states), 'dopri5' (ode45), 'dop853' or 'lsoda' (auto), or the beginning of such a name; or the name of one
-            of our `METHODS`.
+            A name in `METHODS`; or a name in SciPy, in full or abbreviated: 'vode' (here ode113, or with
+            ``method='bdf'`` ode15s with ``bdf=True``), 'zvode' (the same for complex states), 'dopri5' (ode45),
+            'dop853' or 'lsoda' (auto).
         **integrator_params
-            Of SciPy's: `rtol` (default 1e-6), `atol` (1e-12), `first_step`, `max_step`, `nsteps`, the most steps in a
-            call (default: any number); of those with Jacobians `lband` and `uband`; of 'vode' `method` and `order`.
-            `with_jacobian` and `verbosity` have no effect. Nor have `safety`, `ifactor`, `dfactor`, `beta`, `min_step`,
-            `ixpr`, `max_hnil`, `max_order_ns` and `max_order_s`, and a warning says so. With a name of ours: the
-            options of `solve_ivp` that concern the method, and `nsteps`.
+            For names in SciPy: `rtol` (default 1e-6), `atol` (1e-12), `first_step`, `max_step`, and `nsteps`, the
+            maximum number of steps in a call (default: no limit); for 'vode', 'zvode' and 'lsoda' also `lband` and
+            `uband`; for 'vode' and 'zvode' `method` and `order`. `with_jacobian` and `verbosity` have no effect.
+            `safety`, `ifactor`, `dfactor`, `beta`, `min_step`, `ixpr`, `max_hnil`, `max_order_ns` and `max_order_s`
+            have no effect and cause a warning. For names in `METHODS`: the options of `solve_ivp` for the method and
+            its step size, `lband`, `uband` and `nsteps`.
 
         Raises
         ------
         ValueError
-            There is no integrator of that name.
+            There is no integrator with this name.
         TypeError
-            It has no parameter of that name.
+            The integrator has no such parameter.
         """
         self._integrator = _integrator(name, integrator_params)
         self._solout = None
@@ -301,28 +302,28 @@ class ode:  # noqa: N801 - SciPy's name
         return self
 
     def set_f_params(self, *args: Any) -> Self:
-        """Set the further arguments of f and of the invariants. The method starts anew at the next call."""
+        """Set the additional arguments of f and of the invariants. The method restarts at the next call."""
         self._calls.f_params = args
         self._forget()
         return self
 
     def set_jac_params(self, *args: Any) -> Self:
-        """Set the further arguments of jac."""
+        """Set the additional arguments of jac."""
         self._calls.jac_params = args
         return self
 
     def set_solout(self, solout: Callable[[float, Array], Any]) -> None:
-        """Set a function that each call of `integrate` calls at its start and after each step.
+        """Set a function that `integrate` calls at its start and after each step.
 
         Parameters
         ----------
         solout : callable
-            ``solout(t, y)``; returning -1 ends the call there.
+            ``solout(t, y)``; if it returns -1, `integrate` ends there.
 
         Raises
         ------
         ValueError
-            The integrator goes beyond the requested times; explicit pairs, such as 'dopri5', do not.
+            The integrator steps beyond the requested times; only explicit pairs, such as 'dopri5', support solout.
         """
         if self._chosen().goes_on:
             raise ValueError(
@@ -332,17 +333,18 @@ class ode:  # noqa: N801 - SciPy's name
         self._solout = solout
 
     def integrate(self, t: float, step: bool = False, relax: bool = False) -> Array:
-        """Advance to a time, and return the state there.
+        """Advance to a time, and return the state at that time.
 
         Parameters
         ----------
         t : float
-            The time, before or after the last one.
+            The time, before or after the current one.
         step : bool, default False
-            Whether to make one step in the direction of `t`, and to return the state at its end, which may lie beyond.
-            As in SciPy, explicit pairs go to `t` all the same.
+            Whether to take a single step towards `t`, and to return the state at its end, which may be beyond `t`.
+            As in SciPy, explicit pairs ignore this and go to `t`.
         relax : bool, default False
-            Whether to return the state at the end of the first step that reaches `t`; likewise.
+            Whether to return the state at the end of the first step that reaches or passes `t`. Explicit pairs ignore
+            this.
 
         Returns
         -------
@@ -357,7 +359,7 @@ class ode:  # noqa: N801 - SciPy's name
         Warns
         -----
         UserWarning
-            The run failed: at which t, why, and what to try.
+            The run failed; the message gives t, the reason, and what to try.
         """
         target = number("t", t)
         chosen = self._chosen()
@@ -376,36 +378,36 @@ class ode:  # noqa: N801 - SciPy's name
         return self._y
 
     def successful(self) -> bool:
-        """Whether the last call reached its time, or was ended by solout."""
+        """Whether the last call reached its time or was ended by solout; True before the first call."""
         return self._code is None or self._code > 0
 
     def get_return_code(self) -> int | None:
-        """How the last call ended, as a number.
+        """Return SciPy's code for how the last call ended.
 
         Returns
         -------
         int or None
-            None: there was no call. 'dopri5', 'dop853' and explicit pairs: 1, success; 2, ended by solout; -1, f is not
-            defined at the start, or contradicts an invariant; -2, more than `nsteps` steps; -3, the step would be too
-            small. Other integrators: 2, success; -1, more than `nsteps` steps; -3, as -1 above; -4, the error test
-            failed at the smallest step; -5, Newton's iteration did.
+            None: no call yet. 'dopri5', 'dop853' and other explicit pairs: 1, success; 2, ended by solout; -1, f is not
+            finite at the start, or does not conserve an invariant; -2, `nsteps` steps did not suffice; -3, the step
+            size became too small. Other integrators: 2, success; -1, `nsteps` steps did not suffice; -3, as -1 above;
+            -4, the error test failed at the minimum step size; -5, Newton's iteration did not converge.
         """
         return self._code
 
-    # What follows is how.
+    # Implementation
 
     def _chosen(self) -> _Integrator:
-        """The integrator; SciPy's first one if none was set."""
+        """The integrator; 'vode', SciPy's default, if none was set."""
         if self._integrator is None:
             self._integrator = _integrator("vode", {})
         return self._integrator
 
     def _forget(self) -> None:
-        """The next call makes a plan of its own, and holds the invariants where it starts."""
+        """Discard the plan: the next call makes a new one, and fixes the invariants at its start."""
         self._problem = self._plan = self._walk = None
 
     def _walk_to(self, tf: float, chosen: _Integrator) -> Walk:
-        """A run from here to `tf`, of the plan that there is: invariants keep the values at which it holds them."""
+        """A run from here to `tf`. If there is a plan, invariants keep its values."""
         calls, endless = self._calls, math.copysign(math.inf, tf - self.t)
         if self._plan is None or self._plan.settings.forward != math.copysign(1.0, endless):
             held = None if self._plan is None else self._plan.bound.value
@@ -431,12 +433,12 @@ class ode:  # noqa: N801 - SciPy's name
         self._end(walk, chosen, reached=walk.state == "reached_end", stopped=stopped)
 
     def _is_stopped(self) -> bool:
-        """What solout says here."""
+        """Whether solout ends the call here."""
         answer = None if self._solout is None else self._solout(self.t, self._y.copy())
         return answer is not None and bool(answer < 0)
 
     def _go_on(self, target: float, chosen: _Integrator, *, step: bool, relax: bool) -> None:
-        """The steps of this run until they pass `target`, or one of them."""
+        """Steps of this run until they pass `target`, or a single step."""
         walk, ahead = self._walk, math.copysign(1.0, target - self.t)
         if walk is None or not self._leads_to(target, walk) or (step and walk.forward != ahead):
             walk = self._walk = self._walk_to(math.copysign(math.inf, ahead), chosen)
@@ -454,7 +456,7 @@ class ode:  # noqa: N801 - SciPy's name
         self._end(walk, chosen, reached=reached, stopped=False)
 
     def _leads_to(self, target: float, walk: Walk) -> bool:
-        """Whether a run comes to that time, or was there in its last step."""
+        """Whether a run will reach that time, or passed it in its last step."""
         return walk.forward * (target - self._begun) >= 0
 
     def _end(self, walk: Walk, chosen: _Integrator, *, reached: bool, stopped: bool) -> None:
@@ -475,14 +477,14 @@ class ode:  # noqa: N801 - SciPy's name
 
 
 @public
-class complex_ode(ode):  # noqa: N801 - the same
+class complex_ode(ode):  # noqa: N801 - SciPy's name
     """`ode` for complex states.
 
     Parameters
     ----------
     f, jac, invariants
         As for `ode`, with complex y; invariants return real numbers. Complex components are integrated as pairs of
-        reals, so that f need not be analytic, unless `jac` is given.
+        real numbers, so that f need not be analytic, except if `jac` is passed.
 
     Attributes
     ----------

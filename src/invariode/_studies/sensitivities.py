@@ -1,4 +1,4 @@
-"""The check of given derivatives with respect to parameters."""
+"""Check user-supplied derivatives for sensitivities."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from .._functions.directional import Directional, Given, Point
 from .._problem.description import Description
 from .._run.variations import given_derivatives
 
-#: Differences of entries that are not errors, relative to the largest of their column: of exact derivatives, and of
+#: Tolerated discrepancies of entries, relative to the largest in their column: from exact derivatives, and from finite
 #: differences.
 _ROUNDOFF, _OF_DIFFERENCES = 1e-9, 1e-5
-#: Beside the point, in parts of the sizes of y: at the point itself an error may not show.
+#: Displacements from the point, in multiples of the sizes of y: at the point itself an error may not show.
 _BESIDE = (0.0, 0.1)
 
 
 @public
 @dataclass(frozen=True)
 class SensitivityReport:
-    """A report on given derivatives; prints as text.
+    """Report of `check_sensitivities` on user-supplied derivatives; prints as text.
 
     Attributes
     ----------
     names : list of str
         The parameters.
     compared : list of str
-        What was given and compared: 'jac', 'dfdp', 'dy0dp'.
+        The supplied derivatives that were compared: 'jac', 'dfdp', 'dy0dp'.
     derivatives : str
-        What it was compared with: 'graph', 'complex-step' or 'differences'.
+        The reference: 'graph' (exact, from expressions), 'complex-step' or 'differences'.
     findings : list of str
-        The entries that are wrong, in words; empty if all is well.
+        A description of each wrong entry; empty if there are none.
     ok : bool
-        Nothing is wrong.
+        Whether there are no findings.
     """
 
     names: list[str]
@@ -62,19 +62,19 @@ class SensitivityReport:
 def check_sensitivities(
     problem: Description, t: float | None = None, y: ArrayLike | None = None, *, y0: Callable[..., Any] | None = None
 ) -> SensitivityReport:
-    """Compares the derivatives that a problem gives for its sensitivities with those computed from its functions.
+    """Compare the derivatives supplied to a problem for its sensitivities with those computed from its functions.
 
     Parameters
     ----------
     problem : Problem
-        With `sensitivities`. Its `jac` and the `dfdp` of its `Sensitivities` are compared with the derivatives of
-        `fun`: from its expressions, else by complex steps, else by differences.
+        A problem with `sensitivities`. Its `jac` and the `dfdp` of its `Sensitivities` are compared with the
+        derivatives of `fun`: from its expressions, otherwise by complex steps, otherwise by finite differences.
     t : float, optional
-        Where. Default: the start.
+        The time of the comparison. Default: the start.
     y : array_like of shape (n,), optional
-        Where. Default: `y0` of the problem. A point beside it is tried too.
+        The state of the comparison. Default: `y0` of the problem. A point near it is tested too.
     y0 : callable, optional
-        ``y0(*args)``, the initial values as a function of the arguments: `dy0dp` is compared with its derivatives.
+        ``y0(*args)`` returns the initial values. `dy0dp` is compared with its derivatives, and only if this is given.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def check_sensitivities(
     Raises
     ------
     TypeError, ValueError
-        The problem has no `sensitivities`; a derivative has a wrong shape.
+        The problem has no `sensitivities`, or a derivative has a wrong shape.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def _columns(function: Directional, at: Point, k: int, names: Any) -> Array:
 
 
 def _wrong(computed: Directional, given: Given, at: Point, own: list[str]) -> Iterator[str]:
-    """What differs at a point."""
+    """Describe the wrong entries at a point."""
     n, k, args = computed.n, computed.k, computed.args
     if given.jac is not None:
         matrix = given.jac(at.t, at.y.copy(), *args) if callable(given.jac) else given.jac

@@ -17,7 +17,9 @@ _ORDERED = ("less", "less_equal")
 #: What jumps at more than one value.
 _STEPPED = ("floor", "ceil", "modulo", "equal", "not_equal")
 #: Points at which the branches of a condition are compared, the seed of their choice, and Newton's steps to each.
-_POINTS, _SEED, _STEPS = 8, 29, 20
+_POINTS, _SEED, _STEPS = 16, 29, 20
+#: How much farther from the start each of four points in turn is looked for.
+_WIDER = 10.0
 #: Relative to the values, branches that differ by less are one.
 _SAME = 1e-9
 
@@ -38,9 +40,10 @@ class Switch(NamedTuple):
     above: list[Node]
 
 
-def switches(outputs: Sequence[Node], t: float, y: Array, p: Array) -> list[Switch]:
-    """The conditions of a graph at which its values jump. They are looked for around (t, y)."""
-    return [one for one in conditions(outputs) if _jumps(one, t, y, p)]
+def switches(outputs: Sequence[Node], t: float, y: Array, p: Array, inputs: int = 0) -> list[Switch]:
+    """The conditions of a graph at which its values jump. They are looked for around (t, y). `inputs`: how many of the
+    parameters, the first ones, change with t."""
+    return [one for one in conditions(outputs, inputs) if _jumps(one, t, y, p)]
 
 
 def has_steps(outputs: Sequence[Node]) -> bool:
@@ -48,13 +51,15 @@ def has_steps(outputs: Sequence[Node]) -> bool:
     return any(node.op in _STEPPED for node in in_order(outputs))
 
 
-def conditions(outputs: Sequence[Node]) -> list[Switch]:
+def conditions(outputs: Sequence[Node], inputs: int = 0) -> list[Switch]:
     """All comparisons, and signs, of values that change with y, or with t and a parameter."""
     groups: dict[tuple[Node, Node], list[tuple[Node, bool]]] = {}
     for node in in_order(outputs):
         if node.op not in _ORDERED and node.op != "sign":
             continue
         a, b = (*node.arguments, node.graph.node(0.0))[:2]
+        if b is node.graph.node(0.0) and a.op == "subtract":  # the same condition
+            a, b = a.arguments
         if (b, a) in groups:
             groups[b, a].append((node, False))
         else:
@@ -62,14 +67,22 @@ def conditions(outputs: Sequence[Node]) -> list[Switch]:
     found = []
     for (a, b), nodes in groups.items():
         difference = a - b
-        used = {node.op for node in in_order([difference])}
-        if "y" not in used and not {"t", "p"} <= used:  # its time, if it has one, does not depend on parameters
+        if not _moves(difference, inputs):
             continue
         below = _decided(outputs, {node: _answer(node, below=below) for node, below in nodes})
         above = _decided(outputs, {node: _answer(node, below=not below) for node, below in nodes})
         if below != above:
             found.append(Switch(difference, below, above))
     return found
+
+
+def _moves(difference: Node, inputs: int) -> bool:
+    """Whether the time at which it changes its sign, if there is one, may depend on parameters."""
+    nodes = [*in_order([difference])]
+    if any(node.op == "y" for node in nodes):
+        return True
+    timed = any(node.op == "t" or (node.op == "p" and node.value < inputs) for node in nodes)
+    return timed and any(node.op == "p" and node.value >= inputs for node in nodes)
 
 
 def _answer(node: Node, *, below: bool) -> Node | bool:
@@ -130,8 +143,8 @@ def _jumps(switch: Switch, t: float, y: Array, p: Array) -> bool:
     below, above = evaluated(switch.below), evaluated(switch.above)
     rng = np.random.default_rng(_SEED)
     found = False
-    for _ in range(_POINTS):
-        size = np.maximum(np.abs(np.append(t, y)), 1.0)
+    for trial in range(_POINTS):
+        size = np.maximum(np.abs(np.append(t, y)), 1.0) * _WIDER ** (trial % 4)
         at = _root(value, gradient, np.append(t, y) + size * rng.standard_normal(len(size)), p)
         if at is None:
             continue
