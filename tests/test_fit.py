@@ -105,6 +105,37 @@ class TestKnownParameters:
         np.testing.assert_allclose([*fit.parameters.values()], [9.81, 2.0], rtol=1e-6)
         assert np.isnan(fit.event_residuals["ground"][1])
 
+    def test_times_of_events_alone(self):
+        """2 exp(−k t) is 1 at t = ln 2 / k: with t = 1 ± 0.1, k = ln 2 (1 ± 0.1). x and y have no data."""
+
+        def half(t, y, k):
+            return y[0] - 1
+
+        problem = iv.Problem(
+            lambda t, y, k: [-k * y[0], k * y[0]], (0, 5), [2.0, 0.0], args=(0.5,), labels=["x", "y"], events=[half]
+        )
+        fit = iv.fit(problem, None, None, {"k": (0.1, 2)}, event_times={"half": [1.0]}, event_sigma=0.1, **TIGHT)
+        assert fit.parameters["k"] == pytest.approx(np.log(2), rel=1e-6)
+        assert fit.standard_errors["k"] == pytest.approx(0.1 * np.log(2), rel=1e-5)
+        assert fit.residuals.shape == (2, 0)
+        assert abs(fit.event_residuals["half"][0]) < 1e-5
+        assert np.isnan(fit.predict([1.0], noise=True).upper).all()
+        assert np.isfinite(fit.predict([1.0]).upper).all()
+        with pytest.raises(TypeError, match="needs data, or event_times"):
+            iv.Experiment(problem, event_times={})
+
+    def test_a_quantity_without_data(self):
+        """Data of x alone are the same with a row of NaN for y, in the fit and in its picture."""
+        pytest.importorskip("matplotlib")
+        problem = hunting()
+        data = noisy(problem, T, 0.05)
+        data[0] = np.nan
+        fit = iv.fit(problem, T, data, {"a": (0, 5)}, sigma=[[0.1], [0.05]] * np.ones_like(data))
+        few = iv.fit(problem, T, data[1:], {"a": (0, 5)}, sigma=0.05, observe="predators")
+        assert fit.parameters == pytest.approx(few.parameters, rel=1e-6)
+        assert np.isnan(fit.residuals[0]).all()
+        fit.plot()
+
     def test_many_starts_find_the_best_of_several_minima(self):
         """A frequency has many minima; one start falls into a wrong one."""
         problem = iv.Problem(lambda t, y, w: [y[1], -(w**2) * y[0]], (0, 6), [1.0, 0.0], args=(1.0,), labels=["x", "v"])
@@ -301,6 +332,24 @@ class TestLinearTheory:
         best = inverse @ rows.T @ np.append(LINE_DATA[0] / 0.1, 0.6 / 0.02)
         np.testing.assert_allclose([*fit.parameters.values()], best, rtol=1e-6)
 
+    def test_a_prior_beside_a_noise_level(self):
+        """The level is the size of the residuals; the posterior is that of this level."""
+        prior = {**LINE, "slope": iv.Parameter(1.0, prior=(0.6, 0.02)), "s": (1e-3, 10)}
+        fit = iv.fit(straight(), T, LINE_DATA, prior, sigma="s")
+        level = fit.parameters["s"]
+        assert level == pytest.approx(np.sqrt(np.mean((fit.predict(T).y - LINE_DATA) ** 2)), rel=1e-4)
+        known = iv.fit(straight(), T, LINE_DATA, {name: prior[name] for name in LINE}, sigma=level)
+        assert fit.parameters["slope"] == pytest.approx(known.parameters["slope"], rel=1e-5)
+        width = level * np.sqrt(len(T) / (len(T) - 2))  # the prior keeps its own width
+        rows = np.vstack([X / width, [0, 1 / 0.02]])
+        np.testing.assert_allclose(fit.covariance[:2, :2], np.linalg.inv(rows.T @ rows), rtol=1e-4)
+
+    @pytest.mark.parametrize("options", [{}, {"sigma": 1.0, "absolute_sigma": False}])
+    def test_a_prior_needs_the_sigma_of_the_data(self, options):
+        prior = {**LINE, "slope": iv.Parameter(1.0, prior=(0.6, 0.02))}
+        with pytest.raises(ValueError, match=r'prior of slope needs the standard deviation .* sigma="s"'):
+            iv.fit(straight(), T, LINE_DATA, prior, **options)
+
     def test_noise_levels_are_those_of_the_residuals(self):
         """Their maximum likelihood: σ² = Σ r² / N of each group; and twice N is their information of ln σ."""
         data = noisy(hunting(), T, np.array([[0.05], [0.2]]))
@@ -453,6 +502,52 @@ class TestWhatGoesWrong:
         assert fit.standard_errors["k"] == pytest.approx(fixed.standard_errors["k"], rel=1e-4)
         assert np.isnan(fit.standard_errors["c"])
         assert np.isnan(fit.confidence()["c"]).all()
+
+    def test_as_many_parameters_as_data(self):
+        """No data are left to estimate sigma: there are no standard errors, and the fit says so."""
+        with pytest.warns(UserWarning, match="2 data for 2 parameters leave none to estimate sigma"):
+            fit = iv.fit(straight(), [1, 3], [1.5, 2.6], LINE)
+        assert fit.degrees_of_freedom == 0
+        assert np.isinf([*fit.standard_errors.values()]).all()
+        assert fit.confidence()["slope"] == (-np.inf, np.inf)
+        assert fit.undetermined == []
+        assert fit.log_likelihood is None
+        assert np.isnan(fit.sigma)
+        assert "nan" not in repr(fit)
+        assert "not determined" not in repr(fit)
+        assert np.isinf(fit.predict([2.0], noise=True).upper).all()
+        with pytest.raises(ValueError, match="leave none to estimate sigma"):
+            fit.profile("slope")
+
+    def test_a_noise_level_without_degrees_of_freedom(self):
+        wanted = {**LINE, "s": iv.Parameter(0.1, bounds=(0.05, 1))}
+        with pytest.warns(UserWarning, match="2 data for 2 parameters leave none to estimate sigma"):
+            fit = iv.fit(straight(), [1, 3], [1.5, 2.6], wanted, sigma="s")
+        assert np.isinf(fit.standard_errors["slope"])
+
+    def test_a_known_sigma_needs_no_degrees_of_freedom(self):
+        fit = iv.fit(straight(), [1, 3], [1.5, 2.6], LINE, sigma=0.1)
+        assert fit.standard_errors["slope"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
+        fixed = iv.fit(straight(), [1, 3], [1.5, 2.6], {**LINE, "s": iv.Parameter(equals=0.1)}, sigma="s")
+        np.testing.assert_allclose(fixed.covariance, fit.covariance, rtol=1e-6)
+        assert "χ²/ν" not in repr(fit)
+        assert np.isnan(fit.reduced_chi_squared)
+
+    def test_a_parameter_at_its_bound_beside_an_outlier(self):
+        """The outlier pulls the offset from its bound with almost no weight; the error of k has the weights of the
+        loss, as with the offset fixed."""
+        problem = iv.Problem(lambda t, y, k: [-k * y[0]], (0, 10), [2.0], args=(0.5,))
+        t = np.arange(1.0, 9)
+        data = 2 * np.exp(-0.3 * t) + 0.01 * np.random.default_rng(1).standard_normal(8)
+        data[3] += 2
+        options = {"observe": lambda t, y, k, *, off=0.0: y[0] + off, "sigma": 0.01, "loss": "cauchy"}
+        with pytest.warns(UserWarning, match=r"off is at its lower bound, 0\.1"):
+            fit = iv.fit(problem, t, data, {"k": (0, 5), "off": (0.1, 1)}, **options)
+        fixed = iv.fit(problem, t, data, {"k": (0, 5), "off": iv.Parameter(equals=0.1)}, **options)
+        assert fit.parameters == pytest.approx(fixed.parameters, rel=1e-4)
+        assert fit.standard_errors["k"] == pytest.approx(fixed.standard_errors["k"], rel=1e-3)
+        assert fit.standard_errors["k"] == pytest.approx(0.0038, rel=0.02)
+        assert fit.starts[0][0] == pytest.approx(fixed.starts[0][0], rel=1e-6)
 
     @pytest.mark.parametrize(
         ("arguments", "options", "message"),

@@ -1,1 +1,1 @@
-"""Fits: the parameters with which a problem agrees best with data, and how well the data determine them."""
+"""Fits: the parameters for which a problem agrees best with data, and how well the data determine them."""

@@ -1,4 +1,4 @@
-"""Data in the forms in which people have them: arrays, dicts, tables of pandas, labelled arrays of xarray."""
+"""Data as arrays, dicts, pandas tables or labelled xarray arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TIME = "t"
 
 
 class Data(NamedTuple):
-    """Values by quantity and time; NaN was not measured."""
+    """Values by quantity and time; NaN where nothing was measured."""
 
     t: Array  # (n_t,)
     values: Array  # (m, n_t)
@@ -81,7 +81,7 @@ def _labelled(t: Any, data: Any) -> Data:
 
 
 def _oriented(values: Array, count: int, m: int) -> Array:
-    """Values of shape (m, n_t), like `sol.y`; transposed ones are recognised unless that could be either."""
+    """Values of shape (m, n_t), like `sol.y`; those of shape (n_t, m) are transposed, an error if both are possible."""
     if values.shape == (m, count) == (count, m) and m > 1:
         raise ValueError(
             f"data of shape {values.shape} could have the times along either axis: give a dict, a DataFrame or a "

@@ -1,4 +1,4 @@
-"""One experiment: a problem, what was measured of it, and how exactly."""
+"""One experiment: a problem, its data and their standard deviations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..._problem.parameters import ParameterName, parameter_names, values_of
 from ..._solve.problem import Problem
 from .data import Data, read
 
-#: What `observe` may be: components by label or index, or a function.
+#: Types of `observe`: components by label or index, or a function.
 Observed = str | int | Sequence[str | int] | Callable[..., Any] | None
 
 #: Noise levels: numbers, names of parameters, or one of these for each quantity.
@@ -35,32 +35,34 @@ class Experiment:
     problem : Problem
         The problem, with the conditions of this experiment: y0, args, t_span, inputs, events.
     t : array_like of shape (n_t,), str, or None
-        The times of the data, in any order, within the problem's t_span; several data may have the same time. None: the
-        index of a DataFrame or the coordinate `t` of a labelled array; a str: the name of a column.
+        The times of the data, in any order, within the problem's t_span; times may be repeated. None: the index of a
+        DataFrame, or the coordinate `t` of a labelled array. A str: the name of the column of times.
     data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
-        The measured values, a row for each observed quantity, as in `sol.y`; (n_t,) for a single one. Transposed arrays
-        are recognised if their shape says so, and refused if it could be either. Names of columns are labels of
-        components, or just names with an `observe` function. NaN where nothing was measured.
+        The measured values, a row for each observed quantity, as in `sol.y`; (n_t,) for a single one. An array of shape
+        (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are labels of
+        components, or any names with an `observe` function. NaN where nothing was measured. None: only `event_times`.
     observe : callable, or labels or indices of components, optional
-        What was measured: components, all by default; or a function ``observe(t, y, *args)`` that returns a number or
-        shape (m,). Its keyword-only arguments are parameters of the fit too, such as scales and offsets:
-        ``def observe(t, y, k, *, scale=1.0)``.
+        The measured quantities: components, by default all; or a function ``observe(t, y, *args)`` that returns a
+        number or an array of shape (m,). Its keyword-only arguments, such as scales and offsets, are parameters of the
+        fit too: ``def observe(t, y, k, *, scale=1.0)``.
     sigma : float, str, array_like or dict, optional
-        The standard deviation of the data: of all, of each quantity (m,), or of each datum (m, n_t). The name of a
-        parameter makes it a noise level that is estimated. In a list or dict each quantity has its own. Default:
-        unknown and equal for all, estimated from the residuals.
+        The standard deviation of the data: one for all, one for each quantity (m,), or one for each data point
+        (m, n_t). The name of a parameter is a noise level, which is fitted. A list or a dict has one entry for each
+        quantity. Default: unknown and equal for all data, estimated from the residuals.
     noise : {"normal", "lognormal"}, default "normal"
-        Which distribution the data have about the model. "lognormal": their logarithms are normal with `sigma`, which
-        is then a relative error.
+        The distribution of the data about the model. "lognormal": the logarithms of the data are normal with `sigma`,
+        which is then a relative error.
     event_times : dict, optional
-        Measured times of events by their name: the first value is that of the first occurrence, NaN is not measured.
+        Measured times of events, by the name of the event's function. The first value is the time of the first
+        occurrence; NaN means not measured.
     event_sigma : float, str or dict, optional
-        The standard deviation of these times, as `sigma`.
+        The standard deviation of these times, specified as for `sigma`.
     y0 : {"steady"}, optional
-        "steady": runs start at the steady state of f(t0, y) to which the problem's y0 leads for the parameters of each
-        trial, with the same linear totals, of which ``y0[label]`` can be parameters. Default: the problem's y0.
+        "steady": each run starts at the steady state of f(t0, y), for the parameters of the trial, that is reached from
+        the problem's y0. Linear totals that f conserves are those of y0, whose components ``y0[label]`` can be
+        parameters. Default: the problem's y0.
     **options
-        Of the runs of this experiment, such as `breakpoints` for its doses; they come before those of `fit`.
+        Options for the runs of this experiment, such as `breakpoints` for its doses. They override those of `fit`.
 
     Examples
     --------
@@ -105,9 +107,11 @@ class Experiment:
         if self.noise == "lognormal" and not (self.data.values[~np.isnan(self.data.values)] > 0).all():
             raise ValueError('noise="lognormal" needs positive data')
         self.series = [*self._series()]
+        if not self.series:
+            raise TypeError("an experiment needs data, or event_times")
 
     def _matched(self, data: Data) -> Data:
-        """The data with the quantities that are observed; names of columns choose components."""
+        """Match the data with the observed quantities; column names select components."""
         observation = self.observation
         if observation.function is None and data.names is not None:
             self.observation = observation = observation.chosen(data.names)
@@ -124,10 +128,12 @@ class Experiment:
             )
 
     def _series(self) -> Iterator[Series]:
-        """A series for each quantity and each event that has data."""
+        """One series for each quantity and each event with data."""
         rows = len(self.data.values)
         for j, (name, sigma) in enumerate(zip(self.names, _rows(self.sigma, self.names, self.data), strict=True)):
             there = np.flatnonzero(~np.isnan(self.data.values[j]))
+            if not len(there):
+                continue
             yield _made(name, j, there, self.data.values[j], sigma, self.noise == "lognormal", "sigma")
         for k, (place, times) in enumerate(self.events.items()):
             name = self.problem.events[place].__name__
@@ -137,17 +143,17 @@ class Experiment:
 
     @cached_property
     def names(self) -> list[str]:
-        """Of the observed quantities."""
+        """Names of the observed quantities."""
         return (
             self.data.names
             if self.observation.function is not None and self.data.names is not None
             else self.observation.names(len(self.data.values))
         )
 
-    # What the parameters need to know
+    # For the parameters of the fit
 
     def dynamic(self, name: str) -> ParameterName | None:
-        """The parameter of f, or the initial value, of this name."""
+        """The parameter of f, or the initial value, with this name; None if there is none."""
         if name not in self._dynamic:
             try:
                 found = self.found(name)
@@ -155,7 +161,7 @@ class Experiment:
                 found = ()
             if len(found) > 1:
                 those = ", ".join(one.name for one in found)
-                raise ValueError(f"{name!r} stands for {len(found)} parameters: name them, {those}")
+                raise ValueError(f"{name!r} stands for {len(found)} parameters: give each its own entry, {those}")
             self._dynamic[name] = found[0] if found else None
         return self._dynamic[name]
 
@@ -182,7 +188,7 @@ class Experiment:
         return self.observation.extras.get(name)
 
     def known(self) -> list[str]:
-        """Names that it takes, for messages."""
+        """Names of its parameters, for messages."""
         try:
             of_args = [one.name for one in self.found(True)]
         except ValueError:
@@ -196,7 +202,7 @@ class Experiment:
 
 
 class Observation:
-    """What is measured of a state: components, or a function.
+    """The observed quantities: components, or a function of the state.
 
     Attributes
     ----------
@@ -227,13 +233,13 @@ class Observation:
         self.size = len(self.components) if self.function is None else self._count()
 
     def chosen(self, names: Sequence[str]) -> Observation:
-        """The components of these labels; those that were chosen before stay if they are as many."""
+        """The components with these labels; if as many were selected by `observe`, those are unchanged."""
         if self.size == len(names) and self.components != list(range(len(self._problem.y0))):
             return self
         return Observation(self._problem, list(names))
 
     def names(self, size: int) -> list[str]:
-        """Of the quantities."""
+        """Names of the quantities."""
         if self.function is None:
             return [self._problem.labels[i] for i in self.components]
         name = call_name(self.function, "observed")
@@ -250,7 +256,7 @@ class Observation:
         )
 
     def _count(self) -> int:
-        """Of the values of the function, at the start."""
+        """The number of values of the function, at the start."""
         extras = {name: 1.0 if value is None else value for name, value in self.extras.items()}
         return len(self.at(self._problem.t_span[0], self._problem.y0, self._problem.args, extras))
 
@@ -339,7 +345,7 @@ def _rows(sigma: Any, names: Sequence[str], data: Data) -> list[Any]:
 
 
 def _event_series(problem: Problem, event_times: Mapping[str, ArrayLike] | None) -> dict[int, Array]:
-    """The measured times by the place of their event."""
+    """The measured times by the index of their event."""
     if event_times is None:
         return {}
     if not isinstance(event_times, Mapping):

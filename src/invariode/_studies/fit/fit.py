@@ -1,4 +1,4 @@
-"""`fit`: the parameters with which a problem agrees best with data."""
+"""`fit`: the parameters for which a problem agrees best with data."""
 
 from __future__ import annotations
 
@@ -35,56 +35,56 @@ def fit(
     method: MethodName = "ode45",
     **options: Unpack[Options],
 ) -> Fit:
-    """Fits parameters of a problem to data.
+    """Fit parameters of a problem to data.
 
-    The best parameters are found by `scipy.optimize.least_squares` with exact Jacobians from the sensitivities of the
-    runs. Invariants hold in every trial.
+    The search uses `scipy.optimize.least_squares` with exact Jacobians from the sensitivities of the runs. Invariants
+    are imposed in every trial.
 
     Parameters
     ----------
     problem : Problem or list of Experiment
         The problem; or several experiments, ``fit(experiments, parameters)``, each with its data.
     t, data, observe, sigma, noise, event_times, event_sigma, y0
-        The data, and what is known about them: as in `Experiment`.
+        The data and their description, as in `Experiment`.
     parameters : dict
         The parameters by name, each a `Parameter` or a pair of bounds. Names are those of the arguments of f, such as
         ``k``, ``p[2]`` in an array, ``args[0]``; ``y0[label]`` is an initial value; keyword-only arguments of `observe`
         and noise levels named in `sigma` are parameters too.
     absolute_sigma : bool, default True
-        Whether `sigma` are standard deviations. False: only their ratios count, and the residuals give the scale.
+        Whether `sigma` contains standard deviations. False: only the ratios matter, and the residuals give the scale.
     starts : int, default 1
-        The number of searches: the first from the start of each parameter, the others from points that fill the
-        bounds (a Latin hypercube).
+        The number of searches: the first from the start of each parameter, the others from points spread over the
+        bounds (a Latin hypercube). If it exceeds 1, each parameter except noise levels needs two finite bounds.
     seed : int, default 0
-        Of these points.
+        The random seed for these points.
     loss : {"linear", "soft_l1", "huber", "cauchy", "arctan"}, default "linear"
-        Anything but "linear" makes outliers count less, from a residual of one `sigma` on, as in SciPy.
+        As in SciPy. All except "linear" reduce the influence of residuals above one `sigma`, for data with outliers.
     method : str, default 'ode45'
-        Of the runs, a name in `METHODS`.
+        The method of the runs, a name in `METHODS`.
     **options
-        Of the runs, as in `Problem.solve`; rtol is 1e-6 and atol 1e-9 unless they are given.
+        Options of the runs, as in `Problem.solve`. The defaults of rtol and atol are 1e-6 and 1e-9.
 
     Returns
     -------
     Fit
-        Prints as a table.
+        The result; prints as a table.
 
     Raises
     ------
     TypeError, ValueError
-        Data of a wrong shape, a parameter that no experiment takes, a start outside its bounds, runs that fail at the
-        start, and so on: each named.
+        Data have a wrong shape, no experiment has a parameter of this name, a start is outside its bounds, the run at
+        the start fails, and so on; the message names the cause.
 
     Warns
     -----
     UserWarning
-        The data do not determine all parameters; a parameter is at a bound; the search did not arrive.
+        The data do not determine all parameters, a parameter is at a bound, or the search did not converge.
 
     Notes
     -----
-    If the run fails at a trial point, the step to it is not taken: `Fit.failures` counts the reasons. Noise levels are
-    estimated by maximum likelihood together with the other parameters; standard errors take the degrees of freedom into
-    account that the parameters use up.
+    If the run at a trial point fails, the search rejects the step: `Fit.failures` counts the reasons. Noise levels are
+    estimated by maximum likelihood together with the other parameters. Standard errors account for the degrees of
+    freedom that the fitted parameters use.
 
     Examples
     --------
@@ -108,6 +108,12 @@ def fit(
     model = to_model(problem, t, data, parameters, described, flag("absolute_sigma", absolute_sigma), method, options)
     if loss != "linear" and (model.relative or any(one.level for one in model.space.free)):
         raise ValueError(f'loss="{loss}" needs a known sigma: residuals count less from one sigma on')
+    priors = [one.name for one in model.space.free if one.parameter.prior is not None]
+    if model.relative and priors:  # the prior and the data have no common unit
+        raise ValueError(
+            f"the prior of {priors[0]} needs the standard deviation of the data, to weigh the two: give sigma, or make "
+            'it a noise level by name: sigma="s", with "s": (lower, upper) among the parameters'
+        )
     count = positive_integer("starts", starts)
     best, ends = _searched(model, count, seed, loss)
     known = uncertainty(model, best)
@@ -117,7 +123,7 @@ def fit(
 
 
 def _searched(model: Model, count: int, seed: int, loss: str) -> tuple[Found, list[tuple[float, bool]]]:
-    """The best end of the searches, and the ends of all."""
+    """Run all searches: the best result, and the cost and success of each."""
     best: Found | None = None
     ends: list[tuple[float, bool]] = []
     first: NoStartError | None = None
@@ -137,7 +143,7 @@ def _searched(model: Model, count: int, seed: int, loss: str) -> tuple[Found, li
 
 
 def _tell(found: Fit) -> None:
-    """Warns of what users must know."""
+    """Issue a warning with the remarks on the fit, except failed runs."""
     remarks = found.remarks()[: len(found.remarks()) - bool(found.failures)]
     if remarks:
         warn("fit: " + "; ".join(remarks))

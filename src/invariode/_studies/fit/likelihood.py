@@ -177,11 +177,12 @@ class Model:
         return -squares - logs - self.size * _HALF_LOG_2PI
 
     def variance(self, at: Evaluation, unknowns: int = 0) -> float:
-        """The factor of sigma² that the residuals give, of which so many degrees of freedom are spent; 1 if sigma is
-        known."""
+        """The factor of sigma² that the residuals give, of which so many degrees of freedom are spent; NaN if none are
+        left, 1 if sigma is known."""
         if not self.relative:
             return 1.0
-        return float(np.sum(at.residuals**2)) / max(self.size - unknowns, 1)
+        degrees = self.size - unknowns
+        return float(np.sum(at.residuals**2)) / degrees if degrees > 0 else math.nan
 
 
 def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:

@@ -17,22 +17,22 @@ from .search import start_points
 
 @public
 class Objective:
-    """The log-likelihood of data as a function of the parameters: what `objective` returns.
+    """The log-likelihood of data as a function of the parameters, as returned by `objective`.
 
-    ``objective(x)`` is its value at x of shape (k,), -inf outside the bounds and where the run fails;
-    ``objective.gradient(x)`` its gradient; ``objective.both(x)`` both of them. The last point is kept: value and
-    gradient at one point take one run.
+    ``objective(x)`` is the value at x of shape (k,), -inf outside the bounds and where the run fails;
+    ``objective.gradient(x)`` is the gradient, and ``objective.both(x)`` returns the value and the gradient. The last
+    point is cached: value and gradient at one point take one run.
 
     Attributes
     ----------
     names : tuple of str
         The parameters, in the order of x.
     start : ndarray, (k,)
-        Where a search would start.
+        The start of each parameter.
     bounds : list of (float, float)
-        Their bounds, infinite if there are none.
+        The bounds of each parameter, infinite if it has none.
     failures : dict
-        Why runs failed, with their number.
+        The number of failed runs by reason.
     """
 
     def __init__(self, model: Model) -> None:
@@ -104,11 +104,11 @@ def objective(
     method: MethodName = "ode45",
     **options: Unpack[Options],
 ) -> Objective:
-    """The log-likelihood of data and its gradient as functions of the parameters.
+    """Make a function that computes the log-likelihood of the data, and its gradient, from the parameters.
 
-    For samplers, such as those of PyMC and emcee, and other optimisers. Log densities of priors are added; without
-    them, and with flat ones within the bounds, it is the log-likelihood. If sigma is unknown, or relative, it is that
-    with the sigma that fits best.
+    It is for samplers, such as those of PyMC and emcee, and for other optimisers. If parameters have priors, the
+    logarithms of the prior densities are added. If sigma is unknown or relative, its best value for these parameters
+    is used.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def objective(
     Returns
     -------
     Objective
-        Called with an array of the free parameters, in the order of its `names`.
+        A function of an array of the free parameters, in the order of its `names`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The parameters of a fit: what users say of them, and the values that each experiment takes from the free ones."""
+"""The parameters of a fit: their specification, and the values in each experiment for given free parameters."""
 
 from __future__ import annotations
 
@@ -25,25 +25,27 @@ ParameterLike: TypeAlias = "Parameter | tuple[float | None, float | None]"
 @public
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a fit, with what is known about it.
+    """A parameter of a fit: its bounds, start, scale, prior and ties.
 
     Parameters
     ----------
     start : float, optional
-        Where the search starts. Default: the value in the problem if it is within the bounds, otherwise their middle.
+        The value at which the search starts. Default: the value in the problem if it is within the bounds, otherwise
+        their midpoint (the geometric mean with ``scale="log"``).
     bounds : (float, float), optional
-        Smallest and largest value; None or an infinity for no bound. The search stays between them.
+        Minimum and maximum; None or infinity means no bound. The search stays between them.
     scale : {"linear", "log"}, optional
-        "log" searches in ln p, for positive parameters of unknown size; `Fit.confidence` is symmetric there. Default:
-        "linear", for noise levels "log".
+        "log" searches in ln p, for positive parameters of unknown magnitude; the intervals of `Fit.confidence` are
+        then symmetric in ln p. Default: "linear", for noise levels "log".
     prior : (float, float), optional
-        Knowledge from elsewhere: a normal distribution with this mean and standard deviation. With ``scale="log"`` ln p
-        is normal about the logarithm of the first, with the second as its standard deviation.
+        Prior information: a normal distribution with this mean and standard deviation. With ``scale="log"``, ln p is
+        normal: its mean is the logarithm of the first number, its standard deviation is the second. A fit with priors
+        needs a `sigma`: numbers, or noise levels by name.
     shared : bool, default True
-        Whether all experiments have one value. Otherwise each has its own, called ``name[0]``, ``name[1]`` and so on.
+        Whether all experiments share one value. False: each has its own, called ``name[0]``, ``name[1]`` and so on.
     equals : float, str or callable, optional
-        A value at which the parameter is fixed; or another parameter whose value it has; or a function of other
-        parameters, called as its arguments are: ``lambda k1, k2: k1 / k2``.
+        Makes the parameter dependent: a fixed value; or the name of another parameter, which it then equals; or a
+        function whose arguments are the names of other parameters: ``lambda k1, k2: k1 / k2``.
 
     Examples
     --------
@@ -108,7 +110,7 @@ class Parameter:
         return -math.inf if lower is None else lower, math.inf if upper is None else upper
 
     def check_start(self, value: float, what: str) -> None:
-        """That a search can start there."""
+        """Raise an error unless a search can start at this value."""
         lower, upper = self.limits
         if not lower <= value <= upper or not math.isfinite(value):
             raise ValueError(f"{what} is {value:g}, which is not within its bounds ({lower:g}, {upper:g})")
@@ -116,7 +118,7 @@ class Parameter:
             raise ValueError(f'{what} is {value:g}: with scale="log" it must be positive')
 
     def __repr__(self) -> str:
-        """Only what differs from the defaults."""
+        """Fields that differ from the defaults."""
         said = [(one.name, getattr(self, one.name)) for one in fields(self)]
         changed = [
             f"{name}={value!r}" for (name, value), one in zip(said, fields(self), strict=True) if value != one.default
@@ -135,7 +137,7 @@ def _bounds(given: Any) -> tuple[float | None, float | None]:
 
 
 def to_parameters(given: Any) -> dict[str, Parameter]:
-    """The parameters by name; a pair is a Parameter with these bounds."""
+    """Convert the parameters of a fit; a pair becomes a Parameter with these bounds."""
     if not isinstance(given, Mapping) or not given:
         raise TypeError(
             'parameters must be a dict of names, such as {"k": (0, 1), "y0[x]": invariode.Parameter(start=1)}, got '
@@ -160,7 +162,7 @@ def to_parameters(given: Any) -> dict[str, Parameter]:
 
 
 class Taker(Protocol):
-    """What the parameters need to know of an experiment."""
+    """The part of an experiment that its parameters use."""
 
     def takes(self, name: str) -> bool:
         """Whether a parameter of this name is one of its own."""
@@ -206,7 +208,7 @@ class _Tied:
         self._checked = False
 
     def value_and_slope(self, free: Array) -> tuple[float, Array]:
-        """Its value, and its derivatives with respect to the free ones by complex steps."""
+        """Its value, and its derivatives with respect to the free parameters by complex steps."""
         at = np.array([one.value if isinstance(one, _Fixed) else free[one] for one in self._sources])
         value = number(f"the value of {self.name}", self._function(*at))
         if not self._checked:
@@ -218,7 +220,7 @@ class _Tied:
         return value, slope
 
     def _check(self, at: Array) -> None:
-        """That complex steps give derivatives, which differences show."""
+        """Check the derivatives by complex steps against finite differences."""
         found = compared(lambda z: np.array([self._function(*z)]), at, np.where(at == 0, 1.0, np.abs(at)))
         if found is None:
             return  # not defined around this point

@@ -1,4 +1,4 @@
-"""What a fitted model says at other times."""
+"""Values of a fitted model at other times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..._results.result import Record
 @public
 @dataclass(frozen=True, eq=False)
 class Prediction(Record):
-    """What a fitted model says at given times, with its bands.
+    """Values of a fitted model at given times, with bands.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class Prediction(Record):
     standard_error : ndarray, (m, n_t)
         Their standard errors, from those of the parameters.
     lower, upper : ndarray, (m, n_t)
-        The band.
+        The ends of the band.
     names : list of str
         The quantities.
     """

@@ -1,4 +1,4 @@
-"""Profiles: the best fits with one parameter held at other values, and the interval that they give."""
+"""Profile likelihoods: the best fits with one parameter fixed at other values, and the resulting interval."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ _FIRST_STEP, _FASTER, _FAR = 0.1, 4.0, 1e4
 @public
 @dataclass(frozen=True, eq=False, repr=False)
 class Profile:
-    """The profile of the likelihood along one parameter: all others are fitted anew at each of its values.
+    """Profile likelihood of one parameter: all others are refitted at each of its values.
 
     Attributes
     ----------
     name : str
         The parameter.
     values : ndarray, (p,)
-        Its values, rising.
+        The values of the parameter, in increasing order.
     statistic : ndarray, (p,)
-        The signed root of the likelihood ratio there, in standard errors: a straight line if the model is linear.
+        The signed root of the likelihood ratio at `values`, in standard errors: linear if the model is linear.
     lower, upper : float
-        The interval; at a bound if the profile ends there, infinite if the data give no end.
+        The interval: an end is a bound if the profile reaches it, infinite if the data do not limit the parameter.
     level : float
-        Its level.
+        The confidence level.
     fits : int
-        How many fits it took.
+        The number of fits.
     """
 
     name: str

@@ -29,46 +29,50 @@ if TYPE_CHECKING:  # an extra, imported when a picture is drawn
 
 @public
 class Fit:
-    """The parameters with which a problem agrees best with data, and how well they are known.
+    """Result of `fit`: the parameters for which a problem agrees best with data, and their uncertainty.
 
     Prints as a table.
 
     Attributes
     ----------
     parameters : dict
-        All parameters with their values, those that are fixed or tied at the end.
+        The values of all parameters: the free ones, then those fixed or tied by `equals`.
     standard_errors : dict
         Their standard errors: 0 if fixed, NaN at a bound, infinite if the data do not determine the parameter.
     names : tuple of str
         The free parameters, in the order of the matrices.
     covariance, correlation, fisher : ndarray, (k, k)
-        Of the free parameters: their covariance, its correlation, and the Fisher information, whose inverse it is.
+        Matrices for the free parameters: covariance, correlation and Fisher information.
     undetermined : list of list of str
-        Parameters of which the data leave a combination open, a list for each such combination.
+        For each combination of parameters that the data do not determine, the names of these parameters.
     at_bound : list of (str, str, float)
-        Parameters that ended at a bound: name, "lower" or "upper", and its value. The errors of the others are those
-        with these held fixed.
+        Parameters that ended at a bound: name, "lower" or "upper", and the value of the bound. The standard errors of
+        the others are computed with these fixed.
     log_likelihood : float or None
-        Of the data at the fit; None for a `loss` that is not that of a distribution.
+        The log-likelihood of the data at the fit; None with a `loss` other than "linear", and if sigma is estimated
+        without degrees of freedom.
     aic : float or None
         Akaike's criterion, 2 k − 2 log L; an unknown sigma is one of the k parameters.
     degrees_of_freedom : int
-        The number of data minus that of the parameters, noise levels excepted; at least 1.
+        The number of data minus the number of parameters, not counting noise levels; 0 if there are as many parameters
+        as data, or more. Standard errors are then infinite unless sigma is known.
     reduced_chi_squared : float
-        The sum of squares of the residuals in units of sigma, for each degree of freedom: about 1 if sigma is right.
+        The sum of squares of the residuals in units of sigma, divided by `degrees_of_freedom`: about 1 if sigma is
+        right. NaN without degrees of freedom.
     sigma : float or None
-        What the residuals say of an unknown sigma, or of the factor of a relative one; None if it is known.
+        The estimate, from the residuals, of an unknown sigma, or of the factor of relative ones; NaN without degrees
+        of freedom, None if sigma is known.
     success : bool
-        Whether the search arrived.
+        Whether the search converged.
     message : str
-        How it ended.
+        How the search ended.
     runs : int
-        How often the model was solved, failed runs included.
+        The number of evaluations of the model, including failed ones.
     failures : dict
-        Why runs failed, with their number: each is a step that was not taken.
+        The number of failed runs by reason; each is a rejected step.
     starts : list of (float, bool)
-        For each start half the sum of squares at its end, or −log L, and whether the search arrived; infinite if the
-        model could not be evaluated.
+        For each start, the final cost (half the sum of squares, or −log L), and whether the search converged; the cost
+        is infinite if the model could not be evaluated at the start.
     """
 
     def __init__(self, model: Model, found: Found, known: Uncertainty, loss: str, starts: list[tuple[float, bool]]):
@@ -104,11 +108,17 @@ class Fit:
 
     @property
     def degrees_of_freedom(self) -> int:
-        return degrees_of_freedom(self._model, self._inner)
+        return degrees_of_freedom(self._model, self._found.at)
+
+    @property
+    def _unscaled(self) -> bool:
+        """Whether sigma is to be estimated, and no degrees of freedom are left to do so."""
+        return self._known.degrees <= 0
 
     @property
     def reduced_chi_squared(self) -> float:
-        return float(np.sum(self._found.at.residuals**2)) / self.degrees_of_freedom
+        degrees = self.degrees_of_freedom
+        return float(np.sum(self._found.at.residuals**2)) / degrees if degrees else math.nan
 
     @property
     def sigma(self) -> float | None:
@@ -117,7 +127,7 @@ class Fit:
 
     @property
     def log_likelihood(self) -> float | None:
-        if self._loss != "linear":
+        if self._loss != "linear" or self._unscaled:
             return None
         at = self._found.at
         return self._model.log_likelihood(at, at.sigma * math.sqrt(self._model.variance(at)))
@@ -128,7 +138,7 @@ class Fit:
         return None if log is None else 2 * (len(self.names) + self._model.relative) - 2 * log
 
     def confidence(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence intervals of all parameters from their standard errors.
+        """Compute confidence intervals of all parameters from their standard errors.
 
         Parameters
         ----------
@@ -139,19 +149,20 @@ class Fit:
         -------
         dict
             (lower, upper) by name, with quantiles of Student's t, or of the normal distribution if sigma is known. For
-            a parameter with ``scale="log"`` they are symmetric in its logarithm. They may reach beyond the bounds, and
-            are approximate if the model is not linear: see `profile`.
+            a parameter with ``scale="log"`` the interval is symmetric in its logarithm. Intervals may extend beyond the
+            bounds, and are approximate if the model is not linear in the parameters: see `profile`.
         """
         q = self._quantile(level)
         log = {one.name for one in self._model.space.free if one.log}
         found = {}
         for name, value in self.parameters.items():
             error = self.standard_errors[name]
+            margin = q * error if error else 0.0  # q may be infinite
             if name in log:
-                ratio = math.exp(min(q * error / value, 700.0))  # the largest exponent of doubles
+                ratio = math.exp(min(margin / value, 700.0))  # the largest exponent of doubles
                 found[name] = (value / ratio, value * ratio) if math.isfinite(error) else (0.0, math.inf)
             else:
-                found[name] = (value - q * error, value + q * error)
+                found[name] = (value - margin, value + margin)
         return {name: ends if self.standard_errors[name] == self.standard_errors[name] else (math.nan, math.nan)
                 for name, ends in found.items()}  # fmt: skip
 
@@ -163,36 +174,42 @@ class Fit:
 
         upper = 0.5 + level / 2
         degrees = self._known.degrees
+        if self._unscaled:
+            return math.inf
         return float(stats.norm.ppf(upper) if math.isinf(degrees) else stats.t.ppf(upper, degrees))
 
     def profile(self, name: str, level: float = 0.95) -> Profile:
-        """The profile of the likelihood along a parameter, and the interval that it gives.
+        """Compute the profile likelihood of a parameter, and its confidence interval.
 
-        All other parameters are fitted anew at each value, so that the interval is right also where the model is far
-        from linear. It takes some 6 to 10 fits, each of a few runs.
+        All other parameters are refitted at each value, so that the interval is also valid if the model is far from
+        linear. It takes about 6 to 10 fits, each of a few runs.
 
         Parameters
         ----------
         name : str
             A free parameter.
         level : float, default 0.95
-            Of the interval.
+            The confidence level of the interval.
 
         Returns
         -------
         Profile
-            With `lower`, `upper`, and the values at which it was fitted.
+            The interval, `lower` and `upper`, and the points of the profile.
         """
         if name not in self.names:
             raise ValueError(
                 f"there is no free parameter {shown(name)}: {', '.join(self.names)}{meant(name, self.names)}"
             )
         if self._loss != "linear":
-            raise ValueError(f'profiles need a likelihood, and loss="{self._loss}" is of none')
+            raise ValueError(
+                f'profile needs a likelihood, which loss="{self._loss}" does not have: fit with loss="linear"'
+            )
+        if self._unscaled:
+            raise ValueError(f"profile needs a sigma: {self._no_sigma()}")
         place = self.names.index(name)
         model, at = self._model, self._found.at
         slope = model.space.slope(at.free)
-        scale = Scale(self._quantile(level), unit_of_variance(model, at, self._inner))
+        scale = Scale(self._quantile(level), unit_of_variance(model, at))
         return profile(model, self._found, place, self.covariance / np.outer(slope, slope), scale, level)
 
     @cached_property
@@ -207,15 +224,15 @@ class Fit:
 
     @property
     def residuals(self) -> Any:
-        """(Model - data) / sigma, shaped like the data, with NaN where nothing was measured; with the sigma of the
-        residuals if it is unknown, and of logarithms if the noise is log-normal. A list of them for several
-        experiments."""
+        """(Model - data) / sigma, an array like the data, with NaN where nothing was measured. An unknown sigma is
+        estimated from the residuals; with log-normal noise, the logarithms are compared. For several experiments, a
+        list of arrays."""
         every = [self._residuals(e)[0] for e in range(len(self._model.experiments))]
         return every[0] if len(every) == 1 else every
 
     @property
     def event_residuals(self) -> Any:
-        """The same for times of events, by their names."""
+        """(Model - data) / sigma for the times of events: a dict by event name; a list for several experiments."""
         every = [self._residuals(e)[1] for e in range(len(self._model.experiments))]
         return every[0] if len(every) == 1 else every
 
@@ -236,19 +253,20 @@ class Fit:
         return found, events
 
     def predict(self, t: ArrayLike, *, experiment: int = 0, level: float = 0.95, noise: bool = False) -> Prediction:
-        """What the model says at other times, with bands.
+        """Evaluate the fitted model at other times, with bands.
 
         Parameters
         ----------
         t : array_like of shape (n_t,)
             The times, within the problem's t_span.
         experiment : int, default 0
-            Which experiment.
+            The index of the experiment.
         level : float, default 0.95
             The probability of the bands.
         noise : bool, default False
-            Whether they are those of new data, with their noise. False: those of the model, from the errors of the
-            parameters.
+            Whether the bands are prediction bands for new data, including their noise. False: confidence bands of the
+            model, from the uncertainty of the parameters. Prediction bands are NaN for a quantity without data in this
+            experiment, unless all data share an unknown sigma.
 
         Returns
         -------
@@ -271,14 +289,15 @@ class Fit:
         scale = errors / np.abs(curves.values) if lognormal else errors
         if noise:
             scale = np.hypot(scale, self._sigmas(experiment)[:, None])
+        margin = np.multiply(q, scale, where=scale != 0, out=np.zeros_like(scale))  # q may be infinite
         if lognormal:
-            lower, upper = curves.values * np.exp(-q * scale), curves.values * np.exp(q * scale)
+            lower, upper = curves.values * np.exp(-margin), curves.values * np.exp(margin)
         else:
-            lower, upper = curves.values - q * scale, curves.values + q * scale
+            lower, upper = curves.values - margin, curves.values + margin
         return Prediction(times, curves.values, errors, lower, upper, list(one.names))
 
     def _errors_of(self, slopes: Array) -> Array:
-        """Standard errors of quantities with these derivatives: parameters at a bound stay there."""
+        """Standard errors of quantities with these derivatives; parameters at a bound are fixed."""
         covariance = np.where(np.isnan(self.covariance), 0.0, self.covariance)
         open_ = np.isinf(np.diag(covariance))
         finite = np.where(np.isinf(covariance), 0.0, covariance)
@@ -290,7 +309,9 @@ class Fit:
         one = self._model.experiments[e]
         local = self._model.space.local(e, self._found.at.free)
         names = self._model.space.names[e]
-        found = np.zeros(len(one.names))
+        factor = math.inf if self._unscaled else math.sqrt(self._model.variance(self._found.at, self._inner))
+        common = any(series.sigma is None for series in one.series if series.row < len(one.names))
+        found = np.full(len(one.names), factor * self._model.unit if common else math.nan)
         for series in one.series:
             if series.row >= len(found):
                 continue
@@ -298,7 +319,6 @@ class Fit:
             if len(known) != 1:
                 raise ValueError(f"noise=True needs one sigma of {series.name}, and its data have different ones")
             level = 1.0 if series.level is None else float(local.values[names.index(series.level)])
-            factor = math.sqrt(self._model.variance(self._found.at, self._inner))
             unit = self._model.unit if series.sigma is None else 1.0
             found[series.row] = known[0] * level * factor * unit
         return found
@@ -310,16 +330,16 @@ class Fit:
         return experiments[int(e)]
 
     def plot(self, *, experiment: int = 0, level: float = 0.95, ax: Axes | None = None) -> Axes:
-        """Draws the data, the model and its band over time.
+        """Plot the data, the model and its confidence band over time.
 
         Parameters
         ----------
         experiment : int, default 0
-            Which experiment.
+            The index of the experiment.
         level : float, default 0.95
             The probability of the band.
         ax : matplotlib.axes.Axes, optional
-            Where to draw everything. Default: a new figure, with a panel for each scale.
+            The axes for everything. Default: a new figure, with a panel for each scale.
 
         Returns
         -------
@@ -339,14 +359,15 @@ class Fit:
         return np.split(sigma[: ends[-1]], ends[:-1])
 
     def rows(self) -> list[Sequence[str]]:
-        """Name, value, standard error and interval of each parameter, and a remark, as text."""
+        """Rows of the table: name, value, standard error, interval and remark, as text."""
         intervals = self.confidence()
         bounds = {name: f"at its {side} bound" for name, side, _ in self.at_bound}
         open_ = {name for group in self.undetermined for name in group}
         found: list[Sequence[str]] = []
         for name, value in self.parameters.items():
             error = self.standard_errors[name]
-            remark = bounds.get(name, "not determined" if name in open_ or math.isinf(error) else "")
+            lost = name in open_ or (math.isinf(error) and not self._unscaled)
+            remark = bounds.get(name, "not determined" if lost else "")
             remark = remark or ("" if name in self.names else "fixed" if error == 0 else "tied")
             plain = not math.isfinite(error) or error == 0
             ends = "" if plain else "{:.6g} to {:.6g}".format(*intervals[name])
@@ -354,15 +375,24 @@ class Fit:
         return found
 
     def remarks(self) -> list[str]:
-        """What a reader must know besides the values."""
+        """Remarks on convergence, undetermined parameters, bounds and failed runs."""
         found = [] if self.success else [self.message]
         for group in self.undetermined:
             what = f"{group[0]}" if len(group) == 1 else f"a combination of {' and '.join(group)}"
             found.append(f"the data do not determine {what}")
         found += [f"{name} is at its {side} bound, {value:g}" for name, side, value in self.at_bound]
+        found += [self._no_sigma()] if self._unscaled else []
         if self.failures:
             found.append(f"{sum(self.failures.values())} runs failed, and the steps to them were not taken")
         return found
+
+    def _no_sigma(self) -> str:
+        """Why there are no standard errors, and what to do."""
+        count = self._inner - sum(one.level for one in self._model.space.free)
+        return (
+            f"{self._model.size} data for {count} parameters leave none to estimate sigma, so that the standard errors "
+            "are unknown: give sigma, more data or fewer parameters"
+        )
 
     def __repr__(self) -> str:
         head = ("parameter", "value", "standard error", "95 % interval", "")
@@ -372,10 +402,10 @@ class Fit:
         return "\n".join([*lines, self.summary(), *self.remarks()])
 
     def summary(self) -> str:
-        """How many data, how well they are met."""
+        """Summary line: the number of data and the goodness of fit."""
         log = self.log_likelihood
         scale = f", sigma {self.sigma:.4g}" if self.sigma is not None else f", χ²/ν {self.reduced_chi_squared:.4g}"
-        if self._found.at.levels:
+        if self._found.at.levels or not self.degrees_of_freedom:
             scale = ""  # noise levels are in the table
         likelihood = "" if log is None else f", log-likelihood {log:.6g}, AIC {self.aic:.6g}"
         return f"{self._model.size} data, {self.degrees_of_freedom} degrees of freedom{scale}{likelihood}"

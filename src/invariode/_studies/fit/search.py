@@ -60,6 +60,34 @@ LOSSES: dict[str, Callable[[Array], list[Array]] | None] = {
 }
 
 
+class Weighted(NamedTuple):
+    """The loss of residuals r, ½ Σ ρ(r²), and its derivatives.
+
+    Attributes
+    ----------
+    cost : float
+        The loss.
+    first : ndarray, (N,)
+        ρ′: the gradient of the loss is Jᵀ (ρ′ r).
+    second : ndarray, (N,)
+        √(ρ′ + 2 ρ″ r²): factors of the rows of J for which JᵀJ is the second derivative of the loss. Residuals for
+        which it is negative count as almost nothing, as in `scipy.optimize.least_squares`.
+    """
+
+    cost: float
+    first: Array
+    second: Array
+
+
+def weighted(loss: str, residuals: Array) -> Weighted:
+    """The loss of the residuals of data."""
+    rho, z = LOSSES[loss], residuals**2
+    if rho is None:
+        return Weighted(0.5 * float(z.sum()), np.ones_like(z), np.ones_like(z))
+    value, first, second = rho(z)
+    return Weighted(0.5 * float(value.sum()), first, np.sqrt(np.maximum(first + 2 * second * z, EPS)))
+
+
 class Found(NamedTuple):
     """Where a search ended.
 
@@ -71,15 +99,15 @@ class Found(NamedTuple):
         Half the sum of squares, or of their losses, with those of the priors; with noise levels −log L.
     success, message
         Whether it arrived, and how it ended.
-    jacobian : ndarray, (N, k)
-        In the coordinates of the search, weighted by the loss.
+    weights : ndarray, (N,)
+        Factors of the rows of the Jacobian for which JᵀJ is the second derivative of the loss; 1 without a loss.
     """
 
     at: Evaluation
     cost: float
     success: bool
     message: str
-    jacobian: Array
+    weights: Array
 
 
 class NoStartError(Exception):
@@ -101,7 +129,7 @@ def search(model: Model, start: Array, loss: str = "linear", held: Sequence[int]
     _require(model, start)
     found = _searched(model, start, loss, held)
     held = list(held)
-    while bounds := _reached(model, found, held):
+    while bounds := _reached(model, found, loss, held):
         free = found.at.free.copy()
         for i, bound in bounds.items():
             free[i] = bound
@@ -127,15 +155,17 @@ def _searched(model: Model, start: Array, loss: str, held: Sequence[int]) -> Fou
     return found
 
 
-def _reached(model: Model, found: Found, held: Sequence[int]) -> dict[int, float]:
+def _reached(model: Model, found: Found, loss: str, held: Sequence[int]) -> dict[int, float]:
     """Bounds that the search was moving towards when it ended, by parameter."""
     space, at = model.space, found.at
     u = space.coordinates(at.free)
     rows = at.with_levels(at.jacobian) * space.slope(at.free)
-    gradient = rows.T @ at.residuals
+    first = weighted(loss, at.residuals).first
+    gradient = rows.T @ (first * at.residuals)
+    rows *= found.weights[:, None]
     priors, slopes, _ = space.priors(at.free)
     gradient += (slopes * space.slope(at.free)).T @ priors
-    error = math.sqrt(float(np.mean(at.residuals**2)))
+    error = math.sqrt(float(np.mean(first * at.residuals**2)))
     reached = {}
     for i, one in enumerate(space.free):
         for bound, outwards in zip(one.parameter.limits, (-1.0, 1.0), strict=True):
@@ -279,21 +309,14 @@ class _Round:
         at = self._model.evaluate(self._free(result.x))
         assert isinstance(at, Evaluation)
         self._last = at
-        ended = self._ended(bool(result.status > 0), str(result.message))
-        return (
-            ended
-            if self._loss == "linear"
-            else ended._replace(cost=float(result.cost), jacobian=np.asarray(result.jac))
-        )
+        return self._ended(bool(result.status > 0), str(result.message))
 
     def _ended(self, success: bool, message: str) -> Found:
         at = self._last
-        residuals, jacobian = self._rows(at)
-        cost = 0.5 * float(residuals @ residuals)
-        if at.levels:
-            priors = self._space.priors(at.free)[0]
-            cost = -self._model.log_likelihood(at, at.sigma) + 0.5 * float(priors @ priors)
-        return Found(at, cost, success, message, jacobian)
+        data = weighted(self._loss, at.residuals)
+        cost = -self._model.log_likelihood(at, at.sigma) if at.levels else data.cost
+        priors = self._space.priors(at.free)[0]
+        return Found(at, cost + 0.5 * float(priors @ priors), success, message, data.second)
 
 
 def start_points(model: Model, count: int, seed: Any) -> list[Array]:

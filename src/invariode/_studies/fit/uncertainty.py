@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,52 +44,63 @@ class Uncertainty(NamedTuple):
 def uncertainty(model: Model, found: Found) -> Uncertainty:
     """That of the best parameters."""
     space, at = model.space, found.at
-    information = _information(model, found)
     at_bound = _at_bounds(model, at)
-    inner = [i for i in range(len(space.free)) if i not in {place for place, _ in at_bound}]
+    inner = _inner(model, at)
     k = len(space.free)
-    degrees = _degrees(model, at, len(inner))
+    degrees = degrees_of_freedom(model, at) if _estimates_sigma(model, at) else math.inf
+    variance = unit_of_variance(model, at)
+    information = _information(model, found, variance)
     covariance = np.full((k, k), np.nan)
     undetermined: list[list[str]] = []
     if inner:
-        rows = information[:, inner]
-        covariance[np.ix_(inner, inner)], groups = _inverse(rows, max(_NOISE * model.rtol, 1e-10))
+        inverse, groups = _inverse(information[:, inner], max(_NOISE * model.rtol, 1e-10))
+        plain = (inverse != 0) & np.isfinite(inverse)  # zeros and infinities stay: the variance can be either
+        covariance[np.ix_(inner, inner)] = np.multiply(inverse, variance, where=plain, out=inverse)
         undetermined = [[space.free[inner[i]].name for i in group] for group in groups]
-    variance = unit_of_variance(model, at, len(inner))
     slope = space.slope(at.free)
     named = [(space.free[i].name, side, float(at.free[i])) for i, side in at_bound]
     with np.errstate(invalid="ignore", divide="ignore"):
         fisher = information.T @ information / variance
-        scaled = covariance * variance * np.outer(slope, slope)
+        scaled = covariance * np.outer(slope, slope)
     return Uncertainty(scaled, fisher / np.outer(slope, slope), named, undetermined, degrees)
 
 
-def _information(model: Model, found: Found) -> Array:
-    """A matrix A with AᵀA the expected information in coordinates: of the data, of the noise levels (c data determine
-    ln s with 2 c), and of the priors."""
+def _information(model: Model, found: Found, variance: float) -> Array:
+    """A matrix A with AᵀA / variance the expected information in coordinates: of the data, of the noise levels (c data
+    determine ln s with 2 c), and of the priors, whose standard deviations that variance does not change."""
     at, slope = found.at, model.space.slope(found.at.free)
-    rows = [at.jacobian * slope]
-    if len(found.jacobian) >= model.size and found.jacobian.shape[1] == len(slope) and not at.levels:
-        rows = [found.jacobian[: model.size]]  # weighted by the loss
+    rows = [at.jacobian * slope * found.weights[:, None]]
     rows += [np.sqrt(2 * len(one.data)) * (one.slope * slope / one.value)[None] for one in at.levels]
-    return np.concatenate([*rows, model.space.priors(at.free)[1] * slope])
+    priors = model.space.priors(at.free)[1] * slope
+    return np.concatenate([*rows, priors * math.sqrt(variance) if math.isfinite(variance) else priors])
 
 
-def degrees_of_freedom(model: Model, k: int) -> int:
-    """What k parameters leave, of which the noise levels take none."""
-    return max(model.size - k + sum(one.level for one in model.space.free), 1)
+def _inner(model: Model, at: Evaluation) -> list[int]:
+    """Parameters that are not at a bound."""
+    held = {place for place, _ in _at_bounds(model, at)}
+    return [i for i in range(len(model.space.free)) if i not in held]
 
 
-def _degrees(model: Model, at: Evaluation, k: int) -> float:
-    return degrees_of_freedom(model, k) if model.relative or at.levels else np.inf
+def _estimates_sigma(model: Model, at: Evaluation) -> bool:
+    """Whether sigma follows from the residuals: it is unknown or relative, or a noise level is fitted."""
+    inner = _inner(model, at)
+    return model.relative or any(bool(one.slope[inner].any()) for one in at.levels)
 
 
-def unit_of_variance(model: Model, at: Evaluation, k: int) -> float:
-    """The factor of σ² that the residuals give with k parameters. Noise levels by maximum likelihood are too small by
-    the degrees of freedom that the parameters take."""
-    if model.relative:
-        return model.variance(at, k)
-    return model.size / degrees_of_freedom(model, k) if at.levels else 1.0
+def degrees_of_freedom(model: Model, at: Evaluation) -> int:
+    """Data that the parameters leave to estimate sigma, 0 if none; noise levels among the parameters do not count."""
+    return max(model.size - sum(not model.space.free[i].level for i in _inner(model, at)), 0)
+
+
+def unit_of_variance(model: Model, at: Evaluation) -> float:
+    """The factor of σ² that the residuals give, infinite if no degrees of freedom are left. Noise levels by maximum
+    likelihood are too small by the degrees of freedom that the parameters take."""
+    if not _estimates_sigma(model, at):
+        return 1.0
+    degrees = degrees_of_freedom(model, at)
+    if not degrees:
+        return math.inf
+    return model.variance(at, model.size - degrees) if model.relative else model.size / degrees
 
 
 def _at_bounds(model: Model, at: Evaluation) -> list[tuple[int, str]]:
