@@ -284,10 +284,11 @@ def presented(
 def _warn_of_steps(run: _core.Run, plan: Plan) -> None:
     if run.stiff:
         warn(f"{plan.method.name}: {limited_by_stability(run.stiff_since)}", StiffnessWarning)
+    followed = plan.varied is not None and plan.varied.has_followed(run.discontinuities)
+    if followed and run.sticks_since is None and run.accumulation is None:
+        return
     for text in about_jumps(run, plan.event_names):
         warn(f"{plan.method.name}: {text}", DiscontinuityWarning)
-    if plan.varied is not None:
-        plan.varied.tell_of_jumps(run.discontinuities)
 
 
 def _work(core: _core.Solver, fun: Any) -> dict[str, Any] | None:

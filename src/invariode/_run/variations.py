@@ -110,8 +110,8 @@ class Variations:
         ways = set(self.how.values())
         return ways.pop() if len(ways) == 1 else "; ".join(f"{called}: {way}" for called, way in self.how.items())
 
-    def tell_of_jumps(self, discontinuities: Sequence[float]) -> None:
-        """A warning if f has jumped where no condition that is followed has changed."""
+    def has_followed(self, discontinuities: Sequence[float]) -> bool:
+        """Whether f has jumped only where conditions that are followed have changed; if not, there is a warning."""
         times = np.array([t for t, _ in self.log])
         self.log.clear()
         for t in discontinuities:
@@ -124,7 +124,8 @@ class Variations:
                 "as breakpoints",
                 AccuracyWarning,
             )
-            return
+            return False
+        return bool(discontinuities)
 
     def tell_of_steps(self, t: Array, y: Array) -> None:
         """A warning if complex steps, which were tested at the start, are wrong in the middle or at the last output."""

@@ -38,10 +38,11 @@ class Experiment:
         The times of the data, in any order, within the problem's t_span; times may be repeated. None: the index of a
         DataFrame, or the coordinate `t` of a labelled array. A str: the name of the column of times.
     data : array_like of shape (m, n_t), dict, DataFrame, DataArray, Dataset, or None
-        The measured values, a row for each observed quantity, as in `sol.y`; (n_t,) for a single one. An array of shape
-        (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are labels of
-        components, or any names with an `observe` function. NaN where nothing was measured. None: only `event_times`.
-    observe : callable, or labels or indices of components, optional
+        The measured values, a row for each observed quantity, as in ``sol.y``; (n_t,) for a single one. An array of
+        shape (n_t, m) is transposed; if both are possible, since m = n_t > 1, an error is raised. Column names are
+        those of components, or any names with an `observe` function. NaN where nothing was measured. None: only
+        `event_times`.
+    observe : callable, str, int, or list of these, optional
         The measured quantities: components, by default all; or a function ``observe(t, y, *args)`` that returns a
         number or an array of shape (m,). Its keyword-only arguments, such as scales and offsets, are parameters of the
         fit too: ``def observe(t, y, k, *, scale=1.0)``.

@@ -82,8 +82,8 @@ def fit(
 
     Notes
     -----
-    If the run at a trial point fails, the search rejects the step: `Fit.failures` counts the reasons. Noise levels are
-    estimated by maximum likelihood together with the other parameters. Standard errors account for the degrees of
+    If the run at a trial point fails, the search rejects the step: ``Fit.failures`` counts the reasons. Noise levels
+    are estimated by maximum likelihood together with the other parameters. Standard errors account for the degrees of
     freedom that the fitted parameters use.
 
     Examples
